@@ -1,0 +1,9 @@
+"""The exceptions that a user is meant to read: one clear line each."""
+
+
+class InputError(ValueError):
+    """A wrong input: the message says what is wrong, where, and what is allowed.  The command line exits with 2."""
+
+
+class SolverError(RuntimeError):
+    """A solver could not certify its answer; the message says why.  The command line exits with 3."""
