@@ -1,0 +1,216 @@
+#!/usr/bin/env bash
+# Makes .venv/ in this checkout, ready to run pgfmd: the one place of installation.
+#
+#   bash tools/setup.sh [test] [bench] [surfaces]      # the extras of pyproject.toml
+#
+# Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
+# installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
+# (h5py with MPI, mpi4py-fft) is kept outside the checkout in ${PGFMD_WHEELS:-~/.cache/pgfmd/wheels}, so that the next
+# clone takes what is there.  PGFMD_PYTHON chooses another Python than python3.
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+venv=$root/.venv
+log=$root/.venv/setup.log
+stamps=$venv/.ready
+wheels=${PGFMD_WHEELS:-${XDG_CACHE_HOME:-${HOME:-/tmp}/.cache}/pgfmd/wheels}
+source "$root/tools/env.sh"
+
+say() { printf 'setup: %s\n' "$*"; }
+fail() { printf 'setup: %s\n' "$*" >&2; exit 1; }
+
+# quietly COMMAND…: into the log; where it fails, the end of what it said.
+quietly() {
+    "$@" >>"$log" 2>&1 </dev/null && return
+    tail -n 15 "$log" >&2
+    fail "this failed: $* (the whole story: $log)"
+}
+
+# The Python that the environment is made from, never that of an environment already active.
+find_python() {
+    local candidate
+    for candidate in ${PGFMD_PYTHON:+"$PGFMD_PYTHON"} python3 python3.14 python3.13 python3.12 python3.11; do
+        command -v "$candidate" >/dev/null || continue
+        "$candidate" -c 'import sys; print(sys._base_executable); sys.exit(sys.version_info < (3, 11))' && return
+    done 2>/dev/null | tail -n 1
+}
+
+# One line that changes whenever the environment has to be made again.
+fingerprint() {
+    { mpirun --version 2>&1 || true; mpicc -show 2>&1 || true; } </dev/null | "$python" -c '
+import hashlib, os, sys
+digest = hashlib.sha256(repr((sys.version, sys.executable, sys.argv[1], sys.stdin.read())).encode())
+for name in ("pyproject.toml", "tools/setup.sh"):
+    digest.update(open(os.path.join(sys.argv[1], name), "rb").read())
+print(digest.hexdigest())' "$root"
+}
+
+ready() {
+    local extra
+    for extra in base "$@"; do
+        [ "$(cat "$stamps/$extra" 2>/dev/null)" = "$print" ] || return 1
+    done
+    [ -x "$venv/bin/python" ]
+}
+
+# ---- what the system has to bring -----------------------------------------------------------------------------------
+
+has_header() { echo "#include <$1>" | cc ${2:+"-I$2"} -x c -c - -o /dev/null 2>/dev/null; }
+
+# Prefix (with include/ and lib/) of an HDF5 that was built with MPI, or nothing.
+parallel_hdf5() {
+    local prefix compiler
+    compiler=$(command -v h5pcc || true)
+    for prefix in "${HDF5_DIR:-}" "${HDF5_ROOT:-}" "${HDF5_HOME:-}" "${EBROOTHDF5:-}" \
+        "/usr/lib/$(cc -print-multiarch 2>/dev/null)/hdf5/$(mpi_flavour)" "${compiler:+${compiler%/bin/h5pcc}}"; do
+        [ -n "$prefix" ] || continue
+        printf '#include <hdf5.h>\n#ifndef H5_HAVE_PARALLEL\n#error serial\n#endif\n' |
+            mpicc -I"$prefix/include" -x c -c - -o /dev/null 2>/dev/null && echo "$prefix" && return
+    done
+    return 0
+}
+
+# Debian packages for what is not there, whatever brought the rest (packages, environment modules, conda).
+missing_packages() {
+    local mpi
+    mpi=$(mpi_flavour)
+    command -v cc >/dev/null && has_header stdio.h || echo gcc libc6-dev
+    "$python" -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
+    "$python" -c 'import os, sysconfig; open(os.path.join(sysconfig.get_path("include"), "Python.h"))' 2>/dev/null ||
+        echo python3-dev
+    command -v mpicc >/dev/null && [ "$mpi" != none ] || echo openmpi-bin libopenmpi-dev
+    has_header fftw3.h "${FFTW_INCLUDE_DIR:-${FFTW_ROOT:-${FFTW_DIR:-/usr}}/include}" || echo libfftw3-dev
+    if [ "$mpi" = mpich ]; then
+        [ -n "$(parallel_hdf5)" ] || echo libhdf5-mpich-dev
+    else
+        [ -n "$(parallel_hdf5)" ] || echo libhdf5-openmpi-dev
+    fi
+}
+
+system_packages() {
+    local missing sudo=""
+    missing=$(missing_packages | tr '\n' ' ')
+    [ -n "$missing" ] || return 0
+    [ "$(id -u)" = 0 ] || sudo="sudo -n"
+    if command -v apt-get >/dev/null && { [ -z "$sudo" ] || $sudo true 2>/dev/null; }; then
+        say "installing Debian packages: $missing(under a minute)"
+        $sudo apt-get -qq update >>"$log" 2>&1 </dev/null || true
+        # shellcheck disable=SC2086  # a list of words
+        $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $missing \
+            >>"$log" 2>&1 </dev/null || tail -n 5 "$log" >&2
+        hash -r
+        missing=$(missing_packages | tr '\n' ' ')
+    fi
+    case "$missing" in
+        "" | libhdf5-*-dev\ ) ;;
+        *) fail "missing on this system; install them, or load modules that bring the same (an MPI with mpicc, FFTW 3," \
+            "HDF5 with MPI):${nl}    apt-get install $missing" ;;
+    esac
+    [ -z "$missing" ] || say "no HDF5 with MPI here: files will be written through rank 0 (Debian: $missing)"
+}
+nl=$'\n'
+
+# ---- what pip brings ------------------------------------------------------------------------------------------------
+
+pip() { "$venv/bin/python" -m pip --disable-pip-version-check --no-input "$@"; }
+
+make_venv() {
+    local version
+    version=$("$python" -c 'import sys; print(sys.version)')
+    if [ "$(cat "$venv/.python" 2>/dev/null)" != "$version $root" ] || ! pip --version >/dev/null 2>&1; then
+        say "making .venv with $("$python" --version)"
+        "$python" -m venv --clear "$venv" || fail "$python cannot make a virtual environment in $venv"
+        printf '%s' "$version $root" >"$venv/.python"
+    fi
+    printf '*\n' >"$venv/.gitignore"
+}
+
+# The wheel cache has one folder for each combination that compiled code depends on.
+wheel_key() {
+    {
+        "$venv/bin/python" -c '
+import sys, sysconfig, importlib.metadata as installed
+print(sys.version, sysconfig.get_platform(), installed.version("mpi4py"))'
+        mpirun --version 2>&1 || true
+        mpicc -show
+        echo "$hdf5" "${FFTW_ROOT:-} ${FFTW_DIR:-}"
+        [ -z "$hdf5" ] || grep -h 'define H5_VERS_INFO' "$hdf5/include/H5public.h"
+    } </dev/null | sha256sum | cut -c 1-16
+}
+
+# compiled NAME MINUTES: the path of its wheel, built first if the cache has none.  Not from source: mpi4py, whose one
+# C file can take 20 GB; hence no build isolation, in which pip would compile it.
+compiled() {
+    local name=$1 folder=$wheels/$key build
+    build=$(compgen -G "$folder/${name//-/_}-*.whl" | sort -V | tail -n 1) && [ -n "$build" ] && echo "$build" && return
+    say "compiling $name ($2, once on this machine)" >&2
+    mkdir -p "$folder"
+    build=$(mktemp -d "$folder/building.XXXXXX")
+    {
+        "$python" -m venv "$build/venv" &&
+            "$build/venv/bin/python" -m pip install -q --only-binary mpi4py,numpy,cython \
+                "setuptools>=77" wheel cython pkgconfig numpy "$(pip freeze | grep -i '^mpi4py=')" &&
+            env CC="$3" CFLAGS="-O2 -g0" HDF5_MPI=ON ${hdf5:+"HDF5_DIR=$hdf5" "LDFLAGS=-Wl,-rpath,$hdf5/lib"} \
+                "$build/venv/bin/python" -m pip wheel -q --no-build-isolation --no-deps --no-binary "$name" \
+                --no-cache-dir --wheel-dir "$build/out" "$name" &&
+            mv "$build"/out/*.whl "$folder/"
+    } >>"$log" 2>&1 </dev/null || { rm -rf "$build"; return 1; }
+    rm -rf "$build"
+    compgen -G "$folder/${name//-/_}-*.whl" | sort -V | tail -n 1
+}
+
+python_packages() {
+    local fft h5py="" extras
+    extras=$(printf ',%s' test "$@"); extras=${extras#,}
+    say "installing Python packages (up to a minute)"
+    quietly pip install -q --only-binary mpi4py,numpy "setuptools>=77" "mpi4py>=4" numpy
+    key=$(wheel_key)
+    fft=$(compiled mpi4py-fft "under a minute" cc) || { tail -n 15 "$log" >&2; fail "mpi4py-fft did not compile ($log)"; }
+    if [ -n "$hdf5" ]; then
+        h5py=$(compiled h5py "about three minutes" mpicc) ||
+            say "h5py with MPI did not compile ($log): files will be written through rank 0"
+    fi
+    # Compiled wheels first and always: pip would take a serial h5py of the same version for good.
+    quietly pip install -q --force-reinstall --no-deps "$fft" ${h5py:+"$h5py"}
+    quietly pip install -q --no-build-isolation --only-binary mpi4py,numpy,scipy,h5py,numba,pyfftw,matplotlib \
+        -e "$root[$extras]"
+}
+
+# Two ranks that see each other: the MPI that mpi4py found is the one of mpirun.
+check_mpi() {
+    local seen
+    seen=$(cd "$venv" && timeout 120 mpirun -n 2 "$venv/bin/python" -c '
+from mpi4py import MPI
+import mpi4py_fft, h5py
+print("sum", MPI.COMM_WORLD.allreduce(1), "h5py", "with" if h5py.get_config().mpi else "without")' 2>&1 </dev/null) ||
+        fail "two ranks do not start:$nl$seen"
+    case "$seen" in
+        *"sum 2 h5py with"*) ;;
+        *) fail "mpirun and mpi4py belong to different MPIs: each rank is alone." \
+            "Make one of them first in PATH and in LD_LIBRARY_PATH:$nl$seen" ;;
+    esac
+}
+
+# ---- the order of things --------------------------------------------------------------------------------------------
+
+python=$(find_python)
+[ -n "$python" ] || fail "no python3 here: apt-get install python3 python3-venv python3-dev, or load a Python module"
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+    fail "$python is $("$python" --version); pgfmd needs 3.11 or newer (PGFMD_PYTHON=… chooses another)"
+
+exec 9<"$root" && { flock 9 2>/dev/null || true; } # a second set-up at the same time waits here
+print=$(fingerprint)
+ready "$@" && exit 0
+
+mkdir -p "$venv" && : >"$log"
+rm -rf "$stamps"
+system_packages
+hdf5=$(parallel_hdf5)
+make_venv
+python_packages "$@"
+check_mpi
+mkdir -p "$stamps"
+for extra in base "$@"; do
+    fingerprint >"$stamps/$extra"
+done
+say "ready: $venv ($("$venv/bin/python" -c 'import h5py; print("h5py " + h5py.__version__, "with MPI" if h5py.get_config().mpi else "without MPI")'))"
