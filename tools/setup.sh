@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes .venv/ in this checkout, ready to run pgfmd: the one place of installation.
 #
-#   bash tools/setup.sh [test] [bench] [surfaces]      # the extras of pyproject.toml
+#   bash tools/setup.sh [bench] [surfaces]      # with these extras of pyproject.toml; `test` is always there
 #
 # Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
 # installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
@@ -47,7 +47,7 @@ print(digest.hexdigest())' "$root"
 
 ready() {
     local extra
-    for extra in base "$@"; do
+    for extra in test "$@"; do
         [ "$(cat "$stamps/$extra" 2>/dev/null)" = "$print" ] || return 1
     done
     [ -x "$venv/bin/python" ]
@@ -210,7 +210,7 @@ make_venv
 python_packages "$@"
 check_mpi
 mkdir -p "$stamps"
-for extra in base "$@"; do
+for extra in test "$@"; do
     fingerprint >"$stamps/$extra"
 done
 say "ready: $venv ($("$venv/bin/python" -c 'import h5py; print("h5py " + h5py.__version__, "with MPI" if h5py.get_config().mpi else "without MPI")'))"
