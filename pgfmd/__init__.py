@@ -1,7 +1,7 @@
 """Elastic contact of randomly rough surfaces, solved in parallel.
 
-`solve` (arrays in, contact out), `simulate` (a whole job) and `Results` (the reader of result folders) are imported when
-first used, so that `import pgfmd` needs no MPI.
+`solve` (arrays in, contact out) and `Results` (the reader of result folders, also called `open`) are imported when
+first used, so that `import pgfmd` needs no MPI.  A whole job: `from pgfmd.simulate import simulate`.
 """
 
 from __future__ import annotations
@@ -11,15 +11,13 @@ import importlib
 from .errors import InputError, SolverError
 
 __version__ = "0.1.0"
-__all__ = ["InputError", "Results", "SolverError", "simulate", "solve"]
+__all__ = ["InputError", "Results", "SolverError", "solve"]
 
-_HOMES = {"solve": "simulate", "simulate": "simulate", "Results": "results", "open": "results"}
+_HOMES = {"solve": ("simulate", "solve"), "Results": ("results", "Results"), "open": ("results", "Results")}
 
 
 def __getattr__(name: str):
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = importlib.import_module(f".{_HOMES[name]}", __name__)
-    value = getattr(module, "Results" if name == "open" else name)
-    globals()[name] = value  # `simulate` the function in place of the submodule that the import has just bound
-    return value
+    module, attribute = _HOMES[name]
+    return getattr(importlib.import_module(f".{module}", __name__), attribute)

@@ -38,9 +38,15 @@ def integer(low: int, high: int = 2**63 - 1) -> Rule:
     return Rule(f"a whole number ≥ {low}" if high == 2**63 - 1 else f"a whole number from {low} to {high}", convert)
 
 
-def number(*, above: float = -math.inf, low: float = -math.inf, below: float = math.inf, high: float = math.inf,
-           infinite: bool = False) -> Rule:
-    """A real number within bounds (`above` and `below` exclude the bound); never NaN, infinite only where that has a meaning."""
+def number(
+    *,
+    above: float = -math.inf,
+    low: float = -math.inf,
+    below: float = math.inf,
+    high: float = math.inf,
+    infinite: bool = False,
+) -> Rule:
+    """A real number within bounds (`above` and `below` exclude the bound); never NaN."""
 
     def convert(value):
         if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
@@ -104,8 +110,13 @@ def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
             raise ValueError
         return values
 
-    return Rule("a list" + " that is not empty," * bool(least) + (" without repetition" if distinct else "")
-                + f" of: {rule.allowed}", convert)
+    return Rule(
+        "a list"
+        + " that is not empty," * bool(least)
+        + (" without repetition" if distinct else "")
+        + f" of: {rule.allowed}",
+        convert,
+    )
 
 
 def pair(rule: Rule) -> Rule:
@@ -125,9 +136,10 @@ def _entries(value) -> list:
 
 
 def key(rule: Rule | type[Section], default=None, *, only: tuple[str, ...] = (), needed: bool = False):
-    """A dataclass field with its rule.  `only`: the kinds of the section that know the key; `needed`: it has no default.
+    """A dataclass field with its rule.
 
-    A default of None means that the key may be left out; in sections with kinds, a key of another kind is None.
+    `only`: the kinds of the section that know the key; `needed`: it has no default.  A default of None means that the
+    key may be left out; in sections with kinds, a key of another kind is None.
     """
     metadata = {"rule": rule, "default": default, "only": only, "needed": needed}
     if isinstance(rule, type):

@@ -1,0 +1,85 @@
+"""What a run will take: memory, files, time.  Used by `pgfmd check`; no MPI here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .config import Config
+
+# Big arrays of the hard-wall run in bytes per grid point, summed over ranks.  A half spectrum of complex numbers takes
+# as much as the real field.
+ARRAYS = {
+    "heights": 8,
+    "pressure": 8,
+    "gap": 8,
+    "search direction": 8,
+    "its image under the compliance": 8,
+    "spectrum": 8,
+    "transform buffer": 8,
+}
+
+# Forward + backward transforms, double precision, to the default tolerance; and seconds per grid point of one of them
+# on one core of a 2020s machine (FFTW, 4096 × 4096).
+TRANSFORMS = {"hard": 50, "exponential": 80}
+SECONDS_PER_POINT = 1.4e-8
+SOLVES_PER_AREA = 4  # loads tried until one contact area is met
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Bytes per rank at the peak, bytes of all files, seconds of the whole run."""
+
+    memory: float
+    files: float
+    seconds: float
+
+
+def estimate(config: Config, ranks: int) -> Estimate:
+    """Memory per rank, size of the files and time of the job on `ranks` ranks with one core each, roughly."""
+    points = config.grid.n[0] * config.grid.n[1]
+    rows = -(-config.grid.n[0] // ranks)
+    loads = len(config.load.targets)
+    width = 4 if config.output.precision == "float32" else 8
+    fields = sum(1 if name == "height" else loads for name in config.output.fields)
+    solves = loads * (1 if config.load.control == "pressure" else SOLVES_PER_AREA)
+    work = TRANSFORMS[config.wall.kind] * solves + 2 * len(config.output.observables) * loads
+    return Estimate(
+        memory=sum(ARRAYS.values()) * rows * config.grid.n[1],
+        files=fields * points * width,
+        seconds=work * points * SECONDS_PER_POINT / ranks,
+    )
+
+
+def report(config: Config, ranks: int) -> str:
+    """The estimate as text, one line per quantity."""
+    found = estimate(config, ranks)
+    nx, ny = config.grid.shape
+    loads = len(config.load.targets)
+    lines = {
+        "grid": f"{nx} × {ny} points, cell {config.grid.lengths[0]:g} × {config.grid.lengths[1]:g}",
+        "surface": config.surface.kind,
+        "loads": f"{loads} by {config.load.control}",
+        "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
+        f"({sum(ARRAYS.values())} bytes per grid point)",
+        "files": readable(found.files),
+        "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
+    }
+    width = max(map(len, lines))
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
+
+
+def readable(size: float) -> str:
+    """A number of bytes with a decimal prefix."""
+    for unit in ("B", "kB", "MB", "GB", "TB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} PB"
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that reads best."""
+    for limit, divisor, unit in ((120, 1, "s"), (7200, 60, "min"), (172800, 3600, "h")):
+        if seconds < limit:
+            return f"{seconds / divisor:.2g} {unit}"
+    return f"{seconds / 86400:.3g} days"

@@ -1,0 +1,133 @@
+"""Files that are either the old version or the new one, never something between; one writer per folder.  No MPI."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import platform
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from .errors import InputError
+
+LOCK_NAME = ".pgfmd.lock"
+
+
+def temporary(path: Path) -> Path:
+    """Where the next version of `path` is written before it takes its place: always the same name, so none pile up."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def commit(path: Path):
+    """Put the finished temporary file of `path` in its place, on the disk before and after the change of name."""
+    _sync(temporary(path))
+    os.replace(temporary(path), path)
+    _sync(path.parent)
+
+
+def revise(path: Path, change: Callable[[Path], None]):
+    """Replace `path` by a copy that `change(copy)` has modified (or created, if there was no file)."""
+    draft = temporary(path)
+    try:
+        draft.unlink(missing_ok=True)
+        if path.exists():
+            shutil.copyfile(path, draft)
+        change(draft)
+        commit(path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def _sync(path: Path):
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # file systems that cannot sync a folder say so this way
+            raise
+    finally:
+        os.close(handle)
+
+
+def require_space(folder: Path, size: int):
+    """Raise OSError if fewer than `size` bytes are free: said before a file is begun, not when it breaks off."""
+    free = shutil.disk_usage(folder).free
+    if free < size:
+        raise OSError(errno.ENOSPC, f"{size / 1e6:.0f} MB are to be written, {free / 1e6:.0f} MB are free", str(folder))
+
+
+class OutputFolder:
+    """A folder held by one run: made if missing, locked until `release`.  On one rank only.
+
+    The lock is the kernel's (flock), so that it dies with its process; the file's text only says who holds it.
+    Raises InputError if the folder cannot be made or written, or if another run holds it.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = Path(path)
+        missing = [folder for folder in (self.path, *self.path.parents) if not os.path.lexists(folder)]
+        self.made: list[Path] = []
+        try:
+            for folder in reversed(missing):
+                folder.mkdir()
+                self.made.insert(0, folder)
+            self._handle = self._lock()
+        except (OSError, ValueError) as error:
+            self.discard()
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"{self.path}: cannot be written as an output folder: {reason}") from None
+
+    def _lock(self) -> int:
+        name = self.path / LOCK_NAME
+        while True:
+            handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                holder = os.read(handle, 200).decode(errors="replace").strip()
+                os.close(handle)
+                raise InputError(f"{self.path}: another run writes here ({holder or 'just started'})") from None
+            except OSError as error:
+                if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                    os.close(handle)
+                    raise
+                # A file system without locks: nothing can be promised, and the run shall not fail for it.
+            # A holder that has just ended removes its file: what we locked must still be what the name means.
+            if os.path.exists(name) and os.fstat(handle).st_ino == os.stat(name).st_ino:
+                break
+            os.close(handle)
+        os.ftruncate(handle, 0)
+        os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())
+        return handle
+
+    def release(self):
+        """Give the folder free."""
+        (self.path / LOCK_NAME).unlink(missing_ok=True)
+        os.close(self._handle)
+
+    def discard(self):
+        """Remove the folders that were made here, as far as they are empty."""
+        for folder in self.made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def holder(path: str | os.PathLike) -> str | None:
+    """Who holds the folder's lock at this moment; None if nobody does."""
+    try:
+        handle = os.open(Path(path) / LOCK_NAME, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return None
+    except BlockingIOError:
+        return os.read(handle, 200).decode(errors="replace").strip() or "a run that has just started"
+    except OSError:
+        return None
+    finally:
+        os.close(handle)

@@ -1,0 +1,132 @@
+"""Distributed fields into one HDF5 file: by all ranks together where h5py has MPI, else through rank 0.
+
+Only `output` uses it.  Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue
+965).
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+from mpi4py import MPI
+
+from .parallel import raise_together, slab
+
+# Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
+LIBVER = ("v108", "v110")
+COLLECTIVE_BYTES = 2**30  # of one rank in one collective write; MPI-IO counts overflow from 2 GiB
+MESSAGE_BYTES = 2**26  # of one message to rank 0
+
+
+@dataclass(frozen=True)
+class Field:
+    """This rank's slab of a field, shape (rows, ny), and the type it has in the file."""
+
+    local: np.ndarray
+    dtype: np.dtype
+
+    def block(self, rows: slice) -> np.ndarray:
+        """Local rows in the type of the file, contiguous; a copy only where the type differs."""
+        return np.ascontiguousarray(self.local[rows], self.dtype)
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row in the file."""
+        return self.local.shape[1] * self.dtype.itemsize
+
+
+Create = Callable[[h5py.File, str], h5py.Dataset]
+
+
+def is_collective(comm: MPI.Comm) -> bool:
+    """Whether the ranks write together."""
+    return comm.size > 1 and bool(h5py.get_config().mpi)
+
+
+def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create):
+    """Write a new file of `fields`; this rank holds the global `rows`.  Collective.
+
+    create(file, name) makes the dataset of a field, the same on all ranks.  Raises on all ranks what fails on one.
+    """
+    (_write_together if is_collective(comm) else _write_through_root)(comm, path, rows, fields, create)
+
+
+def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create):
+    """Each rank writes its own rows, all at the same time.  Collective.
+
+    Every single call of HDF5 is followed by an agreement: an error that shows on one rank reaches all of them.
+    """
+    with raise_together(comm):
+        file = h5py.File(path, "w", driver="mpio", comm=comm, libver=LIBVER)
+    try:
+        for name, field in fields.items():
+            with raise_together(comm):
+                dataset = create(file, name)
+            count = rows.stop - rows.start
+            pieces = -(-comm.allreduce(count, MPI.MAX) * field.row_bytes // COLLECTIVE_BYTES)
+            for number in range(pieces):
+                part = slab(count, pieces, number)
+                if part.start == part.stop:  # fewer rows than pieces here: write the last one once more
+                    part = slice(count - 1, count)
+                with raise_together(comm), dataset.collective:
+                    dataset[rows.start + part.start : rows.start + part.stop] = field.block(part)
+    finally:
+        with raise_together(comm):
+            file.close()
+
+
+def _write_through_root(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create):
+    """The slabs go to rank 0 in turn, in blocks of rows; rank 0 writes.  Collective."""
+    slabs = comm.gather((rows.start, rows.stop))
+    with raise_together(comm):
+        if comm.rank == 0:
+            _receive(comm, path, slabs, fields, create)
+            return
+        for field in fields.values():
+            for part in _blocks(rows.stop - rows.start, field.row_bytes):
+                comm.Send([field.block(part).reshape(-1).view(np.uint8), MPI.BYTE], 0)
+
+
+def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: dict[str, Field], create: Create):
+    """Rank 0's side: it takes every block even after a failure, so that nobody is left waiting."""
+    failure = None
+
+    def attempt(function: Callable, *arguments):
+        nonlocal failure
+        if failure is None:
+            try:
+                return function(*arguments)
+            except Exception as error:  # raised below, when every block has been received
+                failure = error
+        return None
+
+    file = attempt(lambda: h5py.File(path, "w", libver=LIBVER, locking=False))
+    datasets = {name: attempt(create, file, name) for name in fields}
+    for source, (start, stop) in enumerate(slabs):
+        for name, field in fields.items():
+            for part in _blocks(stop - start, field.row_bytes):
+                if source == 0:
+                    block = field.block(part)
+                else:
+                    block = np.empty((part.stop - part.start, field.local.shape[1]), field.dtype)
+                    comm.Recv([block.reshape(-1).view(np.uint8), MPI.BYTE], source)
+                attempt(operator.setitem, datasets[name], slice(start + part.start, start + part.stop), block)
+    attempt(lambda: file.close())
+    if failure is not None:
+        with suppress(
+            Exception
+        ):  # what cannot be flushed cannot be closed either; the first failure is the one to tell
+            file.close()
+        raise failure
+
+
+def _blocks(count: int, row_bytes: int) -> list[slice]:
+    """`count` rows cut into blocks of about MESSAGE_BYTES, at least one row each."""
+    pieces = min(-(-count * row_bytes // MESSAGE_BYTES), count)
+    return [slab(count, pieces, number) for number in range(pieces)]
