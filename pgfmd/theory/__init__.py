@@ -1,0 +1,18 @@
+"""Theory to draw beside a simulation: NumPy and SciPy only, plain numbers in, arrays out, any consistent units.
+
+- `surface`: the ideal self-affine spectrum in the continuum, spectral moments
+- `persson`: pressure distribution, contact area, stress spectrum, energy and mean gap
+- `asperity`: Greenwood–Williamson and Bush–Gibson–Thomas
+- `bearing`: contact by cutting a Gaussian surface at a height
+- `exponential`: linear response of an exponential wall
+- `hertz`: one parabolic asperity, free and on a periodic cell
+- `exact`: exact solutions of periodic contact (Westergaard, 2-D sinusoid, strip punch)
+
+A spectrum is handed over as in the result files: wave numbers q (m,), ascending; `power` (m,), the mean |h̃|² of a mode
+(h̃ the Fourier coefficient, so that a sum over all modes is a mean over the surface); and `count` (m,), the number of
+modes.
+"""
+
+from . import asperity, bearing, exact, exponential, hertz, persson, surface
+
+__all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "persson", "surface"]
