@@ -125,60 +125,92 @@ make_venv() {
     printf '*\n' >"$venv/.gitignore"
 }
 
-# The wheel cache has one folder for each combination that compiled code depends on.
-wheel_key() {
+# The folder of the wheel cache for this combination of what compiled code depends on.
+wheel_folder() {
     {
-        "$venv/bin/python" -c '
-import sys, sysconfig, importlib.metadata as installed
-print(sys.version, sysconfig.get_platform(), installed.version("mpi4py"))'
+        "$python" -c 'import sys, sysconfig; print(sys.version, sysconfig.get_platform())'
         mpirun --version 2>&1 || true
         mpicc -show
         echo "$hdf5" "${FFTW_ROOT:-} ${FFTW_DIR:-}"
         [ -z "$hdf5" ] || grep -h 'define H5_VERS_INFO' "$hdf5/include/H5public.h"
-    } </dev/null | sha256sum | cut -c 1-16
+    } </dev/null | sha256sum | cut -c 1-16 | sed "s|^|$wheels/|"
 }
 
-# compiled NAME MINUTES: the path of its wheel, built first if the cache has none.  Not from source: mpi4py, whose one
-# C file can take 20 GB; hence no build isolation, in which pip would compile it.
+newest() { compgen -G "$folder/$1-*.whl" | sort -V | tail -n 1; }
+
+# Into the wheel cache: all that pyproject.toml asks for, but what is compiled here.
+download() {
+    local names mark
+    mapfile -t names < <("$python" -c '
+import sys, tomllib
+project = tomllib.load(open(sys.argv[1], "rb"))["project"]
+compiled = ("mpi4py-fft", "h5py") if sys.argv[2] else ("mpi4py-fft",)
+names = project["dependencies"] + project["optional-dependencies"]["test"] + ["setuptools>=77"]
+print(*(name for name in names if not name.startswith(compiled)), sep="\n")' "$root/pyproject.toml" "$hdf5")
+    mark=$folder/complete-$(printf '%s\n' "${names[@]}" | sha256sum | cut -c 1-16)
+    [ -e "$mark" ] && return
+    say "downloading Python packages (under a minute, once on this machine)"
+    rm -rf "$folder"/downloading.*
+    staging=$(mktemp -d "$folder/downloading.XXXXXX")
+    quietly pip download -q --no-cache-dir --only-binary :all: --dest "$staging" "${names[@]}"
+    mv -f "$staging"/*.whl "$folder/"
+    rmdir "$staging"
+    touch "$mark"
+}
+
+# compiled NAME FILE COMPILER TIME: path of the wheel FILE-*.whl, made first if the cache has none.  mpi4py comes from its
+# wheel and there is no build isolation, in which pip would compile it: its one C file can take 20 GB of memory.
 compiled() {
-    local name=$1 folder=$wheels/$key build
-    build=$(compgen -G "$folder/${name//-/_}-*.whl" | sort -V | tail -n 1) && [ -n "$build" ] && echo "$build" && return
-    say "compiling $name ($2, once on this machine)" >&2
-    mkdir -p "$folder"
+    local build
+    newest "$2" | grep . && return
+    say "compiling $1 ($4, once on this machine)" >&2
     build=$(mktemp -d "$folder/building.XXXXXX")
+    printf '[build_ext]\nparallel = 2\n' >"$build/options"
     {
         "$python" -m venv "$build/venv" &&
-            "$build/venv/bin/python" -m pip install -q --only-binary mpi4py,numpy,cython \
-                "setuptools>=77" wheel cython pkgconfig numpy "$(pip freeze | grep -i '^mpi4py=')" &&
-            env CC="$3" CFLAGS="-O2 -g0" HDF5_MPI=ON ${hdf5:+"HDF5_DIR=$hdf5" "LDFLAGS=-Wl,-rpath,$hdf5/lib"} \
-                "$build/venv/bin/python" -m pip wheel -q --no-build-isolation --no-deps --no-binary "$name" \
-                --no-cache-dir --wheel-dir "$build/out" "$name" &&
-            mv "$build"/out/*.whl "$folder/"
+            "$build/venv/bin/python" -m pip install -q --no-cache-dir --only-binary :all: "$(newest numpy)" \
+                "$(newest mpi4py)" "$(newest setuptools)" wheel cython pkgconfig &&
+            env CC="$3" CFLAGS="-O2 -g0" DIST_EXTRA_CONFIG="$build/options" \
+                HDF5_MPI=ON ${hdf5:+"HDF5_DIR=$hdf5" "LDFLAGS=-Wl,-rpath,$hdf5/lib"} \
+                "$build/venv/bin/python" -m pip wheel -q --no-build-isolation --no-deps --no-binary "$1" \
+                --no-cache-dir --wheel-dir "$build/out" "$1" &&
+            mv -f "$build"/out/*.whl "$folder/"
     } >>"$log" 2>&1 </dev/null || { rm -rf "$build"; return 1; }
     rm -rf "$build"
-    compgen -G "$folder/${name//-/_}-*.whl" | sort -V | tail -n 1
+    newest "$2"
 }
 
 python_packages() {
-    local fft h5py="" extras
-    extras=$(printf ',%s' test "$@"); extras=${extras#,}
-    say "installing Python packages (up to a minute)"
-    quietly pip install -q --only-binary mpi4py,numpy "setuptools>=77" "mpi4py>=4" numpy
-    key=$(wheel_key)
-    fft=$(compiled mpi4py-fft "under a minute" cc) || { tail -n 15 "$log" >&2; fail "mpi4py-fft did not compile ($log)"; }
+    local fft h5py="" extra offline
+    folder=$(wheel_folder)
+    mkdir -p "$folder"
+    download
+    fft=$(compiled mpi4py-fft mpi4py_fft cc "under a minute") ||
+        { tail -n 15 "$log" >&2; fail "mpi4py-fft did not compile ($log)"; }
     if [ -n "$hdf5" ]; then
-        h5py=$(compiled h5py "about three minutes" mpicc) ||
+        h5py=$(compiled h5py h5py mpicc "some three minutes") || {
             say "h5py with MPI did not compile ($log): files will be written through rank 0"
+            quietly pip download -q --no-cache-dir --no-deps --only-binary :all: --dest "$folder/serial" h5py
+        }
     fi
-    # Compiled wheels first and always: pip would take a serial h5py of the same version for good.
-    quietly pip install -q --force-reinstall --no-deps "$fft" ${h5py:+"$h5py"}
-    quietly pip install -q --no-build-isolation --only-binary mpi4py,numpy,scipy,h5py,numba,pyfftw,matplotlib \
-        -e "$root[$extras]"
+    say "installing Python packages (half a minute)"
+    # The compiled ones first and by force: pip would keep a serial h5py of the same version.
+    offline=(pip install -q --no-compile --no-index --find-links "$folder" --find-links "$folder/serial")
+    quietly "${offline[@]}" --force-reinstall --no-deps "$fft" ${h5py:+"$h5py"}
+    quietly "${offline[@]}" -e "$root[test]"
+    for extra in "$@"; do
+        [ "$extra" = test ] && continue
+        say "installing the extra packages of '$extra'"
+        quietly pip install -q --no-compile -e "$root[$extra]"
+    done
 }
 
-# Two ranks that see each other: the MPI that mpi4py found is the one of mpirun.
+# Two ranks that see each other: the MPI that mpi4py found is the one of mpirun.  The imports leave their byte code,
+# which pip did not make: compiling all that no run ever imports takes longer than the rest of the installation.
 check_mpi() {
     local seen
+    quietly env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c '
+import h5py, hypothesis, matplotlib.pyplot, mpi4py_fft, numba, pyfftw, pytest, scipy.optimize, scipy.special, tqdm'
     seen=$(cd "$venv" && timeout 120 mpirun -n 2 "$venv/bin/python" -c '
 from mpi4py import MPI
 import mpi4py_fft, h5py
