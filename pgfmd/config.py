@@ -76,7 +76,7 @@ def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -
         raise InputError(f"{printable(name, 400)}: cannot be read: {getattr(error, 'strerror', '') or error}") from None
     config = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
     if config.surface.kind == FILE and not os.path.isfile(config.surface.source[0]):
-        raise InputError(f"{printable(name, 400)}: {wrong(config.surface, 'path', 'there is no such file')}")
+        raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(config.surface.path, 400)}")
     return config
 
 

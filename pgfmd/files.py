@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import io
 import os
 import platform
 import shutil
@@ -28,18 +29,34 @@ def commit(path: Path):
     _sync(path.parent)
 
 
-def revise(path: Path, change: Callable[[Path], None]):
-    """Replace `path` by a copy that `change(copy)` has modified (or created, if there was no file)."""
-    draft = temporary(path)
+def revise(path: Path, change: Callable[[io.BytesIO], None]):
+    """Replace the small file `path` by what `change` makes of its bytes (none if there was no file), in memory.
+
+    HDF5 crashes when a disk is full; Python says so.  Raises OSError, and the old file stays.
+    """
+    content = io.BytesIO(path.read_bytes() if path.exists() else b"")
+    change(content)
     try:
-        draft.unlink(missing_ok=True)
-        if path.exists():
-            shutil.copyfile(path, draft)
-        change(draft)
+        temporary(path).write_bytes(content.getbuffer())
         commit(path)
     except BaseException:
-        draft.unlink(missing_ok=True)
+        temporary(path).unlink(missing_ok=True)
         raise
+
+
+def reserve(path: Path, size: int):
+    """Make a file of `size` bytes whose space on the disk is taken; raises OSError if there is not so much."""
+    folder = path.parent
+    try:
+        with open(path, "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        if error.errno != errno.ENOSPC:
+            raise
+        free = shutil.disk_usage(folder).free
+        message = f"{size / 1e6:.1f} MB are to be written, {free / 1e6:.1f} MB are free"
+        raise OSError(errno.ENOSPC, message, str(folder)) from None
 
 
 def _sync(path: Path):
@@ -51,13 +68,6 @@ def _sync(path: Path):
             raise
     finally:
         os.close(handle)
-
-
-def require_space(folder: Path, size: int):
-    """Raise OSError if fewer than `size` bytes are free: said before a file is begun, not when it breaks off."""
-    free = shutil.disk_usage(folder).free
-    if free < size:
-        raise OSError(errno.ENOSPC, f"{size / 1e6:.0f} MB are to be written, {free / 1e6:.0f} MB are free", str(folder))
 
 
 class OutputFolder:
@@ -76,6 +86,9 @@ class OutputFolder:
                 folder.mkdir()
                 self.made.insert(0, folder)
             self._handle = self._lock()
+        except InputError:
+            self.discard()
+            raise
         except (OSError, ValueError) as error:
             self.discard()
             reason = getattr(error, "strerror", None) or str(error)

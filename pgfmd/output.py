@@ -9,6 +9,7 @@ At every instant the folder holds complete files only, of all loads completed so
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 from collections.abc import Callable
@@ -257,13 +258,9 @@ class ResultWriter:
             for key, local in fields.items():
                 if local.shape != expected:
                     raise ValueError(f"field {key}: slab of shape {local.shape}, expected {expected}")
-        size = sum(field.row_bytes for field in slabs.values()) * self.shape[0]
-        from_root(self.comm, files.require_space, path.parent, size)
 
         def create(file: h5py.File, key: str) -> h5py.Dataset:
-            dataset = file.create_dataset(
-                key, self.shape, slabs[key].dtype, fill_time="never"
-            )  # contiguous, written once
+            dataset = slabfile.create_dataset(file, key, self.shape, slabs[key].dtype)
             schema_units, schema_text = FIELDS.get(key, ("1", key))
             self._annotate(dataset, description or schema_text, units or schema_units)
             unit = self.unit_names.get((units or schema_units).strip("{}"), "")
@@ -290,8 +287,8 @@ class ResultWriter:
 
 
 def _revise(path: Path, change: Callable[[h5py.File], None]):
-    def modify(draft: Path):
-        with h5py.File(draft, "a", libver=slabfile.LIBVER, locking=False) as file:
+    def modify(content: io.BytesIO):
+        with h5py.File(content, "r+" if content.getbuffer().nbytes else "w", libver=slabfile.LIBVER) as file:
             change(file)
 
     files.revise(path, modify)

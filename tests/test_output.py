@@ -1,0 +1,309 @@
+"""Result folders: what was written is what is read, on any rank count, and nothing half-written ever looks whole."""
+
+from __future__ import annotations
+
+import errno
+import subprocess
+import sys
+import tomllib
+
+import h5py
+import numpy as np
+import pytest
+
+from pgfmd import config, files, output, schema, slabfile
+from pgfmd.errors import InputError
+from pgfmd.parallel import slab
+from pgfmd.results import Results, summary
+
+pytestmark = pytest.mark.mpi
+
+SHAPE, LENGTHS = (13, 6), (26.0, 6.0)  # 13 rows: uneven slabs on 2, 3 and 4 ranks
+FIELD = np.arange(78.0).reshape(SHAPE) ** 1.5
+JOB = '[grid]\nn = [13, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1 # µm\n[load]\npressure = [0.1, 0.2, 0.3]\n'
+HISTOGRAM = {"pressure_histogram": {"edges": np.arange(4.0), "density": np.array([0.5, 0.25, 0.25])}}
+
+
+def writer(comm, folder, **options):
+    """A writer of a 13 × 6 grid."""
+    effective = config.as_toml(config.parse(JOB))
+    rows = slab(SHAPE[0], comm.size, comm.rank)
+    return output.ResultWriter(
+        comm, folder, JOB, effective, "pgfmd run", shape=SHAPE, lengths=LENGTHS, rows=rows, loads=3, **options
+    )
+
+
+def write_load(result, index, factor=1.0):
+    """One load with recognisable numbers."""
+    local = FIELD[result.rows] * factor
+    row = {"mean_pressure": 0.1 * factor, "contact_area": 0.25, "iterations": 7}
+    result.write_load(index, row, HISTOGRAM, {"pressure": local, "gap": -local})
+
+
+@pytest.fixture(params=["as built", "through rank 0"])
+def transport(request, monkeypatch):
+    """Both ways to the file: with MPI in h5py (if it has it) and without; blocks so small that there are many."""
+    if request.param == "through rank 0":
+        monkeypatch.setattr(slabfile, "is_collective", lambda comm: False)
+    monkeypatch.setattr(slabfile, "MESSAGE_BYTES", 100)
+    monkeypatch.setattr(slabfile, "COLLECTIVE_BYTES", 100)
+    return request.param
+
+
+def test_what_is_written_is_read(comm, shared_tmp_path, transport):
+    """Fields, rows and groups come back bit for bit from any rank count and either transport."""
+    folder = shared_tmp_path / "a folder é"
+    with writer(comm, folder) as result:
+        result.write_field("height", FIELD[result.rows])
+        for index in range(3):
+            write_load(result, index, index + 1.0)
+        result.finish({"solve": 1.5})
+    read = Results(folder)
+    assert (len(read), read.status, read.phases, read.shape, read.lengths) == (
+        3,
+        "complete",
+        {"solve": 1.5},
+        SHAPE,
+        LENGTHS,
+    )
+    np.testing.assert_array_equal(read.field("height"), FIELD)
+    np.testing.assert_array_equal(read.field("pressure", -1), 3 * FIELD)
+    np.testing.assert_array_equal(read.field("gap", 1, slice(4, 9)), -2 * FIELD[4:9])
+    np.testing.assert_array_equal(np.concatenate([rows for _, rows in read.blocks("gap", 0, size=100)]), -FIELD)
+    np.testing.assert_array_equal(read.loads["mean_pressure"], 0.1 * np.array([1.0, 2.0, 3.0]))
+    assert np.isnan(read.loads["kappa"]).all() and read.loads["iterations"].tolist() == [7, 7, 7]
+    assert list(read.load(2)) == ["pressure_histogram"]
+    np.testing.assert_array_equal(read.load(2)["pressure_histogram"]["density"], [0.5, 0.25, 0.25])
+    assert read.fields() == ["height"] and read.fields(0) == ["gap", "pressure"]
+    assert read.config == config.parse(JOB) and read.provenance["job_toml"] == JOB
+    assert read.provenance["ranks"] == comm.size
+    assert "3 of 3 completed" in summary(read)
+
+
+def test_files_are_plain_hdf5(comm, shared_tmp_path):
+    """The documented layout, opened by h5py alone: links resolve; all say their unit, description and origin."""
+    with writer(comm, shared_tmp_path / "out", length_unit="µm", pressure_unit="GPa") as result:
+        result.write_field("height", FIELD[result.rows])
+        write_load(result, 0)
+    with h5py.File(shared_tmp_path / "out" / "fields.h5", "r") as file:
+        np.testing.assert_array_equal(file["load_0000/pressure"][:], FIELD)
+        attributes = dict(file["load_0000/pressure"].attrs)
+        assert (attributes["units"], attributes["unitSI"], attributes["gridUnitSI"]) == ("GPa", 1e9, 1e-6)
+        assert attributes["gridSpacing"].tolist() == [2.0, 1.0] and attributes["axisLabels"].tolist() == ["x", "y"]
+        assert attributes["dataOrder"] == "C" and attributes["description"] == schema.FIELDS["pressure"][1]
+        assert file["height"].attrs["units"] == "µm"
+        assert file["height"].chunks is None
+    with h5py.File(shared_tmp_path / "out" / "observables.h5", "r") as file:
+        assert list(file["loads"]) == sorted(schema.LOADS)
+        assert file["load_0000/pressure_histogram/density"].attrs["units"] == "1/(GPa)"
+        assert file["loads/elastic_energy"].attrs["units"] == "GPa*µm"
+        assert file.attrs["format_version"] == schema.FORMAT_VERSION and "HDF5" in file.attrs["libraries"]
+        tomllib.loads(file.attrs["effective_toml"])
+
+
+def test_single_precision_and_integers(comm, shared_tmp_path, transport):
+    """Real fields are rounded once to the precision asked for; labels stay integers."""
+    with writer(comm, shared_tmp_path / "out", precision="float32") as result:
+        labels = np.arange(78, dtype=np.int32).reshape(SHAPE)
+        result.write_load(0, {}, None, {"gap": FIELD[result.rows], "labels": labels[result.rows]})
+    read = Results(shared_tmp_path / "out")
+    assert read.field("gap", 0).dtype == np.float32 and read.field("labels", 0).dtype == np.int32
+    np.testing.assert_array_equal(read.field("gap", 0), FIELD.astype(np.float32))
+    np.testing.assert_array_equal(read.field("labels", 0), labels)
+
+
+def test_long_job_text(comm, shared_tmp_path):
+    """A job text beyond the 64 KiB of HDF5's compact attributes is kept whole."""
+    text = JOB + "# " + 100_000 * "x"
+    with output.ResultWriter(
+        comm, shared_tmp_path / "out", text, text, shape=SHAPE, lengths=LENGTHS, rows=slab(13, comm.size, comm.rank)
+    ) as result:
+        result.begin()
+    assert Results(shared_tmp_path / "out").provenance["job_toml"] == text
+
+
+def test_results_are_not_replaced_unasked(comm, shared_tmp_path):
+    """Existing results are refused, and live on until a run that may replace them has something to write."""
+    folder = shared_tmp_path / "out"
+    with writer(comm, folder) as result:
+        write_load(result, 0)
+    comm.Barrier()
+    with pytest.raises(InputError, match="holds results already.*--overwrite"):
+        writer(comm, folder)
+    with writer(comm, folder, overwrite=True):
+        pass
+    comm.Barrier()
+    np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
+    comm.Barrier()
+    with writer(comm, folder, overwrite=True) as result:
+        result.begin()
+    comm.Barrier()
+    assert len(Results(folder)) == 0 and not list((folder / "fields").iterdir())
+
+
+def test_restart_continues(comm, shared_tmp_path):
+    """A restart finds the loads that are complete and adds to them; the result is that of one run."""
+    folder = shared_tmp_path / "out"
+    with writer(comm, folder) as result:
+        write_load(result, 0)
+    comm.Barrier()
+    with writer(comm, folder, restart=True) as result:
+        assert result.completed == 1 and config.parse(result.previous_toml) == config.parse(JOB)
+        write_load(result, 1, 2.0)
+        result.finish()
+    read = Results(folder)
+    assert len(read) == 2 and read.status == "complete"
+    np.testing.assert_array_equal(read.field("pressure", 0), FIELD)
+    np.testing.assert_array_equal(read.field("pressure", 1), 2 * FIELD)
+    comm.Barrier()
+    with writer(comm, shared_tmp_path / "empty", restart=True) as result:
+        assert result.completed == 0 and result.previous_toml is None
+
+
+def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
+    """While a run holds its folder, another one is refused, with who holds it; afterwards it is not."""
+    with writer(comm, shared_tmp_path / "out"):
+        with pytest.raises(InputError, match="another run writes here"):
+            writer(comm, shared_tmp_path / "out", overwrite=True)
+        comm.Barrier()
+    comm.Barrier()
+    with writer(comm, shared_tmp_path / "out", overwrite=True):
+        pass
+
+
+def test_lock_dies_with_its_process(comm, shared_tmp_path):
+    """A killed run leaves no lock behind: the lock is the kernel's, the file only a name."""
+    if comm.rank == 0:
+        code = f"import os; from pgfmd.files import OutputFolder as F; F({str(shared_tmp_path / 'o')!r}); os._exit(9)"
+        assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
+        assert (shared_tmp_path / "o" / files.LOCK_NAME).exists()
+    comm.Barrier()
+    with writer(comm, shared_tmp_path / "o"):
+        pass
+    comm.Barrier()
+    assert not (shared_tmp_path / "o" / files.LOCK_NAME).exists()
+
+
+@pytest.mark.parametrize("place", ["file/out", "file", "/proc/pgfmd", "nul\0"], ids=ascii)
+def test_unwritable_folder_is_refused_on_all_ranks(comm, shared_tmp_path, place):
+    """A folder that cannot be made is a wrong input, on all ranks together, before anything is computed."""
+    if comm.rank == 0:
+        (shared_tmp_path / "file").write_text("not a folder")
+    comm.Barrier()
+    with pytest.raises(InputError, match="cannot be written as an output folder"):
+        writer(comm, shared_tmp_path / place)
+    assert [path.name for path in shared_tmp_path.iterdir()] == ["file"]
+
+
+def test_nothing_written_leaves_nothing(comm, shared_tmp_path):
+    """A run that fails on its input before it writes leaves no folder behind."""
+    with pytest.raises(InputError, match="NaN"), writer(comm, shared_tmp_path / "a" / "b"):
+        raise InputError("NaN in the heights")
+    comm.Barrier()
+    assert not list(shared_tmp_path.iterdir())
+
+
+def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeypatch):
+    """A disk that fills up in the second load: OSError on all ranks, the first load whole, no trace of the second."""
+    folder = shared_tmp_path / "out"
+
+    def full(*arguments):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="are free"), writer(comm, folder) as result:
+        write_load(result, 0)
+        monkeypatch.setattr(files.os, "posix_fallocate", full)
+        write_load(result, 1)
+    comm.Barrier()
+    read = Results(folder)
+    assert len(read) == 1 and read.status == "failed" and "free" in read.provenance["error"]
+    np.testing.assert_array_equal(read.field("pressure", 0), FIELD)
+    assert sorted(path.name for path in (folder / "fields").iterdir()) == ["load_0000.h5"]
+
+
+def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatch):
+    """An I/O error of rank 0 in the middle of a field, the others still sending: the same error everywhere, no hang."""
+    monkeypatch.setattr(slabfile, "is_collective", lambda comm: False)
+    monkeypatch.setattr(slabfile, "MESSAGE_BYTES", 100)
+    calls = []
+
+    def failing(file, name, rows, block):
+        calls.append(rows)
+        if len(calls) == 2:
+            raise OSError(errno.EIO, "Input/output error")
+
+    with (
+        pytest.raises((OSError, RuntimeError), match="Input/output error"),
+        writer(comm, shared_tmp_path / "out") as result,
+    ):
+        monkeypatch.setattr(slabfile, "_put", failing)
+        write_load(result, 0)
+    comm.Barrier()
+    assert len(Results(shared_tmp_path / "out")) == 0
+    assert not list((shared_tmp_path / "out" / "fields").iterdir())
+
+
+def test_wrong_slab_on_one_rank(comm, shared_tmp_path):
+    """A slab of the wrong shape on the last rank is an error on all ranks, not a hang in a collective write."""
+    with (
+        pytest.raises((ValueError, RuntimeError), match="slab of shape"),
+        writer(comm, shared_tmp_path / "out") as result,
+    ):
+        local = FIELD[result.rows]
+        result.write_field("height", local[:-1] if comm.rank == comm.size - 1 else local)
+
+
+def test_broken_off_run_reads_as_interrupted(comm, shared_tmp_path):
+    """A run that was killed says so, with the loads that it completed."""
+    with writer(comm, shared_tmp_path / "out") as result:
+        write_load(result, 0)
+        assert Results(shared_tmp_path / "out").status == "running"
+        comm.Barrier()
+    comm.Barrier()
+    assert Results(shared_tmp_path / "out").status == "interrupted"
+    assert "1 of 3 completed" in summary(Results(shared_tmp_path / "out"))
+
+
+def test_foreign_folders_are_refused(comm, shared_tmp_path):
+    """A reader says what is wrong with a folder: missing, empty, damaged, foreign, from the future."""
+    mine = shared_tmp_path / f"rank {comm.rank}"
+    with pytest.raises(InputError, match="no such folder"):
+        Results(mine)
+    mine.mkdir()
+    with pytest.raises(InputError, match="holds no observables.h5"):
+        Results(mine)
+    (mine / "observables.h5").write_bytes(b"damaged")
+    with pytest.raises(InputError, match="cannot be read"):
+        Results(mine)
+    with h5py.File(mine / "observables.h5", "w") as file:
+        file["x"] = 1
+    with pytest.raises(InputError, match="not written by pgfmd"):
+        Results(mine)
+    with h5py.File(mine / "observables.h5", "a") as file:
+        file.attrs.update(software="pgfmd", format_version=99)
+    with pytest.raises(InputError, match="format 99 is newer"):
+        Results(mine)
+
+
+def test_missing_fields_and_loads_are_named(comm, shared_tmp_path):
+    """Asking for what is not there is answered in one line."""
+    with writer(comm, shared_tmp_path / "out") as result:
+        write_load(result, 0)
+    read = Results(shared_tmp_path / "out")
+    with pytest.raises(InputError, match="no load 1: 1 were completed"):
+        read.load(1)
+    with pytest.raises(InputError, match="no field height of the run"):
+        read.field("height")
+
+
+def test_schema_is_well_formed():
+    """Every dataset of the format has a unit that formats and a description of one line."""
+    for table in (schema.LOADS, schema.FIELDS, *schema.GROUPS.values()):
+        for units, description in table.values():
+            assert units.format(length="m", pressure="Pa") and description.isprintable()
+
+
+def test_reading_needs_no_mpi():
+    """The reader runs on a laptop without mpi4py."""
+    code = "import sys, pgfmd.results; sys.exit('mpi4py' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
