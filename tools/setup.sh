@@ -28,11 +28,16 @@ quietly() {
 
 # The Python that the environment is made from, never that of an environment already active.
 find_python() {
-    local candidate
-    for candidate in ${PGFMD_PYTHON:+"$PGFMD_PYTHON"} python3 python3.14 python3.13 python3.12 python3.11; do
-        command -v "$candidate" >/dev/null || continue
-        "$candidate" -c 'import sys; print(sys._base_executable); sys.exit(sys.version_info < (3, 11))' && return
-    done 2>/dev/null | tail -n 1
+    local candidate found candidates=(python3 python3.14 python3.13 python3.12 python3.11)
+    [ -z "${PGFMD_PYTHON:-}" ] || candidates=("$PGFMD_PYTHON")
+    for candidate in "${candidates[@]}"; do
+        found=$("$candidate" -c 'import sys; print(sys._base_executable); sys.exit(sys.version_info < (3, 11))' \
+            2>/dev/null) && echo "$found" && return
+    done
+    candidate=${candidates[0]}
+    found=$("$candidate" --version 2>/dev/null) || found="not here"
+    fail "$candidate is $found; Python 3.11 or newer is needed: apt-get install python3 python3-venv python3-dev," \
+        "or load a module, or set PGFMD_PYTHON to another one"
 }
 
 # One line that changes whenever the environment has to be made again.
@@ -55,7 +60,9 @@ ready() {
 
 # ---- what the system has to bring -----------------------------------------------------------------------------------
 
-has_header() { echo "#include <$1>" | cc ${2:+"-I$2"} -x c -c - -o /dev/null 2>/dev/null; }
+has_header() { # HEADER [FOLDER [LANGUAGE]]
+    echo "#include <$1>" | cc ${2:+"-I$2"} -x "${3:-c}" -c - -o /dev/null 2>/dev/null
+}
 
 # Prefix (with include/ and lib/) of an HDF5 that was built with MPI, or nothing.
 parallel_hdf5() {
@@ -71,7 +78,7 @@ parallel_hdf5() {
 }
 
 # Debian packages for what is not there, whatever brought the rest (packages, environment modules, conda).
-missing_packages() {
+missing_packages() { # EXTRAS…
     local mpi
     mpi=$(mpi_flavour)
     command -v cc >/dev/null && has_header stdio.h || echo gcc libc6-dev
@@ -85,11 +92,13 @@ missing_packages() {
     else
         [ -n "$(parallel_hdf5)" ] || echo libhdf5-openmpi-dev
     fi
+    case " $* " in *" bench "*) has_header Eigen/Core "${EIGEN3_INCLUDE_DIR:-/usr/include/eigen3}" c++ ||
+        echo g++ libeigen3-dev ;; esac # aspher
 }
 
-system_packages() {
+system_packages() { # EXTRAS…
     local missing sudo=""
-    missing=$(missing_packages | tr '\n' ' ')
+    missing=$(missing_packages "$@" | tr '\n' ' ')
     [ -n "$missing" ] || return 0
     [ "$(id -u)" = 0 ] || sudo="sudo -n"
     if command -v apt-get >/dev/null && { [ -z "$sudo" ] || $sudo true 2>/dev/null; }; then
@@ -99,7 +108,7 @@ system_packages() {
         $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $missing \
             >>"$log" 2>&1 </dev/null || tail -n 5 "$log" >&2
         hash -r
-        missing=$(missing_packages | tr '\n' ' ')
+        missing=$(missing_packages "$@" | tr '\n' ' ')
     fi
     case "$missing" in
         "" | libhdf5-*-dev\ ) ;;
@@ -200,7 +209,7 @@ python_packages() {
     quietly "${offline[@]}" -e "$root[test]"
     for extra in "$@"; do
         [ "$extra" = test ] && continue
-        say "installing the extra packages of '$extra'"
+        say "installing the extra packages of '$extra' (bench compiles for some minutes)"
         quietly pip install -q --no-compile -e "$root[$extra]"
     done
 }
@@ -226,17 +235,13 @@ print("sum", MPI.COMM_WORLD.allreduce(1), "h5py", "with" if h5py.get_config().mp
 # ---- the order of things --------------------------------------------------------------------------------------------
 
 python=$(find_python)
-[ -n "$python" ] || fail "no python3 here: apt-get install python3 python3-venv python3-dev, or load a Python module"
-"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
-    fail "$python is $("$python" --version); pgfmd needs 3.11 or newer (PGFMD_PYTHON=… chooses another)"
-
 exec 9<"$root" && { flock 9 2>/dev/null || true; } # a second set-up at the same time waits here
 print=$(fingerprint)
 ready "$@" && exit 0
 
 mkdir -p "$venv" && : >"$log"
 rm -rf "$stamps"
-system_packages
+system_packages "$@"
 hdf5=$(parallel_hdf5)
 make_venv
 python_packages "$@"
