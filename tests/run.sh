@@ -29,7 +29,7 @@ on_ranks() { # RANKS ARGUMENTS…
     local ranks=$1 code log
     shift
     printf '\n==== %s ranks ====\n' "$ranks"
-    rm -rf "$scratch"/*
+    rm -rf "${scratch:?}"/*
     timeout -k 20 "$limit" mpirun -n "$ranks" bash -c "$one_rank" rank "$@" </dev/null
     code=$?
     case $code in

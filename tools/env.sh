@@ -1,3 +1,4 @@
+# shellcheck shell=bash
 # Sourced by the bash scripts of this repository: how MPI programs are started on this machine.
 # Everything is set through the environment, so that a plain `mpirun -n P …` works as root, in a container, and with
 # more ranks than cores.  What the caller has set already is kept.

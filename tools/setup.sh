@@ -206,11 +206,11 @@ python_packages() {
     # The compiled ones first and by force: pip would keep a serial h5py of the same version.
     offline=(pip install -q --no-compile --no-index --find-links "$folder" --find-links "$folder/serial")
     quietly "${offline[@]}" --force-reinstall --no-deps "$fft" ${h5py:+"$h5py"}
-    quietly "${offline[@]}" -e "$root[test]"
+    quietly "${offline[@]}" -e "${root}[test]"
     for extra in "$@"; do
         [ "$extra" = test ] && continue
         say "installing the extra packages of '$extra' (bench compiles for some minutes)"
-        quietly pip install -q --no-compile -e "$root[$extra]"
+        quietly pip install -q --no-compile -e "${root}[$extra]"
     done
 }
 
