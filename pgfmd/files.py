@@ -87,7 +87,6 @@ class OutputFolder:
                 self.made.insert(0, folder)
             self._handle = self._lock()
         except InputError:
-            self.discard()
             raise
         except (OSError, ValueError) as error:
             self.discard()

@@ -224,7 +224,7 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
 def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatch):
     """An I/O error of rank 0 in the middle of a field, the others still sending: the same error everywhere, no hang."""
     monkeypatch.setattr(slabfile, "is_collective", lambda comm: False)
-    monkeypatch.setattr(slabfile, "MESSAGE_BYTES", 100)
+    monkeypatch.setattr(slabfile, "MESSAGE_BYTES", 2**16)  # too long to be sent before somebody receives
     calls = []
 
     def failing(file, name, rows, block):
@@ -232,12 +232,11 @@ def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatc
         if len(calls) == 2:
             raise OSError(errno.EIO, "Input/output error")
 
-    with (
-        pytest.raises((OSError, RuntimeError), match="Input/output error"),
-        writer(comm, shared_tmp_path / "out") as result,
-    ):
+    rows, shape = slab(13, comm.size, comm.rank), (13, 2**14)
+    result = output.ResultWriter(comm, shared_tmp_path / "out", shape=shape, lengths=LENGTHS, rows=rows)
+    with pytest.raises((OSError, RuntimeError), match="Input/output error"), result:
         monkeypatch.setattr(slabfile, "_put", failing)
-        write_load(result, 0)
+        result.write_load(0, {}, None, {"gap": np.zeros((rows.stop - rows.start, shape[1]))})
     comm.Barrier()
     assert len(Results(shared_tmp_path / "out")) == 0
     assert not list((shared_tmp_path / "out" / "fields").iterdir())
