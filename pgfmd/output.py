@@ -14,6 +14,7 @@ import logging
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 
 import h5py
@@ -199,7 +200,7 @@ class ResultWriter:
 
     def _link(self, targets: dict[str, tuple[str, str]]):
         def add(file: h5py.File):
-            file.attrs.update(self._provenance())
+            file.attrs.update(self._provenance)
             for name, (target, dataset) in targets.items():
                 if name in file:
                     del file[name]
@@ -209,7 +210,7 @@ class ResultWriter:
 
     def _describe(self, file: h5py.File):
         if not self._restart:
-            file.attrs.update(self._provenance())
+            file.attrs.update(self._provenance)
             group = file.create_group("loads")
             for name, (units, description) in LOADS.items():
                 fill = (
@@ -222,6 +223,7 @@ class ResultWriter:
                 )
         file.attrs.update(status="running", loads_requested=self._job[3])
 
+    @cached_property
     def _provenance(self) -> dict:
         text, effective, command, _ = self._job
         mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
