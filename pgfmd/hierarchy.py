@@ -1,0 +1,73 @@
+"""From grid to grid of one cell: spectral restriction to fewer points, local interpolation to more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import kernels
+from .grid import SlabGrid
+from .parallel import fetch_rows, slab_starts
+
+
+def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray) -> np.ndarray:
+    """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).  Collective.
+
+    The coarse grid may be distributed over the same ranks or held whole by each.
+    """
+    nx, ny = coarse.shape
+    rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
+    starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
+    mine = np.zeros((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), np.complex128)
+
+    def fill(first: int, stop: int, block: np.ndarray):
+        block[...] = field[first:stop]
+
+    def keep(block: np.ndarray, first: int, stop: int):
+        stop = min(stop, len(mine))
+        if first < stop:
+            mine[first:stop, : rows + 1] = block[: stop - first, : rows + 1]
+            if rows:
+                mine[first:stop, -rows:] = block[: stop - first, -rows:]
+
+    fine.read_spectrum(fill, keep)
+    low, high = (min(k, kept) for k in (coarse.columns.start, coarse.columns.stop))
+    spectrum = np.zeros(coarse.spectral_shape, np.complex128)
+    spectrum[: high - low] = fetch_rows(fine.comm, mine, starts, low, high)
+    spectrum *= coarse.size / fine.size
+    return coarse.backward(spectrum)
+
+
+class Interpolation:
+    """Local polynomial interpolation of coarse fields to the rows of a fine grid: `order` 2 is linear, 4 cubic.  Collective to make.
+
+    `rows(first, stop)` gives fine rows of each field, so that no fine array is needed.
+    """
+
+    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], orders: list[int]):
+        margin = 2
+        at = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
+        low, high = int(np.floor(at[0])) - margin, int(np.floor(at[-1])) + margin + 2
+        self._fields = [coarse.fetch(field, low, high) for field in fields]
+        self._x = [_weights(at - low, order) for order in orders]
+        across = np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1])
+        self._y = []
+        for order in orders:
+            first, weights = _weights(across, order)
+            self._y.append(((first[:, None] + np.arange(order)) % coarse.shape[1], weights))
+
+    def rows(self, which: int, first: int, stop: int) -> np.ndarray:
+        """Rows first … stop−1 (local to the fine grid) of field number `which`, shape (stop − first, ny_fine)."""
+        (index, weights), (columns, column_weights) = self._x[which], self._y[which]
+        out = np.empty((stop - first, len(columns)))
+        kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], columns, column_weights, out)
+        return out
+
+
+def _weights(at: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """First index and Lagrange weights (len(at), order) of the `order` points around each position."""
+    base = np.floor(at).astype(np.int64)
+    t = (at - base)[:, None]
+    if order == 2:
+        return base, np.hstack([1 - t, t])
+    a, b, c, d = t + 1, t, t - 1, t - 2
+    return base - 1, np.hstack([-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6])

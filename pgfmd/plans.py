@@ -1,0 +1,93 @@
+"""One-dimensional FFTW plans for blocks of rows, and the wisdom that makes planning instant the second time.
+
+The planner is pyFFTW, which brings the fastest FFTW there is as a package; where it is missing, mpi4py-fft's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import platform
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+try:
+    import pyfftw
+except ImportError:
+    pyfftw = None
+
+_loaded = False
+
+
+def plan(source: np.ndarray, target: np.ndarray, forward: bool):
+    """A function without arguments that transforms `source` into `target` along the last axis, unnormalised.
+
+    Real to complex, complex to complex (also in place) or complex to real, as the types say.  Overwrites `source` and, when
+    planning, both.  The planner is not thread-safe; the plans are.
+    """
+    if pyfftw is None:
+        return _plan_mpi4py_fft(source, target, forward)
+    _load_wisdom()
+    direction = "FFTW_FORWARD" if forward else "FFTW_BACKWARD"
+    flags = ("FFTW_MEASURE", "FFTW_DESTROY_INPUT")
+    return pyfftw.FFTW(source, target, axes=(source.ndim - 1,), direction=direction, flags=flags, threads=1).execute
+
+
+def _plan_mpi4py_fft(source: np.ndarray, target: np.ndarray, forward: bool):
+    from mpi4py_fft import fftw
+
+    real = np.result_type(source, target).type(0).real.dtype
+    # These planners want contiguous arrays of their own; blocks have padded rows.
+    inside = fftw.aligned(source.shape, dtype=source.dtype)
+    outside = fftw.aligned(target.shape, dtype=target.dtype)
+    options = ((source.ndim - 1,), 1, (fftw.FFTW_MEASURE, fftw.FFTW_DESTROY_INPUT))
+    if inside.dtype == outside.dtype:
+        made = (fftw.fftn if forward else fftw.ifftn)(inside, None, *options, outside)
+    elif inside.dtype == real:
+        made = fftw.rfftn(inside, None, *options, outside)
+    else:
+        made = fftw.irfftn(inside, target.shape[-1:], *options, outside)
+
+    def execute() -> None:
+        made.input_array[...] = source
+        target[...] = made(normalize=False)
+
+    return execute
+
+
+def wisdom_file() -> Path:
+    """Where wisdom is kept: per processor model and FFTW, below the user's cache folder (or $PGFMD_CACHE)."""
+    cache = os.environ.get("PGFMD_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    model = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next((line.split(":", 1)[1] for line in lines if line.startswith("model name")), model)
+    name = "".join(c if c.isalnum() else "-" for c in f"{pyfftw.__version__}-{model.strip()}")
+    return Path(cache) / "pgfmd" / f"wisdom-{name}.pickle"
+
+
+def _load_wisdom() -> None:
+    """Wisdom of earlier runs, once per process; a file that cannot be read is as good as none."""
+    global _loaded
+    if not _loaded:
+        _loaded = True
+        with contextlib.suppress(Exception):
+            pyfftw.import_wisdom(pickle.loads(wisdom_file().read_bytes()))
+
+
+def save_wisdom() -> None:
+    """Keep what was learnt, for the next run; by a rename, so that no reader sees half a file.  Quiet where it cannot."""
+    if pyfftw is None:
+        return
+    with contextlib.suppress(OSError):
+        path = wisdom_file()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        new = pickle.dumps(pyfftw.export_wisdom())
+        if path.exists() and path.read_bytes() == new:
+            return
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            file.write(new)
+        os.replace(file.name, path)

@@ -1,0 +1,179 @@
+"""Nested iteration for the hard wall: solve coarse grids first, each a quarter of the work of the next, and start from them.
+
+`solve_hard_wall` is the solver that the rest of the program calls; it makes heights dimensionless, answers what needs no iteration,
+runs the levels and gives physical quantities back.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from .. import kernels
+from ..elasticity import Elasticity, multiply
+from ..grid import SlabGrid
+from ..hierarchy import Interpolation, restrict
+from .hard_wall import Relaxation, State
+from .solution import ContactSolution
+
+COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
+COARSE_TOLERANCE = 1e-2  # certified error at which a coarse grid has served: discretisation errors are larger
+
+
+def solve_hard_wall(
+    grid: SlabGrid,
+    heights: np.ndarray,
+    mean_pressure: float,
+    elasticity: Elasticity,
+    tolerance: float = 1e-6,
+    start: np.ndarray | None = None,
+    monitor: Callable[[SlabGrid, State], None] | None = None,
+) -> ContactSolution:
+    """Pressure and gap of a hard, frictionless contact at the imposed mean pressure, to a certified relative energy error.  Collective.
+
+    heights: (nx_local, ny) in units of length, of any offset and size.  start: a pressure (nx_local, ny) from a neighbouring load
+    to begin with, instead of coarse grids.  monitor: called after each outer step.  Raises SolverError if the tolerance cannot be
+    reached.
+    """
+    began, transforms = time.perf_counter(), grid.transforms
+    reduce = grid.reduction
+    mean = reduce.sum(heights) / grid.size
+    centred = heights - mean
+    height = float(np.sqrt(reduce.dot(centred, centred) / grid.size))
+    unit = elasticity.contact_modulus * (height or 1.0) / min(grid.spacing)  # of pressure
+    scaled = _Scaled(elasticity, unit / (height or 1.0))
+    highest = reduce.max(centred)
+    if mean_pressure == 0 or height == 0:  # nothing touches, or everything does
+        pressure = np.full(grid.local_shape, float(mean_pressure))
+        gap = highest - centred
+        return ContactSolution(pressure, gap, mean_pressure, highest, 0.0, 0.0, 0.0, 0, 0.0, time.perf_counter() - began)
+    centred /= height
+    load = mean_pressure / unit
+    state, extra = _full_contact(grid, centred, scaled, load), 0.0
+    if state is None and start is not None:
+        state = State(np.maximum(start / unit, 0), np.empty(grid.local_shape))
+        state.pressure *= load * grid.size / reduce.sum(state.pressure)
+        state = _relax(grid, centred, scaled, load, state, tolerance, monitor)
+    elif state is None:
+        state, extra = _cascade(grid, centred, scaled, load, tolerance, monitor)
+    violation = _violation(grid, state)
+    pressure, gap = state.pressure, state.gap
+    pressure *= unit
+    np.subtract(gap, state.level, out=gap)
+    np.maximum(gap, 0, out=gap)
+    gap[pressure > 0] = 0
+    gap *= height
+    return ContactSolution(
+        pressure=pressure,
+        gap=gap,
+        mean_pressure=mean_pressure,
+        mean_gap=-state.level * height,
+        elastic_energy=state.energy / grid.size * unit * height,
+        certified_error=state.error,
+        max_violation=violation,
+        iterations=state.iterations,
+        transforms=grid.transforms - transforms + extra,
+        seconds=time.perf_counter() - began,
+    )
+
+
+class _Scaled:
+    """The elastic response in dimensionless quantities: displacement in rms heights per pressure in `pressure_unit`."""
+
+    def __init__(self, elasticity: Elasticity, factor: float):
+        self.elasticity, self.factor = elasticity, factor
+
+    def apply_compliance(self, grid: SlabGrid, dtype, factor: float):
+        return self.elasticity.apply_compliance(grid, dtype, factor * self.factor)
+
+    def stiffness(self, q: np.ndarray) -> np.ndarray:
+        return self.elasticity.stiffness(q) / self.factor
+
+
+def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float) -> State | None:
+    """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.
+
+    Its own transform is spent only if the load exceeds the rms value of Kh, bounded from below by that of a few rows… of slopes.
+    """
+    squares = []
+    action = multiply(grid, np.float64, scaled.stiffness)
+
+    def measure(block: np.ndarray, first: int, stop: int):
+        action(block, first, stop)
+        squares.append(float(np.sum(grid.hermitian_weight[first:stop] * np.abs(block) ** 2)))
+
+    def fill(first: int, stop: int, rows: np.ndarray):
+        rows[...] = heights[first:stop]
+
+    grid.read_spectrum(fill, measure)
+    deviation = np.sqrt(grid.reduction.sum(squares)) / grid.size
+    if load < deviation:
+        return None
+    pressure = np.empty(grid.local_shape)
+
+    def drain(first: int, stop: int, rows: np.ndarray):
+        np.add(rows, load * grid.size, out=pressure[first:stop])
+
+    grid.convolve(fill, action, drain)
+    pressure /= grid.size
+    if grid.reduction.min(pressure) < 0:
+        return None
+    energy = grid.reduction.dot(pressure, heights) / 2
+    return State(pressure, np.zeros(grid.local_shape), 0.0, energy, 0.0, grid.size)
+
+
+def _relax(grid, heights, scaled, load, state, tolerance, monitor) -> State:
+    solver = Relaxation(grid, heights, scaled, load * grid.size)
+    return solver.relax(state, tolerance, None if monitor is None else lambda state: monitor(grid, state))
+
+
+def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, float]:
+    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser grids, weighted by size."""
+    if min(grid.shape) <= COARSEST:
+        state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
+        return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
+    coarse = grid.coarse()
+    coarse_heights = restrict(grid, coarse, heights)
+    found, extra = _cascade(coarse, coarse_heights, scaled, load, max(tolerance, COARSE_TOLERANCE), monitor)
+    state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
+    extra = (extra + coarse.transforms) * coarse.size / grid.size
+    coarse.free()
+    iterations = found.iterations
+    del found, coarse_heights
+    state = _relax(grid, heights, scaled, load, state, tolerance, monitor)
+    state.iterations += iterations
+    return state, extra
+
+
+def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load: float, scaled: _Scaled) -> State:
+    """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the interpolated gap.
+
+    So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.
+    """
+    displacement = found.gap - found.level + coarse_heights
+    interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2])
+    reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
+    pressure, parts = np.empty(grid.local_shape), []
+
+    def part(_: int, first: int, stop: int):
+        rows = interpolation.rows(1, first, stop), interpolation.rows(0, first, stop)
+        parts.append(kernels.start_rows(*rows, heights[first:stop], reach, pressure[first:stop]))
+
+    grid.threads.share(part, grid.local_shape[0], 16)
+    total, count = grid.reduction.sums(*np.sum(parts, axis=0))
+    if total > 1e-200 * count and count:
+        pressure *= load * grid.size / total
+    else:  # the coarse grid says nothing about this one
+        pressure[...] = load
+    return State(pressure, np.empty(grid.local_shape))
+
+
+def _violation(grid: SlabGrid, state: State) -> float:
+    parts = []
+    grid.threads.split(
+        lambda a, b: parts.append(kernels.largest_violation(state.pressure, state.gap, state.level, a, b)),
+        grid.local_shape[0],
+    )
+    return grid.reduction.max(parts)

@@ -1,0 +1,64 @@
+"""Preconditioned conjugate gradients on a contact set, for changes of pressure that sum to zero."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..parallel import Reduction
+from ..transforms import Columns
+from .contact_set import ContactSet
+from .preconditioner import LocalStiffness
+
+
+def solve_on_set(
+    points: ContactSet,
+    residual: np.ndarray,
+    compliance: Columns,
+    preconditioner: LocalStiffness,
+    reduction_wanted: float,
+    most: int,
+) -> tuple[np.ndarray, int]:
+    """Change x of the pressure on the set with S G Sᵀ x = residual up to a constant, Σ x = 0.  Collective.
+
+    Overwrites `residual` (count,), which ends as the remaining one.  Stops at the wanted reduction of its norm (in the metric of
+    the preconditioner) or after `most` iterations.  Returns x (count,) and the number of iterations, each of one convolution.
+    """
+    reduction = Reduction(points.grid.comm)
+    total = reduction.sum(points.count)
+    r = residual
+    x, z, product = np.zeros_like(r), np.empty_like(r), np.empty_like(r)
+    direction = None
+    (mean_r,) = reduction.sums(r.sum(dtype=np.float64)) / total
+    r -= r.dtype.type(mean_r)
+    start = rz_old = None
+    for iteration in range(most + 1):
+        preconditioner.apply(points, r, z)
+        rz, sum_z, sum_r = reduction.sums(_dot(r, z), z.sum(dtype=np.float64), r.sum(dtype=np.float64))
+        mean_z = sum_z / total
+        rz -= mean_z * sum_r  # z is made to sum to zero
+        start = rz if start is None else start
+        if rz <= reduction_wanted**2 * start or iteration == most or rz <= 0:
+            return x, iteration
+        if direction is None:
+            direction = z - r.dtype.type(mean_z)
+        else:
+            direction *= r.dtype.type(rz / rz_old)
+            direction += z
+            direction -= r.dtype.type(mean_z)
+        rz_old = rz
+        points.convolve(direction, compliance, product)
+        curvature, sum_product = reduction.sums(_dot(direction, product), product.sum(dtype=np.float64))
+        if not curvature > 0:
+            return x, iteration
+        step = r.dtype.type(rz / curvature)
+        x += step * direction
+        product -= r.dtype.type(sum_product / total)
+        product *= step
+        r -= product
+    return x, most
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> float:
+    """Σ a b in float64, in parts short enough for the single-precision sums inside to be exact enough."""
+    part = 4096
+    return float(sum(np.dot(a[i : i + part], b[i : i + part]).astype(np.float64) for i in range(0, len(a), part)))

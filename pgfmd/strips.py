@@ -1,0 +1,182 @@
+"""The strips in which a slab's spectrum lives, and the all-to-all between row passes and column passes.
+
+A strip holds the columns ky of one rank for all nx rows, row by row.  Strips of ranks on one node lie in shared memory, and the
+ranks write into each other's; else blocks are packed for each rank and cross in one `Alltoallv`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from .parallel import slab_starts
+
+ALIGNMENT = 64  # bytes: a cache line and the widest vector register
+
+
+def row_stride(count: int, itemsize: int) -> int:
+    """Items from one row of `count` items to the next: padded to an odd number of cache lines.
+
+    Rows then start on cache lines, and rows a power of two apart do not fall on the same cache sets.
+    """
+    lines = -(-max(count, 1) * itemsize // ALIGNMENT) | 1
+    return lines * ALIGNMENT // itemsize
+
+
+def padded(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
+    """The bytes `raw` seen as rows of that shape, each padded to `row_stride`."""
+    dtype = np.dtype(dtype)
+    stride = row_stride(shape[1], dtype.itemsize)
+    return raw[: shape[0] * stride * dtype.itemsize].view(dtype).reshape(shape[0], stride)[:, : shape[1]]
+
+
+def aligned_bytes(count: int) -> np.ndarray:
+    """That many bytes of new memory, from a cache line on."""
+    return _from_cache_line(np.empty(count + ALIGNMENT, np.uint8))[:count]
+
+
+def _from_cache_line(raw: np.ndarray) -> np.ndarray:
+    return raw[-raw.ctypes.data % ALIGNMENT :]
+
+
+def aligned(shape: tuple[int, int], dtype) -> np.ndarray:
+    """A new padded array of that shape, for blocks."""
+    dtype = np.dtype(dtype)
+    return padded(aligned_bytes(shape[0] * row_stride(shape[1], dtype.itemsize) * dtype.itemsize), shape, dtype)
+
+
+class Strips:
+    """The strips of all ranks, the largest array of a transform; transforms of each precision share it.
+
+    `put` and `get` move blocks of rows in and out; between them the ranks meet in `to_columns` and `to_rows`.
+    """
+
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+        self.comm, self.nx = comm, shape[0]
+        self.row_starts = slab_starts(shape[0], comm.size)
+        self.column_starts = slab_starts(shape[1] // 2 + 1, comm.size)
+        self.widths = np.diff(self.column_starts)
+        self.rows = int(self.row_starts[comm.rank + 1] - self.row_starts[comm.rank])
+
+    def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
+        """Bytes of so many rows of the strip of `rank`."""
+        return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
+
+
+class SharedStrips(Strips):
+    """Strips in memory that all ranks see (the ranks of one node, or one rank alone): the all-to-all is a store and a load."""
+
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+        super().__init__(comm, shape)
+        count = self.nbytes(comm.rank, self.nx)
+        if comm.size == 1:
+            self.window, self.raw = None, [aligned_bytes(count)]
+            return
+        self.window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=comm)
+        self.window.Lock_all(MPI.MODE_NOCHECK)
+        buffers = [self.window.Shared_query(rank)[0] for rank in range(comm.size)]
+        self.raw = [_from_cache_line(np.frombuffer(buffer, np.uint8)) for buffer in buffers]
+
+    def views(self, dtype) -> list[np.ndarray]:
+        """The strip of each rank, shape (nx, columns of that rank)."""
+        return [padded(raw, (self.nx, int(width)), dtype) for raw, width in zip(self.raw, self.widths, strict=True)]
+
+    def strip(self, dtype) -> np.ndarray:
+        """The strip of this rank, shape (nx, columns of this rank)."""
+        return self.views(dtype)[self.comm.rank]
+
+    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """Row-transformed rows `half`, from local row `first` on, into the strips."""
+        at = int(self.row_starts[self.comm.rank]) + first
+        for view, start in zip(views, self.column_starts, strict=False):
+            view[at : at + len(half)] = half[:, start : start + view.shape[1]]
+
+    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """The rows `half`, from local row `first` on, out of the strips."""
+        at = int(self.row_starts[self.comm.rank]) + first
+        for view, start in zip(views, self.column_starts, strict=False):
+            half[:, start : start + view.shape[1]] = view[at : at + len(half)]
+
+    def meet(self, dtype=None) -> None:
+        """All ranks have done their part, and see that of the others.  Collective."""
+        if self.window is not None:
+            self.window.Sync()
+            self.comm.Barrier()
+            self.window.Sync()
+
+    begin = to_columns = to_rows = meet
+
+    def free(self) -> None:
+        """Give the memory back.  Collective."""
+        if self.window is not None:
+            self.raw = []
+            self.window.Unlock_all()
+            self.window.Free()
+            self.window = None
+
+
+class ExchangedStrips(Strips):
+    """Strips in memory of their own: blocks are packed for each rank and cross in one `Alltoallv`."""
+
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+        super().__init__(comm, shape)
+        self.own = aligned_bytes(self.nbytes(comm.rank, self.nx))
+        sizes = [self.nbytes(rank, self.rows) for rank in range(comm.size)]
+        self.packed = aligned_bytes(sum(sizes))
+
+    def _counts(self, itemsize: int):
+        """Bytes for and from each rank, and where they start."""
+        out = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
+        back = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
+        return (out, np.cumsum(out) - out), (back, np.cumsum(back) - back)
+
+    def views(self, dtype) -> list[np.ndarray]:
+        """The packed block for each rank, shape (rows of this rank, columns of that rank)."""
+        (counts, starts), _ = self._counts(np.dtype(dtype).itemsize)
+        blocks = [self.packed[start : start + count] for start, count in zip(starts, counts, strict=True)]
+        return [padded(raw, (self.rows, int(width)), dtype) for raw, width in zip(blocks, self.widths, strict=True)]
+
+    def strip(self, dtype) -> np.ndarray:
+        """The strip of this rank, shape (nx, columns of this rank)."""
+        return padded(self.own, (self.nx, int(self.widths[self.comm.rank])), dtype)
+
+    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """Row-transformed rows `half`, from local row `first` on, into the packed blocks."""
+        for view, start in zip(views, self.column_starts, strict=False):
+            view[first : first + len(half)] = half[:, start : start + view.shape[1]]
+
+    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """The rows `half`, from local row `first` on, out of the packed blocks."""
+        for view, start in zip(views, self.column_starts, strict=False):
+            half[:, start : start + view.shape[1]] = view[first : first + len(half)]
+
+    def begin(self, dtype) -> None:
+        """Nothing to wait for."""
+
+    def to_columns(self, dtype) -> None:
+        """Packed blocks to strips.  Collective."""
+        out, back = self._counts(np.dtype(dtype).itemsize)
+        self._alltoall(self.packed, out, self.own, back, np.dtype(dtype))
+
+    def to_rows(self, dtype) -> None:
+        """Strips to packed blocks.  Collective."""
+        out, back = self._counts(np.dtype(dtype).itemsize)
+        self._alltoall(self.own, back, self.packed, out, np.dtype(dtype))
+
+    def _alltoall(self, source, sent, target, received, dtype) -> None:
+        # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
+        sent, received = ([parts // dtype.itemsize for parts in pair] for pair in (sent, received))
+        kind = MPI._typedict[dtype.char]
+        self.comm.Alltoallv([source.view(dtype), *sent, kind], [target.view(dtype), *received, kind])
+
+    def free(self) -> None:
+        """Give the memory back."""
+        self.own = self.packed = None
+
+
+def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = None) -> SharedStrips | ExchangedStrips:
+    """Shared strips where all ranks of `comm` are on one node, else exchanged ones; `shared=False` forces the latter.  Collective."""
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    one_node = node.size == comm.size
+    node.Free()
+    return SharedStrips(comm, shape) if one_node and shared is not False else ExchangedStrips(comm, shape)

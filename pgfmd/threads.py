@@ -1,0 +1,38 @@
+"""The threads of one rank, which share blocks of rows between them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+
+def threads_per_rank() -> int:
+    """OMP_NUM_THREADS if set, else the number of cores that this process is bound to."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
+
+
+class Threads:
+    """`count` threads.  What they run must release the GIL (compiled kernels, FFTW, NumPy on large arrays) to gain anything."""
+
+    def __init__(self, count: int):
+        self.count = count
+        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+
+    def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
+        """`work(thread, first, stop)` for the blocks of 0 … total−1, dealt out in turn; an exception ends in the caller."""
+
+        def part(thread: int) -> None:
+            for first in range(thread * block, total, block * self.count):
+                work(thread, first, min(first + block, total))
+
+        if self._pool is None:
+            part(0)
+        else:
+            list(self._pool.map(part, range(self.count)))
+
+    def split(self, work: Callable[[int, int], None], total: int) -> None:
+        """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
+        if total > 0:
+            self.share(lambda _, first, stop: work(first, stop), total, -(-total // self.count))
