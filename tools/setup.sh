@@ -42,7 +42,7 @@ find_python() {
 
 # One line that changes whenever the environment has to be made again.
 fingerprint() {
-    { mpirun --version 2>&1 || true; mpicc -show 2>&1 || true; } </dev/null | "$python" -c '
+    { mpirun --version 2>&1 || true; mpicc -show 2>&1 || true; echo /usr/lib/*/hdf5/*; } </dev/null | "$python" -c '
 import hashlib, os, sys
 digest = hashlib.sha256(repr((sys.version, sys.executable, sys.argv[1], sys.stdin.read())).encode())
 for name in ("pyproject.toml", "tools/setup.sh"):
