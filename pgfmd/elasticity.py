@@ -1,8 +1,8 @@
 """Elastic response of a half-space or slab to normal pressure, mode by mode.
 
-Half-space: p̃(q) = (E'/2) q ũ(q).  Slab of thickness d, with t = q d: p̃ = (E'/2) q F(t) ũ, for three ways to hold its base (closed
-forms of plane-strain elasticity; see `Elasticity.slab_factor`).  The mean mode q = 0 is apart: at imposed load it only shifts the
-solid as a whole.
+Half-space: p̃(q) = (E'/2) q ũ(q).  Slab of thickness d, with t = q d: p̃ = (E'/2) q F(t) ũ, for three ways to hold
+its base (closed forms of plane-strain elasticity; see `Elasticity.slab_factor`).  The mean mode q = 0 is apart: at
+imposed load it only shifts the solid as a whole.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ BASES = ("bonded", "free", "sliding")
 
 @dataclass(frozen=True)
 class Elasticity:
-    """Contact modulus E' = E/(1−ν²), and for a slab its thickness, base and Poisson's ratio (which matters for a bonded base only)."""
+    """Contact modulus E' = E/(1−ν²), and for a slab its thickness, base and Poisson's ratio (which matters for a
+    bonded base only).
+    """
 
     contact_modulus: float
     thickness: float = math.inf
@@ -63,16 +65,20 @@ class Elasticity:
             return np.where(t > 40, 1.0, above / below)
 
     def mean_stiffness(self) -> float:
-        """dp̄/dū of the mean mode (pressure per length): that of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid base; else 0.
+        """dp̄/dū of the mean mode (pressure per length): that of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid
+        base; else 0.
 
-        A frictionless base with free lateral strain would be softer; the cell is periodic, which forbids lateral strain.
+        A frictionless base with free lateral strain would be softer; the cell is periodic, which forbids lateral
+        strain.
         """
         if math.isinf(self.thickness) or self.base == "free":
             return 0.0
         return self.contact_modulus * (1 - self.poisson) ** 2 / (1 - 2 * self.poisson) / self.thickness
 
     def stiffness(self, q: np.ndarray) -> np.ndarray:
-        """(E'/2) q F(q d): pressure per displacement of the modes |q| > 0, and 0 at q = 0; the shape of `q` (rad/length)."""
+        """(E'/2) q F(q d): pressure per displacement of the modes |q| > 0, and 0 at q = 0; the shape of `q`
+        (rad/length).
+        """
         q = np.asarray(q, dtype=np.float64)
         if math.isinf(self.thickness):
             return 0.5 * self.contact_modulus * q

@@ -1,8 +1,9 @@
-"""`SlabGrid`: a doubly periodic grid in slabs of rows, its wave numbers and transforms, and the hierarchy of coarser grids.
+"""`SlabGrid`: a doubly periodic grid in slabs of rows, its wave numbers and transforms, and the hierarchy of coarser
+grids.
 
 Symbols: nx × ny points on a cell lx × ly; fields are float64 of shape (nx_local, ny), axis 0 (x) split over the ranks.
-Spectra are complex of shape (ny_local//2+1 …): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so spectra are
-*transposed*.  A mode with 0 < ky < ny/2 stands for itself and its conjugate: Hermitian weight 2, else 1.
+Spectra are complex of shape (ny_local//2+1 …): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
+spectra are *transposed*.  A mode with 0 < ky < ny/2 stands for itself and its conjugate: Hermitian weight 2, else 1.
 
 DFT convention, once and for all: forward is the plain sum over points, backward carries 1/(nx ny).
 """
@@ -20,8 +21,10 @@ from .strips import make_strips
 from .threads import Threads, threads_per_rank
 from .transforms import Columns, Rows, Transform
 
+
 class SlabGrid:
-    """A periodic grid whose rows are distributed over the ranks of `comm`.  Collective to make; memory for transforms comes on first use.
+    """A periodic grid whose rows are distributed over the ranks of `comm`.  Collective to make; memory for transforms
+    comes on first use.
 
     Attributes
     ----------
@@ -90,7 +93,9 @@ class SlabGrid:
         return out
 
     def backward(self, spectrum: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Field (nx_local, ny) of a spectrum (nky_local, nx), with 1/N, so that backward(forward(u)) = u.  Collective."""
+        """Field (nx_local, ny) of a spectrum (nky_local, nx), with 1/N, so that backward(forward(u)) = u.
+        Collective.
+        """
         real = np.zeros((), spectrum.dtype).real.dtype
         out = np.empty(self.local_shape, real) if out is None else out
         normalisation = real.type(1 / self.size)
@@ -102,14 +107,17 @@ class SlabGrid:
         return out
 
     def read_spectrum(self, fill: Rows, action: Columns, dtype=np.float64) -> None:
-        """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block.  Collective."""
+        """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block.
+        Collective.
+        """
         transform = self.transform(dtype)
         self.transforms += transform.cost / 2
         transform.rows_forward(fill)
         transform.columns(action, backward=False)
 
     def make_field(self, action: Columns, drain: Rows, dtype=np.float64) -> None:
-        """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.  Collective.
+        """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.
+        Collective.
 
         No 1/N is applied.
         """
@@ -119,7 +127,9 @@ class SlabGrid:
         transform.rows_backward(drain)
 
     def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype=np.float64) -> None:
-        """Rows from `fill`, their spectrum changed in place by `action`, back to rows for `drain`; no 1/N.  Collective."""
+        """Rows from `fill`, their spectrum changed in place by `action`, back to rows for `drain`; no 1/N.
+        Collective.
+        """
         transform = self.transform(dtype)
         self.transforms += transform.cost
         transform.rows_forward(fill)
@@ -129,14 +139,17 @@ class SlabGrid:
     def coarse(self, factor: int = 2) -> SlabGrid:
         """The grid of the same cell with 1/factor of the points each way (rounded up).
 
-        Once its slabs would be thin it is held whole by every rank, which then all do the same work: no messages at all.
+        Once its slabs would be thin it is held whole by every rank, which then all do the same work: no messages at
+        all.
         """
         shape = tuple(-(-n // factor) for n in self.shape)
         thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
         return SlabGrid(MPI.COMM_SELF if thin else self.comm, shape, self.lengths, self._asked_threads, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.  Collective."""
+        """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
+        Collective.
+        """
         return fetch_rows(self.comm, field, self.starts, first, stop)
 
     def free(self) -> None:

@@ -10,7 +10,8 @@ from .parallel import fetch_rows, slab_starts
 
 
 def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray) -> np.ndarray:
-    """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).  Collective.
+    """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
+    Collective.
 
     The coarse grid may be distributed over the same ranks or held whole by each.
     """
@@ -38,7 +39,8 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray) -> np.ndarray:
 
 
 class Interpolation:
-    """Local polynomial interpolation of coarse fields to the rows of a fine grid: `order` 2 is linear, 4 cubic.  Collective to make.
+    """Local polynomial interpolation of coarse fields to the rows of a fine grid: `order` 2 is linear, 4 cubic.
+    Collective to make.
 
     `rows(first, stop)` gives fine rows of each field, so that no fine array is needed.
     """
@@ -59,7 +61,9 @@ class Interpolation:
         """Rows first … stop−1 (local to the fine grid) of field number `which`, shape (stop − first, ny_fine)."""
         (index, weights), (columns, column_weights) = self._x[which], self._y[which]
         out = np.empty((stop - first, len(columns)))
-        kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], columns, column_weights, out)
+        kernels.interpolate_rows(
+            self._fields[which], index[first:stop], weights[first:stop], columns, column_weights, out
+        )
         return out
 
 

@@ -37,7 +37,9 @@ def scatter_columns(block, first, count, strip):
 
 @_jit
 def divide_by_q(block, qx_squared, qy_squared, factor):
-    """block[j, i] *= factor / sqrt(qx²[i] + qy²[j]), and 0 at q = 0; the last axis of `block` holds (real, imaginary)."""
+    """block[j, i] *= factor / sqrt(qx²[i] + qy²[j]), and 0 at q = 0; the last axis of `block` holds (real,
+    imaginary).
+    """
     for j in range(qy_squared.size):
         row = block[j]
         for i in range(qx_squared.size):
@@ -85,7 +87,9 @@ def apply_stencil(rows, stencil, columns, offsets, first, values):
 
 @_jit
 def interpolate_rows(coarse, first_index, weights, columns_index, column_weights, out):
-    """out[i, j] = Σ weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_index[j, t]]: separable interpolation."""
+    """out[i, j] = Σ weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_index[j, t]]: separable
+    interpolation.
+    """
     order = weights.shape[1]
     width = coarse.shape[1]
     work = np.empty(width, coarse.dtype)

@@ -14,7 +14,9 @@ from .errors import InputError, SolverError
 
 
 def slab(count: int, size: int, rank: int) -> slice:
-    """Rows of `rank` when `count` rows are split over `size` ranks: the remainder goes to the first ranks, as in mpi4py-fft."""
+    """Rows of `rank` when `count` rows are split over `size` ranks: the remainder goes to the first ranks, as in
+    mpi4py-fft.
+    """
     base, extra = divmod(count, size)
     start = rank * base + min(rank, extra)
     return slice(start, start + base + (rank < extra))
@@ -26,7 +28,9 @@ def slab_starts(count: int, size: int) -> np.ndarray:
 
 
 class Reduction:
-    """Reductions of a field whose parts lie on the ranks of `comm`.  Each method is collective and returns a Python float."""
+    """Reductions of a field whose parts lie on the ranks of `comm`.  Each method is collective and returns a Python
+    float.
+    """
 
     def __init__(self, comm: MPI.Comm):
         self.comm = comm
@@ -60,7 +64,8 @@ class Reduction:
 
 @contextmanager
 def raise_together(comm: MPI.Comm):
-    """If the block fails on any rank, all ranks raise the error of the lowest failing rank.  Collective at the end of the block.
+    """If the block fails on any rank, all ranks raise the error of the lowest failing rank.  Collective at the end of
+    the block.
 
     The block must not contain collective calls (a rank that failed would not reach them).
     """
@@ -95,7 +100,8 @@ def from_root(comm: MPI.Comm, function, *arguments):
 
 
 def fetch_rows(comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int, stop: int) -> np.ndarray:
-    """Rows first … stop−1 (global, periodic) of a field of which each rank holds rows starts[rank] … starts[rank+1]−1.  Collective.
+    """Rows first … stop−1 (global, periodic) of a field of which each rank holds rows starts[rank] …
+    starts[rank+1]−1.  Collective.
 
     Each rank may ask for another range, also for rows that it holds itself, beyond the edges (they wrap), or for more
     than one period.  Returns a new array of shape (stop − first, …).
@@ -114,21 +120,24 @@ def fetch_rows(comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int
                 if target == source:
                     copies.append((slice(at, at + length), mine))
                 elif comm.rank == source:
-                    requests.append(comm.Isend(_bytes(np.ascontiguousarray(local[mine])), target))
+                    requests.append(comm.Isend(_items(np.ascontiguousarray(local[mine])), target))
                 else:
-                    requests.append(comm.Irecv(_bytes(out[at : at + length]), source))
+                    requests.append(comm.Irecv(_items(out[at : at + length]), source))
     for destination, source_rows in copies:
         out[destination] = local[source_rows]
     MPI.Request.Waitall(requests)
     return out
 
 
-def _bytes(rows: np.ndarray):
-    return [rows.reshape(-1).view(np.uint8), MPI.BYTE]
+def _items(rows: np.ndarray):
+    """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
+    return [rows, MPI._typedict[rows.dtype.char]]
 
 
 def _overlaps(low: int, high: int, start: int, stop: int, total: int):
-    """Pieces (offset in the request, length, first global row) of the periodic range low … high−1 inside start … stop−1."""
+    """Pieces (offset in the request, length, first global row) of the periodic range low … high−1 inside start …
+    stop−1.
+    """
     for shift in range((low - stop) // total, (high - start) // total + 1):
         begin, end = max(low, start + shift * total), min(high, stop + shift * total)
         if begin < end:

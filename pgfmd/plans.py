@@ -25,8 +25,8 @@ _loaded = False
 def plan(source: np.ndarray, target: np.ndarray, forward: bool):
     """A function without arguments that transforms `source` into `target` along the last axis, unnormalised.
 
-    Real to complex, complex to complex (also in place) or complex to real, as the types say.  Overwrites `source` and, when
-    planning, both.  The planner is not thread-safe; the plans are.
+    Real to complex, complex to complex (also in place) or complex to real, as the types say.  Overwrites `source`
+    and, when planning, both.  The planner is not thread-safe; the plans are.
     """
     if pyfftw is None:
         return _plan_mpi4py_fft(source, target, forward)
@@ -79,7 +79,9 @@ def _load_wisdom() -> None:
 
 
 def save_wisdom() -> None:
-    """Keep what was learnt, for the next run; by a rename, so that no reader sees half a file.  Quiet where it cannot."""
+    """Keep what was learnt, for the next run; by a rename, so that no reader sees half a file.  Quiet where it
+    cannot.
+    """
     if pyfftw is None:
         return
     with contextlib.suppress(OSError):

@@ -1,7 +1,7 @@
 """The strips in which a slab's spectrum lives, and the all-to-all between row passes and column passes.
 
-A strip holds the columns ky of one rank for all nx rows, row by row.  Strips of ranks on one node lie in shared memory, and the
-ranks write into each other's; else blocks are packed for each rank and cross in one `Alltoallv`.
+A strip holds the columns ky of one rank for all nx rows, row by row.  Strips of ranks on one node lie in shared
+memory, and the ranks write into each other's; else blocks are packed for each rank and cross in one `Alltoallv`.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ class Strips:
 
 
 class SharedStrips(Strips):
-    """Strips in memory that all ranks see (the ranks of one node, or one rank alone): the all-to-all is a store and a load."""
+    """Strips in memory that all ranks see (the ranks of one node, or one rank alone): the all-to-all is a store and a
+    load.
+    """
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
         super().__init__(comm, shape)
@@ -175,7 +177,9 @@ class ExchangedStrips(Strips):
 
 
 def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = None) -> SharedStrips | ExchangedStrips:
-    """Shared strips where all ranks of `comm` are on one node, else exchanged ones; `shared=False` forces the latter.  Collective."""
+    """Shared strips where all ranks of `comm` are on one node, else exchanged ones; `shared=False` forces the latter.
+    Collective.
+    """
     node = comm.Split_type(MPI.COMM_TYPE_SHARED)
     one_node = node.size == comm.size
     node.Free()

@@ -14,14 +14,18 @@ def threads_per_rank() -> int:
 
 
 class Threads:
-    """`count` threads.  What they run must release the GIL (compiled kernels, FFTW, NumPy on large arrays) to gain anything."""
+    """`count` threads.  What they run must release the GIL (compiled kernels, FFTW, NumPy on large arrays) to gain
+    anything.
+    """
 
     def __init__(self, count: int):
         self.count = count
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
-        """`work(thread, first, stop)` for the blocks of 0 … total−1, dealt out in turn; an exception ends in the caller."""
+        """`work(thread, first, stop)` for the blocks of 0 … total−1, dealt out in turn; an exception ends in the
+        caller.
+        """
 
         def part(thread: int) -> None:
             for first in range(thread * block, total, block * self.count):

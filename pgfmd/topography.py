@@ -61,7 +61,9 @@ def hermitian_noise(seed, nx, ny, first_ky, amplitude, block):
 
 
 def self_affine_amplitude(q: np.ndarray, hurst: float, q_l: float, q_s: float, q_r: float | None = None) -> np.ndarray:
-    """√C(q) up to a factor: q^−(1+H) between q_l (or, with a roll-off, q_r ≤ q_l flat up to q_l) and q_s, both included, else 0."""
+    """√C(q) up to a factor: q^−(1+H) between q_l (or, with a roll-off, q_r ≤ q_l flat up to q_l) and q_s, both
+    included, else 0.
+    """
     slack = 1e-9  # a mode that lies on a cut-off belongs to the band on every grid
     low = q_l if q_r is None else q_r
     inside = (q >= low * (1 - slack)) & (q <= q_s * (1 + slack)) & (q > 0)
@@ -79,10 +81,10 @@ def self_affine(
 ) -> np.ndarray:
     """Isotropic self-affine surface of exactly that spectral rms slope √Σ q²|h̃|², heights (nx_local, ny).  Collective.
 
-    C(q) ∝ q^(−2(1+H)) for 2π/λ_l ≤ q ≤ 2π/λ_s, with a constant plateau up to λ_r ≥ λ_l if given; λ_l is the longer side of the
-    cell unless given.  λ_s up to the larger grid spacing means no upper cut-off: every mode of the grid, corners included.
-    Amplitudes are Gaussian, and that of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is one surface on every rank
-    count and on every grid.  Raises InputError if no mode of the grid lies in the band.
+    C(q) ∝ q^(−2(1+H)) for 2π/λ_l ≤ q ≤ 2π/λ_s, with a constant plateau up to λ_r ≥ λ_l if given; λ_l is the longer
+    side of the cell unless given.  λ_s up to the larger grid spacing means no upper cut-off: every mode of the grid,
+    corners included. Amplitudes are Gaussian, and that of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is
+    one surface on every rank count and on every grid.  Raises InputError if no mode of the grid lies in the band.
     """
     lambda_l = max(grid.lengths) if lambda_l is None else lambda_l
     q_l, q_s = 2 * np.pi / lambda_l, 2 * np.pi / lambda_s if lambda_s > max(grid.spacing) * (1 + 1e-9) else math.inf
@@ -105,8 +107,8 @@ def self_affine(
     slope = math.sqrt(Reduction(grid.comm).sum([value for _, value in sorted(squares)]))
     if not slope > 0:
         raise InputError(
-            f"surface: no mode of the {nx} x {ny} grid lies between lambda_l = {lambda_l:g} and lambda_s = {lambda_s:g}; "
-            "lambda_l must reach the cell's longest mode and lambda_s must not exceed it"
+            f"surface: no mode of the {nx} x {ny} grid lies between lambda_l = {lambda_l:g} and "
+            f"lambda_s = {lambda_s:g}; lambda_l must reach the cell's longest mode and lambda_s must not exceed it"
         )
     heights *= rms_slope / slope
     return heights

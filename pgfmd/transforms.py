@@ -4,12 +4,13 @@
     columns          strip columns  →  c2c along x  →  action on the spectrum  →  c2c back  →  strip columns
     rows backward    strips  →  c2r along y  →  real rows, handed on block by block
 
-A *strip* holds the columns ky of one rank for all nx rows.  The column pass gathers a few columns into a contiguous block,
-transforms them there, and puts them back, so that neither a transposed copy nor a second complex array ever exists, and
-memory is passed over three times where a pair of library transforms needs six or more.
+A *strip* holds the columns ky of one rank for all nx rows.  The column pass gathers a few columns into a contiguous
+block, transforms them there, and puts them back, so that neither a transposed copy nor a second complex array ever
+exists, and memory is passed over three times where a pair of library transforms needs six or more.
 
-The all-to-all between the row and the column passes is either none at all (the ranks of one node write into each other's
-strips, which lie in shared memory) or one packed `Alltoallv`.  Blocks are shared out over the threads of a rank.
+The all-to-all between the row and the column passes is either none at all (the ranks of one node write into each
+other's strips, which lie in shared memory) or one packed `Alltoallv`.  Blocks are shared out over the threads of a
+rank.
 
 Transforms are unnormalised in both directions.
 """

@@ -1,1 +1,3 @@
-"""Contact solvers: the hard wall (active set), the exponential wall (Newton), and Green's function molecular dynamics."""
+"""Contact solvers: the hard wall (active set), the exponential wall (Newton), and Green's function molecular
+dynamics.
+"""

@@ -1,7 +1,8 @@
-"""Nested iteration for the hard wall: solve coarse grids first, each a quarter of the work of the next, and start from them.
+"""Nested iteration for the hard wall: solve coarse grids first, each a quarter of the work of the next, and start
+from them.
 
-`solve_hard_wall` is the solver that the rest of the program calls; it makes heights dimensionless, answers what needs no iteration,
-runs the levels and gives physical quantities back.
+`solve_hard_wall` is the solver that the rest of the program calls; it makes heights dimensionless, answers what needs
+no iteration, runs the levels and gives physical quantities back.
 """
 
 from __future__ import annotations
@@ -31,11 +32,12 @@ def solve_hard_wall(
     start: np.ndarray | None = None,
     monitor: Callable[[SlabGrid, State], None] | None = None,
 ) -> ContactSolution:
-    """Pressure and gap of a hard, frictionless contact at the imposed mean pressure, to a certified relative energy error.  Collective.
+    """Pressure and gap of a hard, frictionless contact at the imposed mean pressure, to a certified relative energy
+    error.  Collective.
 
-    heights: (nx_local, ny) in units of length, of any offset and size.  start: a pressure (nx_local, ny) from a neighbouring load
-    to begin with, instead of coarse grids.  monitor: called after each outer step.  Raises SolverError if the tolerance cannot be
-    reached.
+    heights: (nx_local, ny) in units of length, of any offset and size.  start: a pressure (nx_local, ny) from a
+    neighbouring load to begin with, instead of coarse grids.  monitor: called after each outer step.  Raises
+    SolverError if the tolerance cannot be reached.
     """
     began, transforms = time.perf_counter(), grid.transforms
     reduce = grid.reduction
@@ -48,7 +50,9 @@ def solve_hard_wall(
     if mean_pressure == 0 or height == 0:  # nothing touches, or everything does
         pressure = np.full(grid.local_shape, float(mean_pressure))
         gap = highest - centred
-        return ContactSolution(pressure, gap, mean_pressure, highest, 0.0, 0.0, 0.0, 0, 0.0, time.perf_counter() - began)
+        return ContactSolution(
+            pressure, gap, mean_pressure, highest, 0.0, 0.0, 0.0, 0, 0.0, time.perf_counter() - began
+        )
     centred /= height
     load = mean_pressure / unit
     state, extra = _full_contact(grid, centred, scaled, load), 0.0
@@ -95,7 +99,8 @@ class _Scaled:
 def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float) -> State | None:
     """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.
 
-    Its own transform is spent only if the load exceeds the rms value of Kh, bounded from below by that of a few rows… of slopes.
+    Its own transform is spent only if the load exceeds the rms value of Kh, bounded from below by that of a few rows…
+    of slopes.
     """
     squares = []
     action = multiply(grid, np.float64, scaled.stiffness)
@@ -130,7 +135,9 @@ def _relax(grid, heights, scaled, load, state, tolerance, monitor) -> State:
 
 
 def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, float]:
-    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser grids, weighted by size."""
+    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser grids,
+    weighted by size.
+    """
     if min(grid.shape) <= COARSEST:
         state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
         return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
@@ -148,7 +155,8 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, fl
 
 
 def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load: float, scaled: _Scaled) -> State:
-    """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the interpolated gap.
+    """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the
+    interpolated gap.
 
     So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.
     """

@@ -20,8 +20,9 @@ def solve_on_set(
 ) -> tuple[np.ndarray, int]:
     """Change x of the pressure on the set with S G Sᵀ x = residual up to a constant, Σ x = 0.  Collective.
 
-    Overwrites `residual` (count,), which ends as the remaining one.  Stops at the wanted reduction of its norm (in the metric of
-    the preconditioner) or after `most` iterations.  Returns x (count,) and the number of iterations, each of one convolution.
+    Overwrites `residual` (count,), which ends as the remaining one.  Stops at the wanted reduction of its norm (in
+    the metric of the preconditioner) or after `most` iterations.  Returns x (count,) and the number of iterations,
+    each of one convolution.
     """
     reduction = Reduction(points.grid.comm)
     total = reduction.sum(points.count)

@@ -1,4 +1,6 @@
-"""The points in contact of one slab, as compressed rows: vectors on them are short, and no array of the size of the grid is needed."""
+"""The points in contact of one slab, as compressed rows: vectors on them are short, and no array of the size of the
+grid is needed.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from ..transforms import Columns
 class ContactSet:
     """Points of this rank with p > 0, or with p = 0 and a gap below `level`.
 
-    Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it; vectors on the set are (count,).
+    Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it; vectors on the set are
+    (count,).
     """
 
     def __init__(self, grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, level: float, dtype=np.float32):

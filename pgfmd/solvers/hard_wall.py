@@ -1,9 +1,9 @@
 """The hard wall at imposed load: minimise ½⟨p, Gp⟩ − ⟨p, h⟩ over p ≥ 0 with mean p̄ (G: compliance, h: heights).
 
-`relax` solves on one grid by a primal–dual active set (Hintermüller, Ito, Kunisch 2002, doi:10.1137/S1052623401383558): on a
-contact set the gap is made constant by conjugate gradients; then points in tension leave and points that overlap join.  Conjugate
-gradients run in single precision and only to a tenth of the residual; the gap between them is computed in single precision while
-that is good enough, then in double.
+`relax` solves on one grid by a primal–dual active set (Hintermüller, Ito, Kunisch 2002,
+doi:10.1137/S1052623401383558): on a contact set the gap is made constant by conjugate gradients; then points in
+tension leave and points that overlap join.  Conjugate gradients run in single precision and only to a tenth of the
+residual; the gap between them is computed in single precision while that is good enough, then in double.
 
 The stop is a certificate that holds for any feasible p, with g = Gp − h:
 
@@ -27,7 +27,9 @@ from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet
 from .preconditioner import LocalStiffness
 
-INNER_REDUCTION = 0.1  # of the residual by conjugate gradients; less wastes outer steps, more is lost when the set changes
+INNER_REDUCTION = (
+    0.1  # of the residual by conjugate gradients; less wastes outer steps, more is lost when the set changes
+)
 FIRST_REDUCTION = 0.3  # in the first step the set still changes most
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
 MOST_INNER, MOST_OUTER = 300, 200
@@ -36,7 +38,9 @@ PATIENCE = 12  # outer steps without halving the best error, before giving up
 
 @dataclass
 class State:
-    """Pressure and gap (nx_local, ny) on one grid, with the level at which contact lies and the certified relative error."""
+    """Pressure and gap (nx_local, ny) on one grid, with the level at which contact lies and the certified relative
+    error.
+    """
 
     pressure: np.ndarray
     gap: np.ndarray
@@ -52,14 +56,16 @@ class Relaxation:
 
     def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float):
         self.grid, self.heights, self.load = grid, heights, load
-        self.compliance = {kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)}
+        self.compliance = {
+            kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
+        }
         self.preconditioner = LocalStiffness(grid, elasticity.stiffness)
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the certified error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
 
-        `state.pressure` must be feasible (p ≥ 0, sum = load) at the start.  Raises SolverError if the error stops falling above
-        the tolerance.
+        `state.pressure` must be feasible (p ≥ 0, sum = load) at the start.  Raises SolverError if the error stops
+        falling above the tolerance.
         """
         precision, points, wanted = np.float32, None, FIRST_REDUCTION
         last = best = np.inf
@@ -99,9 +105,11 @@ class Relaxation:
         self.grid.convolve(fill, self.compliance[precision], drain, precision)
 
     def next_set(self, state: State, points: ContactSet | None) -> ContactSet:
-        """The set after points in tension have left and overlapping points joined; makes the state feasible.  Collective.
+        """The set after points in tension have left and overlapping points joined; makes the state feasible.
+        Collective.
 
-        `points` is the set that the pressure was solved on (None at the start).  The set is chosen from the pressure with its
+        `points` is the set that the pressure was solved on (None at the start).  The set is chosen from the pressure
+        with its
         tensions: once these are cut off, the gap reacts everywhere, and a set chosen from it would oscillate.
         """
         total = self.grid.reduction.sums
@@ -144,7 +152,9 @@ class Relaxation:
         state.level = work / load
 
     def correct(self, state: State, points: ContactSet, wanted: float) -> None:
-        """Change the pressure on the set by conjugate gradients, so that the gap there gets flatter by the factor `wanted`."""
+        """Change the pressure on the set by conjugate gradients, so that the gap there gets flatter by the factor
+        `wanted`.
+        """
         gap = points.take(state.gap)
         inside, count = self.grid.reduction.sums(gap.sum(), points.count)
         residual = (inside / count - gap).astype(np.float32)

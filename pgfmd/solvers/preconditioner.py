@@ -1,7 +1,8 @@
 """An approximate inverse of the compliance on a contact set: the stiffness kernel cut to a few pixels, in real space.
 
-The stiffness E'q/2 falls off as −E'/(4π r³) in real space, so a disc of radius 3 pixels holds most of it; summed over contact points
-alone it costs a few per cent of a transform.  Cut off, its rows have positive sums, so it is positive definite.
+The stiffness E'q/2 falls off as −E'/(4π r³) in real space, so a disc of radius 3 pixels holds most of it; summed over
+contact points alone it costs a few per cent of a transform.  Cut off, its rows have positive sums, so it is positive
+definite.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ class LocalStiffness:
         self.stencil = stiffness_stencil(grid, stiffness, self.radius).astype(dtype)
 
     def apply(self, points: ContactSet, residual: np.ndarray, out: np.ndarray) -> None:
-        """out = the stencil applied to `residual` on the set; both (count,).  Collective: neighbours exchange `radius` rows."""
+        """out = the stencil applied to `residual` on the set; both (count,).  Collective: neighbours exchange
+        `radius` rows.
+        """
         grid, radius = self.grid, self.radius
         rows, ny = grid.local_shape
         above, below = self._halo(points, residual)

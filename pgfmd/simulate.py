@@ -1,0 +1,202 @@
+"""The run, top to bottom: job → grid → surface → for each load: relax, observe, write."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import time
+from contextlib import contextmanager
+
+import numpy as np
+from mpi4py import MPI
+
+from . import heightfile, topography
+from .config import Config, as_toml, differences, parse
+from .elasticity import Elasticity
+from .errors import InputError
+from .grid import SlabGrid
+from .labelling import label_patches
+from .observables import Observer
+from .output import ResultWriter
+from .parallel import raise_together
+from .plans import save_wisdom
+from .progress import Progress
+from .sections import FILE, PARABOLOID, ROUGH, SINUSOID
+from .solvers.cascade import solve_hard_wall
+from .solvers.solution import ContactSolution
+
+log = logging.getLogger("pgfmd")
+
+
+def simulate(
+    config: Config, comm: MPI.Comm, directory: str | os.PathLike, *, overwrite: bool = False, restart: bool = False
+) -> None:
+    """Solve all loads of a job and write its result folder.  Collective.
+
+    Raises InputError (wrong input, nothing written) or SolverError (completed loads stay written) on all ranks
+    together.
+    """
+    phases = _Phases()
+    grid = SlabGrid(comm, config.grid.shape, config.grid.lengths)
+    with ResultWriter(
+        comm, directory, config.text, as_toml(config),
+        shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(config.load.targets),
+        overwrite=overwrite, restart=restart, precision=config.output.precision,
+        length_unit=config.output.length_unit, pressure_unit=config.output.pressure_unit,
+    ) as writer:  # fmt: skip
+        _refuse_changed_job(config, writer)
+        with phases("surface"):
+            heights = make_heights(config, grid)
+        elasticity = make_elasticity(config)
+        observer = make_observer(config, grid, heights, elasticity)
+        with phases("write"):
+            writer.begin()
+            if "height" in config.output.fields and not writer.completed:
+                writer.write_field("height", heights)
+        for index in range(writer.completed, len(config.load.targets)):
+            with phases("solve"):
+                solution = _solve(config, grid, heights, elasticity, index)
+            with phases("observe"):
+                row, groups = observer.row(solution), observer.groups(solution)
+            with phases("write"):
+                writer.write_load(index, row, groups, chosen_fields(config, grid, heights, solution))
+            _report(comm, index, len(config.load.targets), row)
+        writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
+    if comm.rank == 0:
+        save_wisdom()
+
+
+def make_heights(config: Config, grid: SlabGrid) -> np.ndarray:
+    """Heights (nx_local, ny) of the job's surface.  Collective."""
+    surface = config.surface
+    if surface.kind == ROUGH:
+        lambda_s, lambda_l, lambda_r = config.wavelengths
+        rolloff = None if surface.lambda_r is None else lambda_r
+        return topography.self_affine(
+            grid, surface.hurst, lambda_s, surface.rms_slope, surface.seed, lambda_l, rolloff
+        )  # fmt: skip
+    if surface.kind == FILE:
+        path, dataset = surface.source
+        return heightfile.read_heights(grid, path, dataset, surface.detrend, surface.height_scale)
+    if surface.kind == SINUSOID:
+        waves = (surface.waves, surface.waves if surface.two_dimensional else 0)
+        return topography.sinusoid(grid, surface.amplitude, waves)
+    assert surface.kind == PARABOLOID
+    return topography.paraboloid(grid, surface.radius)
+
+
+def make_elasticity(config: Config) -> Elasticity:
+    """The job's solid."""
+    solid = config.solid
+    poisson = 0.0 if solid.poisson is None else solid.poisson  # without it only solids are accepted that do not need it
+    return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
+
+
+def make_observer(config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity) -> Observer:
+    """What the job asks to measure.  Collective."""
+    output = config.output
+    shortest = config.wavelengths[0] if config.surface.kind == ROUGH else 0.0
+    q_max = 2 * math.pi / shortest if shortest > min(grid.spacing) * (1 + 1e-9) else None
+    return Observer(
+        grid, heights, elasticity, q_max=q_max, names=output.observables,
+        histogram_bins=output.histogram.bins,
+        spectra=(output.spectra.spacing, output.spectra.bins), acf=(output.acf.spacing, output.acf.bins),
+        connectivity=output.patches.connectivity, lowpass_q=output.lowpass.q, tolerance=config.solver.tolerance,
+    )  # fmt: skip
+
+
+def chosen_fields(config: Config, grid: SlabGrid, heights: np.ndarray, solution: ContactSolution) -> dict:
+    """The fields (nx_local, ny) of one load that the job asks for.  Collective."""
+    fields = {}
+    for name in config.output.fields:
+        if name in ("pressure", "gap"):
+            fields[name] = getattr(solution, name)
+        elif name == "displacement":
+            position = solution.gap + heights
+            fields[name] = position - grid.reduction.sum(position) / grid.size
+        elif name == "labels":
+            connectivity = config.output.patches.connectivity
+            fields[name] = label_patches(grid.comm, solution.pressure > 0, grid.starts, connectivity).label_field()
+    return fields
+
+
+def _solve(config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, index: int) -> ContactSolution:
+    label = f"load {index + 1}/{len(config.load.targets)}"
+    progress = Progress(grid.comm.rank, label, grid.shape, config.solver.tolerance)
+
+    def monitor(level: SlabGrid, state) -> None:
+        progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
+
+    try:
+        pressure = config.load.targets[index]
+        return solve_hard_wall(grid, heights, pressure, elasticity, config.solver.tolerance, monitor=monitor)
+    finally:
+        progress.close()
+
+
+def _refuse_changed_job(config: Config, writer: ResultWriter) -> None:
+    """A run is continued by the same job only."""
+    if writer.previous_toml is not None:
+        changed = differences(parse(writer.previous_toml, "results"), config)
+        if changed:
+            raise InputError(f"{writer.directory}: cannot be continued, the job differs: {'; '.join(changed)}")
+
+
+def _report(comm: MPI.Comm, index: int, count: int, row: dict) -> None:
+    if comm.rank == 0:
+        log.info(
+            "load %d/%d  pressure %.6g  area %.5f (corrected %.5f)  kappa %.4f  error %.1e  %.1f transforms  %.2f s",
+            index + 1, count, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], row["kappa"],
+            row["certified_error"], row["transforms"], row["seconds"],
+        )  # fmt: skip
+
+
+class _Phases:
+    """Wall seconds by name."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str):
+        began = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+
+
+def solve(
+    heights: np.ndarray,
+    pressure: float,
+    *,
+    contact_modulus: float = 1.0,
+    spacing: float | tuple[float, float] = 1.0,
+    tolerance: float = 1e-6,
+    comm: MPI.Comm | None = None,
+    threads: int | None = None,
+) -> ContactSolution:
+    """Hard-wall contact of one surface at one mean pressure, for a script or notebook.  Collective over `comm`.
+
+    heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
+    (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like the
+    heights. Raises InputError for heights that are not finite or wrongly split, SolverError if the tolerance cannot
+    be reached.
+    """
+    comm = MPI.COMM_SELF if comm is None else comm
+    with raise_together(comm):
+        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        if heights.ndim != 2 or heights.size == 0:
+            raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
+        if not np.isfinite(heights).all():
+            raise InputError("heights: all must be finite")
+        if not (pressure >= 0 and math.isfinite(pressure)):
+            raise InputError(f"pressure = {pressure!r}: must be finite and not negative")
+    ax, ay = (spacing, spacing) if np.isscalar(spacing) else spacing
+    rows, ny = comm.allgather(len(heights)), heights.shape[1]
+    grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
+    if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
+        raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
+    try:
+        return solve_hard_wall(grid, heights, float(pressure), Elasticity(contact_modulus), tolerance)
+    finally:
+        grid.free()
