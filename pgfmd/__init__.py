@@ -13,7 +13,7 @@ from .errors import InputError, SolverError
 __version__ = "0.1.0"
 __all__ = ["InputError", "Results", "SolverError", "solve"]
 
-_HOMES = {"solve": ("simulate", "solve"), "Results": ("results", "Results"), "open": ("results", "Results")}
+_HOMES = {"solve": ("contact", "solve"), "Results": ("results", "Results"), "open": ("results", "Results")}
 
 
 def __getattr__(name: str):

@@ -1,0 +1,145 @@
+"""Slab transforms and the grid hierarchy, against NumPy on one process and mpi4py-fft on all."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from mpi4py_fft import PFFT, newDistArray
+
+from pgfmd.errors import InputError
+from pgfmd.grid import SlabGrid
+from pgfmd.hierarchy import Interpolation, restrict
+from pgfmd.parallel import fetch_rows, slab
+
+pytestmark = pytest.mark.mpi
+
+SHAPES = [(8, 8), (13, 10), (9, 7), (16, 6), (31, 1), (12, 2), (64, 48)]
+# Rounding of an FFT grows like eps log N; the factor covers the norm used here.
+EXACT = {np.float64: 1e-13, np.float32: 1e-5}
+
+
+def field(shape, seed=0):
+    """The same random field on all ranks."""
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_forward_is_the_plain_sum(comm, shape, shared, dtype):
+    """Spectra equal NumPy's rfft2, transposed, whether strips are shared or exchanged."""
+    whole = field(shape)
+    grid = SlabGrid(comm, shape, shared=shared)
+    found = grid.forward(whole[grid.rows].astype(dtype))
+    expected = np.fft.rfft2(whole.astype(dtype)).T[grid.columns]
+    assert found.shape == grid.spectral_shape
+    assert np.abs(found - expected).max(initial=0) <= EXACT[dtype] * np.abs(whole).sum()
+    grid.free()
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("shape", SHAPES + [(300, 290)])
+def test_backward_undoes_forward(comm, shape, threads):
+    """backward(forward(u)) = u, with several threads too."""
+    grid = SlabGrid(comm, shape, threads=threads)
+    mine = field(shape)[grid.rows].copy()
+    assert np.abs(grid.backward(grid.forward(mine)) - mine).max() < 1e-13 * np.sqrt(grid.size)
+    grid.free()
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (13, 10), (64, 48)])
+def test_agrees_with_mpi4py_fft(comm, shape):
+    """The spectrum of each mode is that of PFFT, which splits and orders modes in another way."""
+    plan = PFFT(comm, shape, dtype=np.float64, grid=(-1, 1) if comm.size == 1 else (comm.size, 1))
+    u = newDistArray(plan, False)
+    u[:] = field(shape)[u.local_slice()]
+    reference = plan.forward(u, normalize=False)
+    mine = np.zeros((shape[1] // 2 + 1, shape[0]), complex)
+    kx, ky = plan.local_slice(True)
+    mine[ky, kx] = np.asarray(reference).T
+    whole = np.empty_like(mine)
+    comm.Allreduce(mine, whole)
+    grid = SlabGrid(comm, shape)
+    found = grid.forward(field(shape)[grid.rows].copy())
+    assert np.abs(found - whole[grid.columns]).max(initial=0) < 1e-12 * np.sqrt(grid.size)
+
+
+def test_parseval_with_hermitian_weights(comm):
+    """Σ u² = Σ w |ũ|²/N, which fixes the weights for even and odd ny."""
+    for shape in ((12, 10), (12, 9)):
+        grid = SlabGrid(comm, shape)
+        mine = field(shape)[grid.rows].copy()
+        power = grid.reduction.sum(grid.hermitian_weight * np.abs(grid.forward(mine)) ** 2) / grid.size
+        assert power == pytest.approx(grid.reduction.sum(mine**2), rel=1e-13)
+
+
+def test_wave_numbers_are_those_of_the_cell(comm):
+    """A plane wave on a stretched cell has its power at its own (qx, qy)."""
+    grid = SlabGrid(comm, (12, 8), (3.0, 5.0))
+    x = grid.spacing[0] * np.arange(12)[grid.rows, None]
+    y = grid.spacing[1] * np.arange(8)[None, :]
+    wave = np.cos(2 * np.pi * (2 * x / 3.0 + 3 * y / 5.0))
+    power = np.abs(grid.forward(wave)) ** 2
+    total = grid.reduction.sum(grid.hermitian_weight * power)
+    mean_q = grid.reduction.sum(grid.hermitian_weight * power * np.sqrt(grid.q_squared())) / total
+    assert mean_q == pytest.approx(2 * np.pi * np.hypot(2 / 3.0, 3 / 5.0), rel=1e-12)
+
+
+def test_threads_and_ranks_do_not_change_a_field(comm):
+    """A convolution gives the same field on any rank count, to rounding."""
+    shape = (50, 40)
+    whole = field(shape)
+    q = np.hypot(2 * np.pi * np.fft.fftfreq(50)[:, None], 2 * np.pi * np.fft.rfftfreq(40)[None, :])
+    expected = np.fft.irfft2(np.fft.rfft2(whole) * q, s=shape)
+    grid = SlabGrid(comm, shape)
+    found = grid.backward(grid.forward(whole[grid.rows].copy()) * np.sqrt(grid.q_squared()))
+    assert np.abs(found - expected[grid.rows]).max() < 1e-12
+
+
+def test_more_ranks_than_rows_are_refused_by_all(comm):
+    """Empty slabs are not supported; every rank says so."""
+    if comm.size == 1:
+        pytest.skip("one rank always has a row")
+    with pytest.raises(InputError, match="at most one rank per row"):
+        SlabGrid(comm, (comm.size - 1, 8))
+
+
+def test_fetch_rows_wraps_and_repeats(comm):
+    """Any periodic range of rows arrives, also one longer than the period, different on each rank."""
+    whole = field((11, 3))
+    starts = np.array([slab(11, comm.size, rank).start for rank in range(comm.size)] + [11])
+    mine = whole[starts[comm.rank] : starts[comm.rank + 1]].copy()
+    for first, stop in ((-3 - comm.rank, 5), (4, 4), (9, 9 + 25 + comm.rank), (-30, -2)):
+        assert np.array_equal(fetch_rows(comm, mine, starts, first, stop), whole[np.arange(first, stop) % 11])
+
+
+@pytest.mark.parametrize(("fine", "coarse"), [((64, 48), (32, 24)), ((33, 30), (17, 15)), ((37, 41), (19, 21))])
+@pytest.mark.parametrize("replicated", [True, False])
+def test_restriction_keeps_the_long_waves(comm, fine, coarse, replicated):
+    """Waves that both grids resolve come through exactly, shorter ones vanish."""
+    big = SlabGrid(comm, fine, (3.0, 4.0))
+    small = SlabGrid(MPI.COMM_SELF if replicated else comm, coarse, (3.0, 4.0))
+
+    def waves(grid, also):
+        x = np.arange(grid.shape[0])[grid.rows, None] / grid.shape[0]
+        y = np.arange(grid.shape[1])[None, :] / grid.shape[1]
+        long = 2 + np.cos(2 * np.pi * (3 * x - 2 * y) + 0.3) + np.sin(2 * np.pi * 5 * x)
+        return long + (np.cos(2 * np.pi * (fine[0] // 2 - 1) * x) if also else 0)
+
+    assert np.abs(restrict(big, small, waves(big, True)) - waves(small, False)).max() < 1e-12
+
+
+def test_interpolation_is_exact_for_its_polynomials(comm):
+    """Cubic interpolation reproduces cubics away from the wrap, linear interpolation lines; any ratio of points."""
+    coarse, fine = SlabGrid(comm, (16, 12), (1.0, 1.0)), SlabGrid(comm, (35, 29), (1.0, 1.0))
+
+    def values(grid, power):
+        x = np.arange(grid.shape[0])[grid.rows, None] / grid.shape[0]
+        y = np.arange(grid.shape[1])[None, :] / grid.shape[1]
+        return (1 + x) ** power * (2 - y) ** power
+
+    found = Interpolation(coarse, fine, [values(coarse, 3), values(coarse, 1)], [4, 2])
+    inner = np.arange(fine.shape[0])[fine.rows] / fine.shape[0]
+    rows, columns = (inner > 1.01 / 16) & (inner < 13.9 / 16), slice(3, 23)
+    for which, power in ((0, 3), (1, 1)):
+        whole = found.rows(which, 0, fine.local_shape[0])
+        assert np.abs(whole - values(fine, power))[rows, columns].max(initial=0) < 1e-12

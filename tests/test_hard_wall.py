@@ -1,0 +1,283 @@
+"""The hard wall against exact solutions, exact invariances, and its own certificate."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from pgfmd.contact import solve
+from pgfmd.elasticity import Elasticity
+from pgfmd.errors import InputError
+from pgfmd.grid import SlabGrid
+from pgfmd.solvers.cascade import solve_hard_wall
+from pgfmd.theory import exact, hertz
+from pgfmd.topography import coordinates, paraboloid, self_affine, sinusoid
+
+pytestmark = pytest.mark.mpi
+
+MODULUS = 8 / 3
+
+
+def whole(grid, slab):
+    """The complete field on every rank."""
+    return grid.fetch(slab, 0, grid.shape[0])
+
+
+def corrected_area(pressure):
+    """Relative area without the pixel staircase (Yastrebov, Anciaux, Molinari 2017), of a whole field."""
+    mask = pressure > 0
+    edges = sum(np.count_nonzero(mask != np.roll(mask, 1, axis)) for axis in (0, 1))
+    return mask.mean() - (np.pi - 1 + np.log(2)) / 24 * edges / mask.size
+
+
+def westergaard(comm, n, load=0.5):
+    """Errors (L1, L2, L∞ of the pressure, mean gap, energy, half-width in pixels) on n × 4 points.
+
+    The crest lies midway between two points, so that the edge of contact falls on none.
+    """
+    grid = SlabGrid(comm, (n, 4), (1.0, 4 / n))
+    x = (coordinates(grid)[0] * np.ones((1, 4)) + 0.5 / n + 0.5) % 1.0 - 0.5
+    theory = exact.Westergaard(1.0, 1.0, MODULUS)
+    mean = load * theory.full_pressure
+    found = solve_hard_wall(grid, np.cos(2 * np.pi * x), mean, Elasticity(MODULUS), 1e-13)
+    expected = theory.pressure(x, mean)
+    wrong, sums = np.abs(found.pressure - expected), grid.reduction.sum
+    width = sums(found.pressure > 0) / 8 / n
+    return np.array(
+        [
+            sums(wrong) / sums(expected),
+            np.sqrt(sums(wrong**2) / sums(expected**2)),
+            grid.reduction.max(wrong) / grid.reduction.max(expected),
+            abs(found.mean_gap - theory.mean_gap(mean)),
+            abs(found.elastic_energy - theory.elastic_energy(mean)) / theory.full_pressure,
+            abs(width - theory.half_width(mean)) * n,
+        ]
+    )
+
+
+def test_westergaard(comm):
+    """At f = 0.5, n = 1024: L2(p) ≤ 5e-4, mean gap ≤ 1e-6 Δ, half-width within a pixel."""
+    _, l2, _, gap, energy, width = westergaard(comm, 1024)
+    assert l2 <= 5e-4
+    assert gap <= 1e-6
+    assert energy <= 1e-6
+    assert width <= 1
+
+
+def test_westergaard_converges_in_the_known_orders(comm):
+    """Orders in the grid spacing: L1(p) 3/2, L2 1, L∞ 1/2, mean gap 2, from n = 128 to 1024, where the edge keeps its
+    place between two points; to 0.1, for the terms beyond the leading one."""
+    coarse, fine = westergaard(comm, 128), westergaard(comm, 1024)
+    orders = np.log(coarse / fine)[:4] / np.log(8)
+    assert np.allclose(orders, [1.5, 1.0, 0.5, 2.0], atol=0.1)
+
+
+@pytest.mark.parametrize("row", range(len(exact.SINUSOID_2D_TABLE)))
+def test_two_dimensional_sinusoid(comm, row):
+    """Area, gap, ⟨p²⟩ of the reference table (computed independently) at n = 512: area to 0.003 (0.006 where patches
+    are about to merge), gap and ⟨p²⟩ to 2e-4; peak pressure to its printed digits and one pixel's share."""
+    table = exact.SINUSOID_2D_TABLE[row]
+    grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
+    full = exact.Sinusoid2D(1.0, 1.0, MODULUS).full_pressure
+    load = table["load"]
+    found = solve_hard_wall(grid, sinusoid(grid, 1.0, (1, 1)), load * full, Elasticity(MODULUS), 1e-9)
+    area = corrected_area(whole(grid, found.pressure))
+    assert abs(area - table["area"]) <= (0.006 if load == 0.2 else 0.003)
+    assert abs(found.mean_gap - table["gap"]) <= 2e-4
+    assert abs(grid.reduction.sum(found.pressure**2) / grid.size / full**2 - table["mean_square"]) <= 2e-4
+    assert abs(grid.reduction.max(found.pressure) / full - table["peak_pressure"]) <= 2e-3
+
+
+def test_periodic_hertz(comm):
+    """Radius and peak pressure at a_H/L = 0.1 on 512² to 1e-4 (the theory's own terms beyond are 1e-5)."""
+    grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
+    radius, load = 1.0, 4 * MODULUS * 0.1**3 / 3
+    found = solve_hard_wall(grid, paraboloid(grid, radius), load, Elasticity(MODULUS), 1e-11)
+    expected = hertz.periodic_contact(load, radius, 1.0, contact_modulus=MODULUS)
+    x, y = coordinates(grid)
+    second = grid.reduction.sum(((x - 0.5) ** 2 + (y - 0.5) ** 2) * found.pressure) / grid.reduction.sum(found.pressure)
+    assert np.sqrt(2.5 * second) == pytest.approx(expected.radius, rel=1e-4)
+    assert grid.reduction.max(found.pressure) == pytest.approx(expected.peak_pressure, rel=1e-4)
+
+
+def test_full_contact_is_exact(comm):
+    """Above the largest tension, p = p̄ + F⁻¹[(E'q/2) h̃], to 1e-10."""
+    grid = SlabGrid(comm, (96, 80))
+    heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
+    response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
+    mean = -1.01 * grid.reduction.min(response)
+    found = solve_hard_wall(grid, heights, mean, Elasticity(MODULUS), 1e-6)
+    assert grid.reduction.max(np.abs(found.pressure - mean - response)) < 1e-10 * mean
+    assert (found.iterations, found.mean_gap, found.certified_error) == (0, 0.0, 0.0)
+
+
+def test_just_below_full_contact(comm):
+    """A load just below it leaves a gap somewhere, and is certified all the same."""
+    grid = SlabGrid(comm, (96, 80))
+    heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
+    response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
+    found = solve_hard_wall(grid, heights, -0.97 * grid.reduction.min(response), Elasticity(MODULUS), 1e-10)
+    open_points = grid.reduction.sum(found.gap > 0)
+    assert 0 < open_points < 100
+    assert found.certified_error <= 1e-10
+
+
+def test_zero_load_and_flat_surface(comm):
+    """No load: no pressure, the surfaces touch at the summit.  A flat surface: uniform pressure, no gap."""
+    grid = SlabGrid(comm, (32, 24))
+    heights = self_affine(grid, 0.8, 4.0, 1.0, 1) + 5.0
+    found = solve_hard_wall(grid, heights, 0.0, Elasticity(1.0))
+    assert not found.pressure.any()
+    assert np.allclose(found.gap, grid.reduction.max(heights) - heights, atol=1e-12)
+    assert found.mean_gap == pytest.approx(grid.reduction.max(heights) - 5.0, rel=1e-12)
+    flat = solve_hard_wall(grid, np.full(grid.local_shape, 3.0), 0.2, Elasticity(1.0))
+    assert np.allclose(flat.pressure, 0.2, rtol=1e-14)
+    assert flat.mean_gap == 0
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (45, 64), (63, 50), (37, 41)])
+@pytest.mark.parametrize("load", [0.003, 0.1, 0.8])
+def test_solution_obeys_the_contact_conditions(comm, shape, load):
+    """p ≥ 0, gap ≥ 0, p·gap = 0, mean p = p̄, and u = Gp up to a constant wherever points touch: for any grid."""
+    grid = SlabGrid(comm, shape)
+    heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
+    found = solve_hard_wall(grid, heights, load, Elasticity(1.0), 1e-11)
+    assert grid.reduction.min(found.pressure) >= 0
+    assert grid.reduction.min(found.gap) >= 0
+    assert not (found.pressure * found.gap).any()
+    assert grid.reduction.sum(found.pressure) / grid.size == pytest.approx(load, rel=1e-13)
+    q = np.sqrt(grid.q_squared())
+    u = grid.backward(grid.forward(found.pressure) * np.divide(2, q, out=np.zeros_like(q), where=q > 0))
+    gap = u - heights
+    touching = found.pressure > 0
+    spread = grid.reduction.max(gap[touching]) - grid.reduction.min(gap[touching])
+    rms = np.sqrt(grid.reduction.sum(heights**2) / grid.size)
+    assert spread < 1e-8 * rms
+    assert grid.reduction.min(gap) > grid.reduction.min(gap[touching]) - 1e-8 * rms
+    assert found.max_violation < 1e-8
+
+
+def test_certificate_bounds_the_true_error(comm):
+    """½‖p − p*‖²_G ≤ D at every outer step, p* being solved to 1e-13."""
+    grid = SlabGrid(comm, (64, 64))
+    heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
+    exactly = solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-13)
+    seen = []
+
+    def watch(level, state):
+        if level is grid:
+            seen.append((state.pressure / level.reduction.sum(state.pressure), state.error))
+
+    solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-9, monitor=watch)
+    q = np.sqrt(grid.q_squared())
+    compliance = np.divide(2, q, out=np.zeros_like(q), where=q > 0)
+    assert len(seen) > 3
+    for pressure, error in seen:
+        wrong = pressure * 0.1 * grid.size - exactly.pressure
+        energy = grid.reduction.sum(wrong * grid.backward(grid.forward(wrong) * compliance)) / 2 / grid.size
+        assert energy <= error * 2 * exactly.elastic_energy * (1 + 1e-6) + 1e-12
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-12])
+def test_tolerance_is_met(comm, tolerance):
+    """The certified error is at most the tolerance, down to 1e-12: no stagnation in single precision."""
+    grid = SlabGrid(comm, (128, 128))
+    heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
+    assert solve_hard_wall(grid, heights, 0.003, Elasticity(MODULUS), tolerance).certified_error <= tolerance
+
+
+def solved(comm, heights, load, modulus=1.0, lengths=None, start=None):
+    """Whole pressure of a whole surface, solved to 1e-12 on the ranks of comm; and the solution."""
+    grid = SlabGrid(comm, heights.shape, lengths)
+    found = solve_hard_wall(grid, heights[grid.rows].copy(), load, Elasticity(modulus), 1e-12, start=start)
+    return whole(grid, found.pressure), found
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """One rough 64 × 64 surface."""
+    return self_affine(SlabGrid(MPI.COMM_SELF, (64, 64)), 0.5, 4.0, 1.0, 9)
+
+
+@pytest.mark.parametrize("name", ["translation", "rotation", "reflection"])
+def test_symmetries(comm, rough, name):
+    """Moving, turning or mirroring the surface does the same to the pressure."""
+    move = {
+        "translation": lambda field: np.roll(field, (5, -17), (0, 1)),
+        "rotation": np.rot90,
+        "reflection": np.flipud,
+    }[name]
+    before, after = solved(comm, rough, 0.1)[0], solved(comm, np.ascontiguousarray(move(rough)), 0.1)[0]
+    assert np.array_equal(move(before) > 0, after > 0)
+    assert np.abs(move(before) - after).max() < 1e-8 * before.max()
+
+
+@pytest.mark.parametrize("scale", [1e-12, 0.37, 1e12])
+def test_heights_and_load_scale_together(comm, rough, scale):
+    """(h, p̄) → (s h, s p̄) leaves the contact set and scales the pressure."""
+    before, after = solved(comm, rough, 0.1)[0], solved(comm, scale * rough, scale * 0.1)[0]
+    assert np.array_equal(before > 0, after > 0)
+    assert np.abs(before - after / scale).max() < 1e-8 * before.max()
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e6])
+def test_lengths_and_heights_scale_together(comm, rough, scale):
+    """(x, h) → (s x, s h) leaves the pressure."""
+    before, first = solved(comm, rough, 0.1)
+    after, second = solved(comm, scale * rough, 0.1, lengths=(64 * scale, 64 * scale))
+    assert np.abs(before - after).max() < 1e-8 * before.max()
+    assert second.mean_gap == pytest.approx(scale * first.mean_gap, rel=1e-9)
+
+
+def test_units_are_neutral(comm, rough):
+    """Pascals and metres or E' and pixels: the same contact."""
+    before, first = solved(comm, rough, 0.1)
+    after, second = solved(comm, rough * 2e-6, 0.1 * 7e10, 7e10, (64 * 2e-6, 64 * 2e-6))
+    assert np.abs(before - after / 7e10).max() < 1e-8 * before.max()
+    assert second.elastic_energy == pytest.approx(first.elastic_energy * 7e10 * 2e-6, rel=1e-9)
+
+
+def test_energy_follows_the_gap(comm, rough):
+    """dE/dp̄ = −p̄ dḡ/dp̄, by central differences of 1e-4 p̄ (their error is 1e-8; contact changes a pixel at a time)."""
+    _, low = solved(comm, rough, 0.1 * (1 - 1e-4))
+    _, high = solved(comm, rough, 0.1 * (1 + 1e-4))
+    assert high.elastic_energy - low.elastic_energy == pytest.approx(-0.1 * (high.mean_gap - low.mean_gap), rel=1e-5)
+
+
+def test_offset_of_the_heights_does_not_matter(comm, rough):
+    """A constant added to the heights changes nothing but rounding of the heights themselves."""
+    before, after = solved(comm, rough, 0.1)[0], solved(comm, rough + 1024.0, 0.1)[0]
+    assert np.abs(before - after).max() < 1e-8 * before.max()
+
+
+def test_a_warm_start_gives_the_same_answer(comm, rough):
+    """Starting from a neighbouring load's pressure or from the cascade ends at the same contact."""
+    cold, _ = solved(comm, rough, 0.1)
+    _, neighbour = solved(comm, rough, 0.13)
+    warm, _ = solved(comm, rough, 0.1, start=neighbour.pressure)
+    assert np.abs(cold - warm).max() < 1e-8 * cold.max()
+
+
+def test_rank_count_does_not_change_the_answer(comm, rough):
+    """All ranks together agree with one rank alone to 1e-10 of the largest pressure."""
+    together, alone = solved(comm, rough, 0.1)[0], solved(MPI.COMM_SELF, rough, 0.1)[0]
+    assert np.abs(together - alone).max() < 1e-10 * alone.max()
+
+
+def test_slab_or_whole_array(comm, rough):
+    """`pgfmd.solve` takes the whole surface, or this rank's rows with a communicator, and gives the same."""
+    grid = SlabGrid(comm, rough.shape)
+    alone = solve(rough, 0.1, tolerance=1e-12)
+    mine = solve(rough[grid.rows].copy(), 0.1, tolerance=1e-12, comm=comm)
+    assert np.abs(alone.pressure[grid.rows] - mine.pressure).max() < 1e-10 * alone.pressure.max()
+
+
+@pytest.mark.parametrize("wrong", ["nan", "dimensions", "load"])
+def test_wrong_input_is_refused_by_all(comm, rough, wrong):
+    """NaN on one rank, three dimensions, or a negative load: InputError on every rank."""
+    heights = rough[SlabGrid(comm, rough.shape).rows].copy()
+    if wrong == "nan" and comm.rank == comm.size - 1:
+        heights[0, 3] = np.nan
+    if wrong == "dimensions":
+        heights = heights[None]
+    with pytest.raises(InputError):
+        solve(heights, -0.1 if wrong == "load" else 0.1, comm=comm)
