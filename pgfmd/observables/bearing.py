@@ -1,4 +1,4 @@
-"""The bearing area: where the rigid surface alone rises above a height, chosen to give the contact area of the solid."""
+"""The bearing area: where the rigid surface alone rises above a height, chosen to give the solid's contact area."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DIGIT = 16  # bits fixed in one pass over the field
 
 
 def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> float:
-    """The height t such that exactly `count` points of the distributed field (nx_local, ny) lie above: h > t.  Collective.
+    """The height t above which exactly `count` points of the distributed field (nx_local, ny) lie: h > t.  Collective.
 
     It is the largest height that does not count (below all heights if all do).  Where heights are equal no such t may
     exist; then fewer points lie above.  The number is found digit by digit, in four passes that count how many heights

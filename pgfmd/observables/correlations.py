@@ -1,7 +1,7 @@
 """Spectra and autocorrelations of distributed fields, averaged over direction, without any array of their size.
 
-A field passes through the grid's transform in blocks; each block of modes is squared and summed into bins while it is in
-the cache, and goes back to real space as the autocorrelation, which is summed into bins row by row.  One forward
+A field passes through the grid's transform in blocks; each block of modes is squared and summed into bins while it is
+in the cache, and goes back to real space as the autocorrelation, which is summed into bins row by row.  One forward
 transform gives a spectrum, one more backward the autocorrelation too.
 """
 
@@ -31,7 +31,7 @@ class Measured:
 class Correlator:
     """Bins for spectra and autocorrelations on a grid.  Collective to make.
 
-    q_edges (m + 1,): bins of |q|, q_edges[i] < |q| ≤ q_edges[i+1]; r_edges (k + 1,): those of the periodic distance |Δr|.
+    q_edges (m + 1,): bins of |q|, q_edges[i] < |q| ≤ q_edges[i+1]; r_edges (k + 1,): those of the periodic |Δr|.
     """
 
     def __init__(self, grid: SlabGrid, q_edges: np.ndarray, r_edges: np.ndarray):
@@ -41,7 +41,7 @@ class Correlator:
         self._lags = _Bins(grid, y**2, x[grid.rows] ** 2, np.ones(grid.local_shape[0]), self.r_edges)
 
     def measure(self, fill: Rows, acf: bool = False, watch: Columns | None = None) -> Measured:
-        """Spectrum, and on demand autocorrelation, of the field whose rows `fill(first, stop, rows)` makes.  Collective.
+        """Spectrum, and on demand autocorrelation, of the field whose rows `fill` makes.  Collective.
 
         One forward transform, and one backward for the autocorrelation ⟨f(r) f(r + Δr)⟩.
         watch(power, first, stop) sees each block |f̂|² (stop − first, nx), on any thread.
@@ -75,7 +75,7 @@ class Correlator:
         return Measured(self._modes.total(power), self._lags.total(lags), along_x[: nx // 2 + 1], row[: ny // 2 + 1])
 
     def spectrum(self, sums: np.ndarray) -> dict[str, np.ndarray]:
-        """Mean over each bin, given sums (m + 2,) over bins: q, value and count of the bins with modes; edges of all bins."""
+        """Means over the bins, given sums (m + 2,): q, value and count of those that hold modes, edges of all."""
         q, value, count = self._modes.mean(sums)
         return {"q": q, "value": value, "count": count, "edges": self.q_edges}
 
@@ -92,7 +92,7 @@ class Correlator:
 
 
 class _Bins:
-    """Sums over bins of √(along[i] + across[j]); entry 0 of a sum is what lies below the first edge, the last beyond."""
+    """Sums over bins of √(along[i] + across[j]); entry 0 is what lies below the first edge, the last what is beyond."""
 
     def __init__(self, grid: SlabGrid, along, across, weight, edges):
         self.comm, self.along, self.across, self.weight = grid.comm, along, across, np.ascontiguousarray(weight)
@@ -145,7 +145,7 @@ def wave_number_bins(grid: SlabGrid, spacing: str = "log", bins: int = 20, q_max
 
 
 def lag_bins(grid: SlabGrid, spacing: str = "log", bins: int = 20) -> np.ndarray:
-    """Edges (k + 1,) of bins in distance, up to half the shorter side of the cell: `bins` to a decade, or in all ("linear").
+    """Edges (k + 1,) of bins in distance, up to half the shorter side: `bins` to a decade, or in all ("linear").
 
     The first bin holds Δr = 0 alone.  Raises InputError for another spacing.
     """

@@ -1,7 +1,7 @@
 """Distribution of pressures and gaps: histograms, moments, and the fit of Persson's form.
 
-Bin edges are decimal numbers that depend on the extreme values alone, rounded up: they are the same, bit for bit, whatever
-the rank count.
+Bin edges are decimal numbers, the extreme values rounded outward: they are the same, bit for bit, whatever the rank
+count.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Compiled loops of the observables.  Each keeps the NumPy line that it replaces as its specification, which a test holds it to.
+"""Compiled loops of the observables.  Each keeps the NumPy line that it replaces as its specification.
 
 All release the GIL, so that the threads of a rank can share the rows.
 """
@@ -68,7 +68,7 @@ def bin_geometry(along, across, weight, edges, counts, roots):
 
 @_jit
 def count_edges(pressure, above, first, stop):
-    """(points with p > 0, contact/non-contact edges to the row before, and to the column before) in rows first … stop−1.
+    """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
 
     `above` (1, ny) is the row before row 0; column 0 follows the last one.
     """

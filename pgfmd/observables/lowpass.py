@@ -13,15 +13,15 @@ from ..solvers.solution import ContactSolution
 from .staircase import contact_area
 
 POINTS_PER_WAVE = 8
-"""Grid points to the shortest wavelength that is left.  With the staircase correction the area is then within 1 % of that
-of an infinitely fine grid."""
+"""Grid points to the shortest wavelength that is left.  With the staircase correction the area is then within 1 % of
+that of an infinitely fine grid."""
 
 Relax = Callable[[SlabGrid, np.ndarray], ContactSolution]
 """Solves the contact of heights (nx_local, ny) on a grid, at the load in question.  Collective."""
 
 
 def lowpass_areas(grid: SlabGrid, heights: np.ndarray, cutoffs: np.ndarray, relax: Relax) -> np.ndarray:
-    """Relative contact area, corrected for the staircase, of the surface without modes |q| > cutoff, for each.  Collective.
+    """Relative contact area, corrected for the staircase, of the surface without modes |q| > each cutoff.  Collective.
 
     heights (nx_local, ny); cutoffs in radians per length.  Each surface is solved on the coarsest grid that gives its
     shortest wave POINTS_PER_WAVE points, but on no finer one than `grid`.
@@ -73,9 +73,9 @@ def lowpass(grid: SlabGrid, field: np.ndarray, cutoff: float) -> np.ndarray:
 
 
 def octaves(grid: SlabGrid, q_max: float | None) -> np.ndarray:
-    """Cut-offs from the longest wave of the cell on, doubled up to q_max or the highest wave number along an axis."""
+    """Cut-offs doubled from the longest wave of the cell on; the last is q_max, or the highest one along an axis."""
     lowest = 2 * math.pi / max(grid.lengths)
     highest = max(math.pi / step for step in grid.spacing)
     top = highest if q_max is None else min(q_max, highest)
-    count = max(int(math.floor(math.log2(max(top / lowest, 1.0)) + 1e-9)), 0)
-    return lowest * 2.0 ** np.arange(count + 1)
+    cutoffs = lowest * 2.0 ** np.arange(max(math.ceil(math.log2(top / lowest) - 1e-9), 0) + 1)
+    return np.append(cutoffs[:-1], max(top, lowest))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from ..solvers.solution import ContactSolution
 from .bearing import threshold_for_count
 from .correlations import Correlator, Measured, lag_bins, wave_number_bins
 from .histograms import gap_groups, pressure_groups
-from .lowpass import Relax, lowpass_areas, octaves
+from .lowpass import lowpass_areas, octaves
 from .staircase import Area, contact_area
 
 Groups = dict[str, dict[str, np.ndarray]]
@@ -26,11 +27,12 @@ Groups = dict[str, dict[str, np.ndarray]]
 class Observer:
     """Measures solved contacts of one rough surface.  Making one costs half a transform; methods are collective.
 
-    grid; heights (nx_local, ny), kept, not copied; contact_modulus E'
+    grid; heights (nx_local, ny), kept, not copied; elasticity of the solid
     q_max: cut-off q_s of the surface, beyond which spectra are not averaged (None: every mode counts)
-    names: which of "histogram", "spectra", "acf", "patches", "bearing", "lowpass" `groups` measures; no other is computed
-    histogram_bins; spectra_spacing, spectra_bins, acf_spacing, acf_bins; connectivity; lowpass_q: as in [output] of a job
-    relax(grid, heights, mean_pressure): solver of "lowpass"; the hard wall on a half-space if not given
+    names: which of "histogram", "spectra", "acf", "patches", "bearing", "lowpass" are measured; no other is computed
+    histogram_bins; spectra, acf: (spacing, bins); connectivity; lowpass_q: options, see `sections`
+    tolerance: certified error of the contacts that "lowpass" solves
+    relax(grid, heights, mean_pressure): the solver of "lowpass" in place of the hard wall
 
     rms_slope: √Σ q²|h̃|²;  seconds: time spent so far on each observable, for `info`
     """
@@ -39,26 +41,24 @@ class Observer:
         self,
         grid: SlabGrid,
         heights: np.ndarray,
-        contact_modulus: float,
+        elasticity: Elasticity,
         *,
         q_max: float | None = None,
         names: Sequence[str] = (),
         histogram_bins: int = 200,
-        spectra_spacing: str = "log",
-        spectra_bins: int = 20,
-        acf_spacing: str = "log",
-        acf_bins: int = 20,
+        spectra: tuple[str, int] = ("log", 20),
+        acf: tuple[str, int] = ("log", 20),
         connectivity: int = 8,
         lowpass_q: Sequence[float] = (),
-        relax=None,
+        tolerance: float = 1e-6,
+        relax: Callable[[SlabGrid, np.ndarray, float], ContactSolution] | None = None,
     ):
-        self.grid, self.heights, self.contact_modulus = grid, heights, contact_modulus
+        self.grid, self.heights, self.contact_modulus = grid, heights, elasticity.contact_modulus
         self.names, self.histogram_bins, self.connectivity = frozenset(names), histogram_bins, connectivity
         self.lowpass_q = np.asarray(lowpass_q, float) if len(lowpass_q) else octaves(grid, q_max)
-        self._relax = relax or _half_space(contact_modulus)
+        self.relax = relax or partial(solve_hard_wall, elasticity=elasticity, tolerance=tolerance)
         self.seconds: dict[str, float] = {}
-        q_edges = wave_number_bins(grid, spectra_spacing, spectra_bins, q_max)
-        self._correlator = Correlator(grid, q_edges, lag_bins(grid, acf_spacing, acf_bins))
+        self._correlator = Correlator(grid, wave_number_bins(grid, *spectra, q_max), lag_bins(grid, *acf))
         self._area: tuple[ContactSolution, Area] | None = None
         self.rms_slope, self._height = self._measure_heights()
 
@@ -97,7 +97,10 @@ class Observer:
         }
 
     def groups(self, solution: ContactSolution) -> Groups:
-        """Curves and tables of `schema.GROUPS` that were asked for.  Complete on rank 0 (tables of patches only there).  Collective."""
+        """Curves and tables of `schema.GROUPS` that were asked for.  Collective.
+
+        Complete on rank 0; the others have all but the tables of patches.
+        """
         grid, out = self.grid, {}
         if "histogram" in self.names:
             with self._timed("histogram"):
@@ -114,7 +117,9 @@ class Observer:
                 out |= self._bearing(solution)
         if "lowpass" in self.names:
             with self._timed("lowpass"):
-                out["lowpass_area"] = {"q": self.lowpass_q, "area": self._lowpass(solution.mean_pressure)}
+                relax = partial(self.relax, mean_pressure=solution.mean_pressure)
+                areas = lowpass_areas(grid, self.heights, self.lowpass_q, relax)
+                out["lowpass_area"] = {"q": self.lowpass_q, "area": areas}
         return out
 
     def label_field(self, solution: ContactSolution) -> np.ndarray:
@@ -180,16 +185,6 @@ class Observer:
         if "patches" in self.names:
             out["bearing_patches"] = self._patches(self.heights > threshold, None)
         return out
-
-    def _lowpass(self, mean_pressure: float) -> np.ndarray:
-        relax: Relax = lambda grid, heights: self._relax(grid, heights, mean_pressure)  # noqa: E731
-        return lowpass_areas(self.grid, self.heights, self.lowpass_q, relax)
-
-
-def _half_space(contact_modulus: float):
-    """The hard wall on a half-space, well enough for a contact area."""
-    elasticity = Elasticity(contact_modulus)
-    return lambda grid, heights, mean_pressure: solve_hard_wall(grid, heights, mean_pressure, elasticity, 1e-5)
 
 
 def _rows(field: np.ndarray):
