@@ -1,4 +1,6 @@
-"""Compiled loops of the exponential wall.  Pressures are over their mean, p̂ = p/p̄; gaps g, ζ and the heights share one unit.
+"""Compiled loops of the exponential wall.
+
+Pressures are over their mean, p̂ = p/p̄; gaps g, ζ and the heights share one unit.
 
 The dual of the contact problem is a quadratic form plus ζ times the negative entropy of the pressure, hence the name.
 """
@@ -15,7 +17,10 @@ _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 @_jit
 def wright_omega(z):
-    """ω > 0 with ω + ln ω = z, to a few units of rounding (iteration of Fritsch, Shafer and Crowley, doi:10.1145/361952.361970)."""
+    """ω > 0 with ω + ln ω = z, to a few units of rounding.
+
+    Iteration of Fritsch, Shafer and Crowley 1973, doi:10.1145/361952.361970.
+    """
     if z < -1:
         x = math.exp(z)
         w = x / (1 + x)
@@ -45,8 +50,9 @@ def lowest(gap, first, stop):
 
 @_jit
 def moments(pressure, gap, heights, zeta, least, first, stop):
-    """(Σ exp((least − g)/ζ), Σ p̂ (g + ζ ln p̂), Σ p̂ (g + h)) of rows first … stop−1."""
+    """(Σ exp((least − g)/ζ), Σ p̂ (g + ζ ln p̂), Σ p̂ (g + h), #{p̂ > 1}) of rows first … stop−1."""
     weight = potential = work = 0.0
+    loaded = 0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             g, p = gap[i, j], pressure[i, j]
@@ -56,7 +62,8 @@ def moments(pressure, gap, heights, zeta, least, first, stop):
             if p > 0:
                 potential += p * (g + zeta * math.log(p))
                 work += p * (g + heights[i, j])
-    return weight, potential, work
+                loaded += p > 1
+    return weight, potential, work, loaded
 
 
 @_jit
@@ -113,7 +120,7 @@ def curvature_sums(root, direction, product, first, stop):
 
 @_jit
 def step(root, direction, product, mean, zeta, length, change, response, residual, first, stop):
-    """One step: change += length d, response += length (product), residual −= length (ζ d + √p̂ (product − mean)); Σ residual²."""
+    """change += length d; response += length product; residual −= length (ζ d + √p̂ (product − mean)); Σ residual²."""
     total = 0.0
     for i in range(first, stop):
         for j in range(root.shape[1]):
@@ -155,7 +162,7 @@ def respond(target, reach, zeta, level, pressure, first, stop):
 
 @_jit
 def newton_target(pressure, gap, root, change, response, reach, target, first, stop):
-    """target = reach (p̂ + δp̂) − (g + δg): what the linearised step says of each point, wherever it is; δp̂ = √p̂ change."""
+    """target = reach (p̂ + δp̂) − (g + response), δp̂ = √p̂ change: what the linearised step says of every point."""
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             p = pressure[i, j] + root[i, j] * change[i, j]

@@ -1,7 +1,7 @@
 """The exponential wall σ = σ_ref exp(−gap/ζ) at imposed load: Newton's method on a cascade of grids.
 
-`solve_exponential_wall` makes heights and pressures dimensionless (rms height, mean pressure), solves coarse grids first, the
-coarsest with ζ reduced step by step, and gives physical quantities back.
+`solve_exponential_wall` makes heights and pressures dimensionless (rms height, mean pressure), solves coarse grids
+first, the coarsest with ζ reduced step by step, and gives physical quantities back.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ def solve_exponential_wall(
     start: np.ndarray | None = None,
     monitor: Callable[[SlabGrid, WallState], None] | None = None,
 ) -> ContactSolution:
-    """Pressure and gap under σ = σ_ref exp(−gap/ζ) at the imposed mean pressure, to a certified relative energy error.  Collective.
+    """Contact under σ = σ_ref exp(−gap/ζ) at the mean pressure, to a certified relative energy error.  Collective.
 
-    heights (nx_local, ny) and zeta: lengths.  sigma_ref: a pressure, the contact modulus if None; it shifts gaps by ζ ln σ_ref
-    and nothing else.  start: a pressure (nx_local, ny) from a neighbouring load to begin with, instead of coarse grids.
-    certified_error is ζ⟨p ln(p/σ)⟩/⟨p u⟩ (see `newton`); max_violation the largest |gap − gap(p)| over the rms height where p
-    exceeds its mean.  Raises InputError for a load or ζ that is not positive, SolverError if the tolerance cannot be reached.
+    heights (nx_local, ny) and zeta: lengths.  sigma_ref: a pressure, the contact modulus if None; it shifts gaps by
+    ζ ln σ_ref and nothing else.  start: a pressure (nx_local, ny) from a neighbouring load to begin with, instead of
+    coarse grids.  certified_error is ζ⟨p ln(p/σ)⟩/⟨p u⟩ (see `newton`); max_violation the largest |gap − gap(p)| over
+    the rms height where p exceeds its mean.  Raises InputError for a load or ζ that is not positive, SolverError if the
+    tolerance cannot be reached.
     """
     began, transforms, reduce = time.perf_counter(), grid.transforms, grid.reduction
     for name, value in (("mean pressure", mean_pressure), ("zeta", zeta)):
@@ -62,12 +63,10 @@ def solve_exponential_wall(
         state, extra = problem.cascade(grid, heights, tolerance)
     else:
         state, extra = problem.relax(grid, heights, problem.feasible(grid, start), tolerance), 0.0
-    parts = []
+    pressure, gap, parts = state.pressure, state.gap, []
     grid.threads.split(
-        lambda a, b: parts.append(entropy.largest_deviation(state.pressure, state.gap, problem.zeta, state.level, a, b)),
-        len(heights),
+        lambda a, b: parts.append(entropy.largest_deviation(pressure, gap, problem.zeta, state.level, a, b)), len(gap)
     )
-    pressure, gap = state.pressure, state.gap
     pressure *= mean_pressure
     gap -= state.level
     gap *= height
@@ -94,7 +93,7 @@ class _Problem:
         self.zeta, self.tolerance, self.monitor = zeta, tolerance, monitor
 
     def relax(self, grid: SlabGrid, heights: np.ndarray, state: WallState, tolerance: float) -> WallState:
-        """Newton from that state; should it fail, once more from a uniform pressure by continuation in ζ.  Collective."""
+        """Newton from that state; should it fail, by continuation in ζ from a uniform pressure.  Collective."""
         solver = WallRelaxation(grid, heights, self.elasticity, self.compliance_unit)
         monitor = None if self.monitor is None else lambda state: self.monitor(grid, state)
         try:
@@ -115,7 +114,7 @@ class _Problem:
         return solver.relax(state, self.zeta, tolerance, monitor)
 
     def cascade(self, grid: SlabGrid, heights: np.ndarray, tolerance: float) -> tuple[WallState, float]:
-        """Solve this grid from the next coarser one.  Returns also the transforms spent on coarser grids, weighted by size.  Collective."""
+        """Solve this grid from the next coarser one.  Also returns the transforms spent on those, by size.  Collective."""
         if min(grid.shape) <= COARSEST:
             state = WallState(np.ones(grid.local_shape), np.empty(grid.local_shape))
             return self.continuation(grid, heights, state, tolerance), 0.0
@@ -128,7 +127,7 @@ class _Problem:
         return self.relax(grid, heights, state, tolerance), extra
 
     def prolong(self, coarse: SlabGrid, found: WallState, coarse_heights, grid: SlabGrid, heights) -> WallState:
-        """Start on the finer grid: the wall of the fine heights answers to the interpolated displacement and pressure.  Collective."""
+        """Start on the finer grid: its wall answers to the interpolated displacement and pressure.  Collective."""
         interpolation = Interpolation(coarse, grid, [found.gap + coarse_heights, found.pressure], [4, 2])
         target = np.empty(grid.local_shape)
         solver = WallRelaxation(grid, heights, self.elasticity, self.compliance_unit)

@@ -1,11 +1,15 @@
 """The exponential wall on one grid: a smoothed active-set Newton method on the dual problem.
 
-With p̂ = p/p̄, G the compliance per p̂ and heights h, minimise J(p̂) = ½⟨p̂, Gp̂⟩ − ⟨h, p̂⟩ + ζ⟨p̂, ln p̂⟩ over p̂ > 0 of mean 1.
-Newton's equation for the change δp̂ = √p̂ y is (ζ + √p̂ G √p̂) y = −√p̂ (g + ζ ln p̂ − c), g = Gp̂ − h: its spectrum decays fast from
-the largest eigenvalues on, no entry overflows however small p̂ is, and conjugate gradients take one convolution per iteration.
+With p̂ = p/p̄, G the compliance per p̂ and heights h, minimise J(p̂) = ½⟨p̂, Gp̂⟩ − ⟨h, p̂⟩ + ζ⟨p̂, ln p̂⟩ over p̂ > 0
+of mean 1.  Newton's equation for the change δp̂ = √p̂ y is
 
-The step is not taken in p̂, which would have to stay positive, but point by point in x = α p̂ + ζ ln p̂ (α: compliance of a few points):
-in contact that is a step in p̂, outside it is one in ln p̂, and in it ln p̂ of the old state cancels:
+    (ζ + √p̂ G √p̂) y = −√p̂ (g + ζ ln p̂ − c),  g = Gp̂ − h.
+
+Its spectrum decays fast from the largest eigenvalues on, no entry overflows however small p̂ is, and conjugate gradients
+take one convolution per iteration.
+
+The step is not taken in p̂, which would have to stay positive, but point by point in x = α p̂ + ζ ln p̂ (α: compliance of
+a few points).  In contact that is a step in p̂, outside it is one in ln p̂; and ln p̂ of the old state cancels:
 
     α p̂ + ζ ln p̂ = α (p̂ + δp̂) − (g + Gδp̂) + c.
 
@@ -15,8 +19,9 @@ The certificate: the wall's answer to the gap, σ̂ = exp(−g/ζ)/⟨exp(−g/�
 
     J(p̂) − J(p̂*) ≤ D(p̂) = ζ ⟨p̂ ln(p̂/σ̂)⟩,
 
-the duality gap to the primal ½⟨u, Ku⟩ + ζ ln⟨exp(−(u − h)/ζ)⟩ at u = Gp̂ (Fenchel for the quadratic form, Gibbs' variational principle
-for the other term).  It is ζ times a relative entropy, and tends to that of the hard wall, ⟨p̂, g − min g⟩.
+the duality gap to the primal ½⟨u, Ku⟩ + ζ ln⟨exp(−(u − h)/ζ)⟩ at u = Gp̂ (Fenchel for the quadratic form, Gibbs'
+variational principle for the other term).  It is ζ times a relative entropy, and tends to that of the hard wall,
+⟨p̂, g − min g⟩.
 """
 
 from __future__ import annotations
@@ -48,11 +53,12 @@ class WallState:
     objective: float = np.inf
     work: float = 0.0  # ⟨p̂, Gp̂⟩
     level: float = 0.0  # c: at the solution ζ ln p̂ = c − g
+    contact: int = 0  # points that carry more than the mean
     iterations: int = 0
 
 
 class WallRelaxation:
-    """Newton iterations for `heights` (nx_local, ny) on `grid`; `compliance_unit` turns p̂ into pressure over a unit of height."""
+    """Newton iterations for `heights` (nx_local, ny); `compliance_unit` is the mean pressure over the unit of height."""
 
     def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, compliance_unit: float):
         self.grid, self.heights = grid, heights
@@ -109,9 +115,11 @@ class WallRelaxation:
         """Objective, energy and certified error of a feasible state.  Collective."""
         count = self.grid.size
         least = self.grid.reduction.min(state.gap)
-        weight, potential, work = self.total(entropy.moments, state.pressure, state.gap, self.heights, zeta, least)
+        fields = state.pressure, state.gap, self.heights
+        weight, potential, work, loaded = self.total(entropy.moments, *fields, zeta, least)
         log_scale = -math.log(weight / count)
         (apart,) = self.total(entropy.divergence, state.pressure, state.gap, zeta, least, log_scale)
+        state.contact = int(loaded)
         state.work, state.objective = work / count, (potential - work / 2) / count
         state.level = zeta * log_scale + least
         state.error = zeta * apart / work if work > 0 else np.inf
@@ -132,7 +140,7 @@ class WallRelaxation:
             self.certify(state, zeta)
 
     def newton_target(self, state: WallState, zeta: float, wanted: float) -> np.ndarray:
-        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, to a residual smaller by `wanted`.  Collective."""
+        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, to residual × `wanted`.  Collective."""
         grid, rows = self.grid, self.grid.local_shape[0]
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
         level = self.total(entropy.level_sum, state.pressure, state.gap, zeta)[0] / grid.size
