@@ -106,8 +106,9 @@ class Observer:
             with self._timed("histogram"):
                 out |= pressure_groups(grid, solution.pressure, self.histogram_bins)
                 out |= gap_groups(grid, solution.gap, self.histogram_bins)
-        if self.names & {"spectra", "acf"}:
-            with self._timed("spectra" if "spectra" in self.names else "acf"):
+        curves = sorted(self.names & {"spectra", "acf"}, reverse=True)
+        if curves:
+            with self._timed(" and ".join(curves)):  # they share their transforms
                 out |= self._correlations(solution)
         if "patches" in self.names:
             with self._timed("patches"):
