@@ -4,7 +4,8 @@
     python -m pgfmd check JOB.toml
     python -m pgfmd info DIR
 
-Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 1 for anything else.
+Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 75 (EX_TEMPFAIL) if
+the run was asked to stop, and did, ready for --restart; 1 for anything else.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import time
 import traceback
 
 from . import __version__
-from .errors import InputError, SolverError
+from .errors import InputError, SolverError, Stopped
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 
@@ -136,15 +137,17 @@ def _leave(comm, error: Exception) -> int:
 
 
 def _code(error: Exception) -> int:
-    return 2 if isinstance(error, InputError) else 3 if isinstance(error, SolverError) else 1
+    codes = {InputError: 2, SolverError: 3, Stopped: 75}
+    return next((code for kind, code in codes.items() if isinstance(error, kind)), 1)
 
 
 def _complain(error: Exception) -> int:
     """Print the error, one line if it is meant for the user, else with its traceback; the exit code."""
-    if not isinstance(error, (InputError, SolverError, OSError)):
+    if not isinstance(error, (InputError, SolverError, Stopped, OSError)):
         traceback.print_exception(error)
     message = " ".join(str(error).split()) or type(error).__name__
-    print(f"pgfmd: error: {message}".encode("utf-8", "replace").decode(), file=sys.stderr, flush=True)
+    kind = "" if isinstance(error, Stopped) else "error: "
+    print(f"pgfmd: {kind}{message}".encode("utf-8", "replace").decode(), file=sys.stderr, flush=True)
     return _code(error)
 
 

@@ -7,3 +7,9 @@ class InputError(ValueError):
 
 class SolverError(RuntimeError):
     """A solver could not certify its answer; the message says why.  The command line exits with 3."""
+
+
+class Stopped(Exception):
+    """A run was asked to stop, and did, ready to be continued; the message says by whom.  The command line exits with 75
+    (EX_TEMPFAIL).
+    """

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from .errors import InputError
+from .seal import sealed, unsealed
 
 LOCK_NAME = ".pgfmd.lock"
 
@@ -22,26 +23,48 @@ def temporary(path: Path) -> Path:
     return path.with_name(f".{path.name}.tmp")
 
 
-def commit(path: Path):
-    """Put the finished temporary file of `path` in its place, on the disk before and after the change of name."""
+def previous(path: Path) -> Path:
+    """Where the version of `path` before the present one is kept, if it is kept."""
+    return path.with_name(f".{path.name}.previous")
+
+
+def commit(path: Path, keep: bool = False):
+    """Put the finished temporary file of `path` in its place, on the disk before and after the change of name.
+
+    keep : the version that it replaces stays as `previous(path)`
+    """
     _sync(temporary(path))
+    if keep and path.exists():
+        previous(path).unlink(missing_ok=True)
+        try:
+            os.link(path, previous(path))  # so that at no instant there is none
+        except OSError:
+            os.replace(path, previous(path))  # a file system without hard links
     os.replace(temporary(path), path)
     _sync(path.parent)
 
 
-def revise(path: Path, change: Callable[[io.BytesIO], None]):
-    """Replace the small file `path` by what `change` makes of its bytes (none if there was no file), in memory.
+def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False):
+    """Replace the small, sealed file `path`, in memory, by what `change` makes of its content (none if it is new).
+
+    keep : see `commit`
 
     HDF5 crashes when a disk is full; Python says so.  Raises OSError, and the old file stays.
     """
-    content = io.BytesIO(path.read_bytes() if path.exists() else b"")
+    content = io.BytesIO(unsealed(path.read_bytes()) if path.exists() else b"")
     change(content)
     try:
-        temporary(path).write_bytes(content.getbuffer())
-        commit(path)
+        temporary(path).write_bytes(sealed(content.getbuffer()))
+        commit(path, keep)
     except BaseException:
         temporary(path).unlink(missing_ok=True)
         raise
+
+
+def append(path: Path, data: bytes):
+    """Add bytes to the end of a file; raises OSError."""
+    with open(path, "ab") as file:
+        file.write(data)
 
 
 def reserve(path: Path, size: int):

@@ -5,6 +5,8 @@ At every instant the folder holds complete files only, of all loads completed so
     observables.h5          small: one row per load, groups of curves and tables, provenance
     fields.h5               links to the big fields: height, load_0000/pressure, …; open this one to read them
     fields/height.h5, fields/load_0000.h5, …
+
+Every one of them ends in a seal (module `seal`): a file that is damaged is recognised before a run is continued.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from . import files, provenance, slabfile
-from .errors import InputError
+from . import files, former, provenance, slabfile
+from .errors import InputError, Stopped
 from .parallel import from_root, raise_together
 from .schema import FIELDS, FIELDS_FILE, FIELDS_FOLDER, GROUPS, LOADS, OBSERVABLES_FILE, SI, load_name
 
@@ -40,6 +42,8 @@ class ResultWriter:
 
     Making one checks and locks the folder, and writes nothing: old results live until `begin` (or the first write).
     Raises InputError on all ranks if the folder cannot be written, is in use, or holds results not to be replaced.
+
+    completed : loads written so far;  former : what is to be continued
     """
 
     def __init__(
@@ -67,20 +71,22 @@ class ResultWriter:
         self._job, self._overwrite, self._restart = (config_text, effective_toml, command, loads), overwrite, restart
         self._begun = False
         self._folder = None
-        self.completed, self.previous_toml = from_root(comm, self._enter)
+        self.former = from_root(comm, self._enter)
+        self.completed = self.former.completed
         try:
             with raise_together(comm):  # a folder that only rank 0 sees is of no use to a collective write
                 if self.collective and not (self.directory / files.LOCK_NAME).exists():
                     raise InputError(f"{self.directory}: rank {comm.rank} does not see the folder that rank 0 made")
-        except InputError as error:
-            self.__exit__(InputError, error, None)
+            former.find_damage(comm, self.directory, self.former)
+        except BaseException as error:
+            self.__exit__(type(error), error, None)
             raise
         if comm.size > 1:
             how = "by all ranks together" if self.collective else "through rank 0 (h5py has no MPI)"
             log.info("fields are written %s", how)
 
-    def _enter(self) -> tuple[int, str | None]:
-        """Lock the folder; completed loads and effective TOML of the results to continue (else 0 and None).  Rank 0."""
+    def _enter(self) -> former.FormerRun:
+        """Lock the folder; what is to be continued.  Rank 0."""
         folder = files.OutputFolder(self.directory)
         try:
             found = [
@@ -93,19 +99,19 @@ class ResultWriter:
                 )
             if not self._restart or OBSERVABLES_FILE not in found:
                 self._restart = False
-                self._folder = folder
-                return 0, None
-            try:
-                with h5py.File(self.directory / OBSERVABLES_FILE, "r", locking=False) as file:
-                    answer = len(file["loads/mean_pressure"]), str(file.attrs["effective_toml"])
-            except (OSError, KeyError) as error:
-                raise InputError(f"{self.directory / OBSERVABLES_FILE}: cannot be continued: {error}") from None
+            answer = former.read(self.directory) if self._restart else former.FormerRun()
             self._folder = folder
             return answer
         finally:
             if self._folder is None:
                 folder.release()
                 folder.discard()
+
+    @property
+    def pending(self) -> list[int]:
+        """The loads that are still to be solved: not completed, or their fields damaged."""
+        damaged = self.former.damaged
+        return [index for index in range(self._job[3]) if index >= self.completed or load_name(index) in damaged]
 
     def begin(self):
         """Remove old results (unless they are continued) and write observables.h5 without loads.  Collective."""
@@ -151,9 +157,11 @@ class ResultWriter:
             for title, table in (groups or {}).items():
                 for key, values in table.items():
                     self._annotate(group.create_dataset(f"{title}/{key}", data=values), *GROUPS[title][key][::-1])
+            group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
         from_root(self.comm, self._revise_observables, add)
         self.completed = max(self.completed, index + 1)
+        self.former.damaged.discard(name)
 
     def finish(self, phases: dict[str, float] | None = None):
         """Mark the run as complete; `phases` are seconds by name, of rank 0.  Collective."""
@@ -175,7 +183,8 @@ class ResultWriter:
         if self._begun and error is not None:
             message = (str(error) or kind.__name__)[:1000]
             with suppress(OSError):  # the disk may be what has failed; the first error is the one to report
-                self._revise_observables(lambda file: file.attrs.update(status="failed", error=message))
+                status = "stopped" if isinstance(error, Stopped) else "failed"
+                self._revise_observables(lambda file: file.attrs.update(status=status, error=message))
         self._folder.release()
         if not self._begun:
             self._folder.discard()
@@ -184,19 +193,24 @@ class ResultWriter:
     # Rank 0: small files, each replaced as a whole.
 
     def _clear(self):
-        folder = self.directory / FIELDS_FOLDER
+        path, folder = self.directory / OBSERVABLES_FILE, self.directory / FIELDS_FOLDER
         drafts = [*self.directory.glob(".*.h5.tmp"), *folder.glob(".*.h5.tmp")]
         old = (
             []
             if self._restart
-            else [self.directory / OBSERVABLES_FILE, self.directory / FIELDS_FILE, *folder.glob("*.h5")]
+            else [path, files.previous(path), self.directory / FIELDS_FILE, *folder.glob("*.h5")]
         )
         for path in (*old, *drafts):
             path.unlink(missing_ok=True)
         folder.mkdir(exist_ok=True)
+        if self._restart:
+            self.former.settle()
+            (self.directory / FIELDS_FILE).unlink(missing_ok=True)  # made anew: whole or not, it is not needed
+            if self.former.links():
+                self._link(self.former.links())
 
     def _revise_observables(self, change: Callable[[h5py.File], None]):
-        _revise(self.directory / OBSERVABLES_FILE, change)
+        _revise(self.directory / OBSERVABLES_FILE, change, keep=True)
 
     def _link(self, targets: dict[str, tuple[str, str]]):
         def add(file: h5py.File):
@@ -221,6 +235,7 @@ class ResultWriter:
                 self._annotate(
                     group.create_dataset(name, (0,), maxshape=(None,), chunks=(64,), **fill), description, units
                 )
+        file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self._job[3])
 
     @cached_property
@@ -280,6 +295,7 @@ class ResultWriter:
 
         try:
             slabfile.write(self.comm, draft, self.rows, slabs, create)
+            slabfile.add_seal(self.comm, draft)
             from_root(self.comm, files.commit, path)
         except BaseException:
             if self.comm.rank == 0:
@@ -288,9 +304,9 @@ class ResultWriter:
             raise
 
 
-def _revise(path: Path, change: Callable[[h5py.File], None]):
+def _revise(path: Path, change: Callable[[h5py.File], None], **options):
     def modify(content: io.BytesIO):
         with h5py.File(content, "r+" if content.getbuffer().nbytes else "w", libver=slabfile.LIBVER) as file:
             change(file)
 
-    files.revise(path, modify)
+    files.revise(path, modify, **options)

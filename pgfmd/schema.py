@@ -8,6 +8,7 @@ from __future__ import annotations
 FORMAT_VERSION = 1
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
+CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
 
 # One row per load, in group `loads` of observables.h5, in this order.
 LOADS = {

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 import os
 import time
+from collections.abc import Callable
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
 
 from . import heightfile, topography
+from .checkpoint import Checkpoints
 from .config import Config, as_toml, differences, parse
 from .elasticity import Elasticity
 from .errors import InputError
@@ -19,11 +23,11 @@ from .grid import SlabGrid
 from .labelling import label_patches
 from .observables import Observer
 from .output import ResultWriter
-from .plans import save_wisdom
 from .progress import Progress
-from .sections import FILE, PARABOLOID, ROUGH, SINUSOID
+from .sections import FILE, PARABOLOID, ROUGH, SINUSOID, Run
 from .solvers.cascade import solve_hard_wall
 from .solvers.solution import ContactSolution
+from .watch import Watch
 
 log = logging.getLogger("pgfmd")
 
@@ -33,8 +37,8 @@ def simulate(
 ) -> None:
     """Solve all loads of a job and write its result folder.  Collective.
 
-    Raises InputError (wrong input, nothing written) or SolverError (completed loads stay written) on all ranks
-    together.
+    Raises InputError (wrong input, nothing written), SolverError (completed loads stay written) or Stopped (asked to
+    stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
     grid = SlabGrid(comm, config.grid.shape, config.grid.lengths)
@@ -43,27 +47,38 @@ def simulate(
         shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(config.load.targets),
         overwrite=overwrite, restart=restart, precision=config.output.precision,
         length_unit=config.output.length_unit, pressure_unit=config.output.pressure_unit,
-    ) as writer:  # fmt: skip
+    ) as writer, Watch(comm, directory, config.run.checkpoint_interval, config.run.time_limit) as watch:  # fmt: skip
         _refuse_changed_job(config, writer)
         with phases("surface"):
             heights = make_heights(config, grid)
         elasticity = make_elasticity(config)
         observer = make_observer(config, grid, heights, elasticity)
+        checkpoints = Checkpoints(
+            comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(config, run=Run()))
+        )  # fmt: skip
         with phases("write"):
+            if writer.former.job is None:
+                checkpoints.remove()
             writer.begin()
-            if "height" in config.output.fields and not writer.completed:
+            if "height" in config.output.fields and not writer.former.has_height:
                 writer.write_field("height", heights)
-        for index in range(writer.completed, len(config.load.targets)):
+        for index in writer.pending:
+
+            def look(pressure: np.ndarray | None, index: int = index):
+                watch.look(None if pressure is None else partial(checkpoints.save, index, pressure))
+
+            look(None)
             with phases("solve"):
-                solution = _solve(config, grid, heights, elasticity, index)
+                solution = _solve(config, grid, heights, elasticity, index, checkpoints.load(index), look)
+            look(solution.pressure)
             with phases("observe"):
                 row, groups = observer.row(solution), observer.groups(solution)
             with phases("write"):
                 writer.write_load(index, row, groups, chosen_fields(config, grid, heights, solution))
+                checkpoints.remove()
+            watch.load_done()
             _report(comm, index, len(config.load.targets), row)
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
-    if comm.rank == 0:
-        save_wisdom()
 
 
 def make_heights(config: Config, grid: SlabGrid) -> np.ndarray:
@@ -120,24 +135,31 @@ def chosen_fields(config: Config, grid: SlabGrid, heights: np.ndarray, solution:
     return fields
 
 
-def _solve(config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, index: int) -> ContactSolution:
+def _solve(
+    config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, index: int,
+    start: np.ndarray | None, look: Callable[[np.ndarray | None], None],
+) -> ContactSolution:  # fmt: skip
+    """One load, from the pressure `start` if there is one; `look(pressure)` is called between steps.  Collective."""
     label = f"load {index + 1}/{len(config.load.targets)}"
     progress = Progress(grid.comm.rank, label, grid.shape, config.solver.tolerance)
 
     def monitor(level: SlabGrid, state) -> None:
         progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
+        if level.comm is grid.comm:  # grids that every rank holds whole are solved without messages
+            look(state.pressure if level is grid else None)
 
     try:
-        pressure = config.load.targets[index]
-        return solve_hard_wall(grid, heights, pressure, elasticity, config.solver.tolerance, monitor=monitor)
+        return solve_hard_wall(
+            grid, heights, config.load.targets[index], elasticity, config.solver.tolerance, start, monitor
+        )  # fmt: skip
     finally:
         progress.close()
 
 
 def _refuse_changed_job(config: Config, writer: ResultWriter) -> None:
     """A run is continued by the same job only."""
-    if writer.previous_toml is not None:
-        changed = differences(parse(writer.previous_toml, "results"), config)
+    if writer.former.job is not None:
+        changed = differences(parse(writer.former.job, "results"), config)
         if changed:
             raise InputError(f"{writer.directory}: cannot be continued, the job differs: {'; '.join(changed)}")
 

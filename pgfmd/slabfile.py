@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
-from . import files
+from . import files, seal
 from .parallel import from_root, raise_together, slab
 
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
@@ -72,6 +72,34 @@ def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], cre
     size = count * sum(field.row_bytes for field in fields.values())
     from_root(comm, _lay_out, path, size, list(fields), create)
     (_write_together if is_collective(comm) else _write_through_root)(comm, path, rows, fields)
+
+
+def add_seal(comm: MPI.Comm, path: Path):
+    """Append the seal to a finished file; the ranks share its blocks.  Collective.  Raises OSError on all ranks."""
+    size = from_root(comm, os.path.getsize, path)
+    tail = seal.tail(size, _digests(comm, path, size))
+    from_root(comm, files.append, path, tail)
+
+
+def damage(comm: MPI.Comm, path: Path) -> str | None:
+    """What is wrong with a sealed file, in words; None if every byte is the one that was written.  Collective."""
+    size, expected, fault = from_root(comm, seal.read_tail, path)
+    if fault is not None:
+        return fault
+    for number, digests in enumerate(zip(_digests(comm, path, size), expected, strict=True)):
+        if digests[0] != digests[1]:
+            start = number * seal.BLOCK
+            return f"its bytes {start} to {min(start + seal.BLOCK, size) - 1} are not those that were written"
+    return None
+
+
+def _digests(comm: MPI.Comm, path: Path, size: int) -> list[bytes]:
+    """Digest of each block of a file, in order; the ranks take turns.  Collective."""
+    mine: dict[int, bytes] = {}
+    with raise_together(comm):
+        mine = seal.digest_blocks(path, range(comm.rank * seal.BLOCK, size, comm.size * seal.BLOCK), size)
+    parts = {start: digest for part in comm.allgather(mine) for start, digest in part.items()}
+    return [parts[start] for start in sorted(parts)]
 
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create):

@@ -148,7 +148,7 @@ def test_restart_continues(comm, shared_tmp_path):
         write_load(result, 0)
     comm.Barrier()
     with writer(comm, folder, restart=True) as result:
-        assert result.completed == 1 and config.parse(result.previous_toml) == config.parse(JOB)
+        assert result.completed == 1 and config.parse(result.former.job) == config.parse(JOB)
         write_load(result, 1, 2.0)
         result.finish()
     read = Results(folder)
@@ -157,7 +157,7 @@ def test_restart_continues(comm, shared_tmp_path):
     np.testing.assert_array_equal(read.field("pressure", 1), 2 * FIELD)
     comm.Barrier()
     with writer(comm, shared_tmp_path / "empty", restart=True) as result:
-        assert result.completed == 0 and result.previous_toml is None
+        assert result.completed == 0 and result.former.job is None
 
 
 def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
