@@ -50,17 +50,17 @@ def lowest(gap, first, stop):
 
 @_jit
 def moments(pressure, gap, heights, zeta, least, first, stop):
-    """(Σ exp((least − g)/ζ), Σ p̂ (g + ζ ln p̂), Σ p̂ (g + h), #{p̂ > 1}) of rows first … stop−1."""
+    """(Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂), Σ p̂ (g + h), #{p̂ > 1}) of some rows."""
     weight = potential = work = 0.0
     loaded = 0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             g, p = gap[i, j], pressure[i, j]
-            away = (g - least) / zeta
-            if away < 745:
-                weight += math.exp(-away)
+            away = g - least
+            if away < 745 * zeta:
+                weight += math.exp(-away / zeta)
             if p > 0:
-                potential += p * (g + zeta * math.log(p))
+                potential += p * (away + zeta * math.log(p))
                 work += p * (g + heights[i, j])
                 loaded += p > 1
     return weight, potential, work, loaded
@@ -146,8 +146,23 @@ def level_sum(pressure, gap, zeta, first, stop):
 
 
 @_jit
+def respond_hard(target, reach, level, pressure, first, stop):
+    """p̂ = max(target + level, 0)/reach; returns Σ p̂ and Σ dp̂/dlevel."""
+    total = slope = 0.0
+    for i in range(first, stop):
+        for j in range(target.shape[1]):
+            p = max(target[i, j] + level, 0.0) / reach
+            pressure[i, j] = p
+            total += p
+            slope += p > 0
+    return total, slope / reach
+
+
+@_jit
 def respond(target, reach, zeta, level, pressure, first, stop):
-    """p̂ with reach p̂ + ζ ln p̂ = target + level; returns Σ p̂ and Σ dp̂/dlevel."""
+    """p̂ with reach p̂ + ζ ln p̂ = target + level, the positive part of that if ζ = 0; returns Σ p̂ and Σ dp̂/dlevel."""
+    if zeta == 0:
+        return respond_hard(target, reach, level, pressure, first, stop)
     b = zeta / reach
     shift = -math.log(b)
     total = slope = 0.0

@@ -114,7 +114,7 @@ class _Problem:
         return solver.relax(state, self.zeta, tolerance, monitor)
 
     def cascade(self, grid: SlabGrid, heights: np.ndarray, tolerance: float) -> tuple[WallState, float]:
-        """Solve this grid from the next coarser one.  Also returns the transforms spent on those, by size.  Collective."""
+        """Solve this grid from the next coarser one.  Returns also the transforms of those, by size.  Collective."""
         if min(grid.shape) <= COARSEST:
             state = WallState(np.ones(grid.local_shape), np.empty(grid.local_shape))
             return self.continuation(grid, heights, state, tolerance), 0.0

@@ -58,7 +58,7 @@ class WallState:
 
 
 class WallRelaxation:
-    """Newton iterations for `heights` (nx_local, ny); `compliance_unit` is the mean pressure over the unit of height."""
+    """Newton iterations for `heights` (nx_local, ny); `compliance_unit`: mean pressure over the unit of height."""
 
     def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, compliance_unit: float):
         self.grid, self.heights = grid, heights
@@ -112,17 +112,20 @@ class WallRelaxation:
         return self.grid.reduction.sums(*np.sum([np.atleast_1d(part) for _, part in sorted(parts)], axis=0))
 
     def certify(self, state: WallState, zeta: float) -> None:
-        """Objective, energy and certified error of a feasible state.  Collective."""
+        """Objective, energy and certified error of a feasible state; ζ = 0 is the hard wall.  Collective."""
         count = self.grid.size
         least = self.grid.reduction.min(state.gap)
         fields = state.pressure, state.gap, self.heights
         weight, potential, work, loaded = self.total(entropy.moments, *fields, zeta, least)
-        log_scale = -math.log(weight / count)
-        (apart,) = self.total(entropy.divergence, state.pressure, state.gap, zeta, least, log_scale)
+        if zeta > 0:
+            log_scale = -math.log(weight / count)
+            (apart,) = self.total(entropy.divergence, state.pressure, state.gap, zeta, least, log_scale)
+            bound, state.level = zeta * apart, zeta * log_scale + least
+        else:
+            bound, state.level = potential, potential / count + least
         state.contact = int(loaded)
-        state.work, state.objective = work / count, (potential - work / 2) / count
-        state.level = zeta * log_scale + least
-        state.error = zeta * apart / work if work > 0 else np.inf
+        state.work, state.objective = work / count, (potential - work / 2) / count + least
+        state.error = bound / work if work > 0 else np.inf
 
     def advance(self, state: WallState, zeta: float, wanted: float) -> None:
         """One Newton step, shortened while it would raise both the objective and the error.  Collective."""
@@ -140,7 +143,7 @@ class WallRelaxation:
             self.certify(state, zeta)
 
     def newton_target(self, state: WallState, zeta: float, wanted: float) -> np.ndarray:
-        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, to residual × `wanted`.  Collective."""
+        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, its residual × `wanted`.  Collective."""
         grid, rows = self.grid, self.grid.local_shape[0]
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
         level = self.total(entropy.level_sum, state.pressure, state.gap, zeta)[0] / grid.size
@@ -170,11 +173,13 @@ class WallRelaxation:
         return target
 
     def respond(self, state: WallState, target: np.ndarray, zeta: float) -> None:
-        """p̂ with α p̂ + ζ ln p̂ = target + c, c such that its mean is 1; begins with the state's c.  Collective."""
+        """p̂ with α p̂ + ζ ln p̂ = target + c, c such that its mean is 1; from the state's c on.  Collective."""
         count, level, low, high = self.grid.size, state.level, -np.inf, np.inf
+        # What is missing is made up by a factor; to the hard wall's certificate that is an error of first order.
+        enough = 1e-9 * count if zeta > 0 else 0.0
         for _ in range(200):
             total, slope = self.total(entropy.respond, target, self.reach, zeta, level, state.pressure)
-            if abs(total - count) <= 1e-9 * count:
+            if abs(total - count) <= enough:
                 break
             low, high = (level, high) if total < count else (low, level)
             if total > 0:  # Newton for Σ p̂, which is nearly linear in c, or for its logarithm: the shorter step
@@ -182,5 +187,8 @@ class WallRelaxation:
                 trial = level + min(steps, key=abs)
             else:  # all underflowed: up to where the highest point alone would carry its share
                 trial = self.reach - self.grid.reduction.max(target)
+            if abs(trial - level) <= 1e-15 * abs(level):
+                break
             level = trial if low < trial < high else (low + high) / 2
         state.pressure *= count / total
+        state.level = level
