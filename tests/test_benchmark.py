@@ -1,0 +1,97 @@
+"""tools/benchmark.py: what it measures is right, on problems of a second."""
+
+import csv
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tools"))
+from benchmarks import report  # noqa: E402
+from benchmarks.case import Case  # noqa: E402
+from benchmarks.recorder import EnoughError, Recorder  # noqa: E402
+
+
+def test_the_clock_stands_still_while_errors_are_measured():
+    """A note of a large field costs its run nothing: two in a row are no time apart (1 ms for the calls themselves)."""
+    reference = np.ones((2048, 2048))
+    recorder = Recorder(reference)
+    recorder.start()
+    for _ in range(2):
+        recorder.note(reference, 0)
+    first, second = recorder.points
+    assert second["seconds"] - first["seconds"] < 1e-3
+
+
+def test_errors_are_relative_two_norms_and_relative_areas():
+    """‖s p − p*‖/‖p*‖ with the scale s, and |A − A*|/A*, by NumPy."""
+    rng = np.random.default_rng(0)
+    reference = np.maximum(rng.standard_normal((600, 7)), 0)
+    pressure = -2 * np.maximum(reference - 0.1, 0)
+    recorder = Recorder(reference)
+    recorder.start()
+    recorder.note(pressure, 3, scale=-0.5)
+    (point,) = recorder.points
+    expected = np.linalg.norm(-0.5 * pressure - reference) / np.linalg.norm(reference)
+    assert point["pressure_error"] == pytest.approx(expected, rel=1e-12)
+    area, right = np.sum(pressure < 0), np.sum(reference > 0)
+    assert point["area_error"] == pytest.approx(1 - area / right, rel=1e-12)
+
+
+def test_what_follows_the_last_note_is_charged_to_every_point():
+    """A run that ends 50 ms after its last note is 50 ms longer, wherever it would have stopped."""
+    recorder = Recorder(np.ones((2, 2)))
+    recorder.start()
+    recorder.note(np.ones((2, 2)), 1)
+    time.sleep(0.05)
+    recorder.add_tail()
+    assert recorder.points[0]["seconds"] >= 0.05
+
+
+def test_a_run_ends_once_it_is_accurate_enough():
+    """At the floor of the error, EnoughError."""
+    recorder = Recorder(np.ones((2, 2)), floor=1e-3)
+    recorder.start()
+    recorder.note(np.full((2, 2), 1.1), 1, may_stop=True)
+    with pytest.raises(EnoughError):
+        recorder.note(np.full((2, 2), 1.0001), 2, may_stop=True)
+    assert not recorder.truncated
+
+
+def test_cost_interpolates_for_those_who_could_stop_anywhere():
+    """Between (1 s, 1e-2) and (3 s, 1e-4), 1e-3 is reached after 2 s; without interpolation after 3 s; 1e-5 never."""
+    points = [{"seconds": 1.0, "pressure_error": 1e-2}, {"seconds": 3.0, "pressure_error": 1e-4}]
+    assert report.cost(points, 1e-3) == pytest.approx(2.0)
+    assert report.cost(points, 1e-3, between=False) == 3.0
+    assert report.cost(points, 1e-5) == np.inf
+
+
+def test_names_of_cases_differ():
+    """Every number of a case is in its name, which names its files."""
+    numbers = [(64, 0.8, 4, 0.1), (32, 0.8, 4, 0.1), (64, 0.3, 4, 0.1), (64, 0.8, 1, 0.1), (64, 0.8, 4, 0.9)]
+    assert len({Case(*values).name for values in numbers}) == len(numbers)
+
+
+def test_a_small_benchmark_from_end_to_end(tmp_path):
+    """Ours and plain Polonsky–Keer reach the reference to 1e-6; a second call measures nothing again."""
+    if os.environ.get("OMPI_COMM_WORLD_SIZE") or shutil.which("mpirun") is None:
+        pytest.skip("starts processes of its own")
+    command = [sys.executable, str(ROOT / "tools" / "benchmark.py"), "run", str(tmp_path), "--n", "64"]
+    command += ["--lambda-s", "8", "--repeat", "1", "--threads", "1"]
+    command += ["--methods", "pgfmd", "pgfmd steps", "Polonsky-Keer"]
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader(open(tmp_path / "runs.csv", newline="")))
+    keys = [(row["method"], row["tolerance"], row["point"]) for row in rows]
+    assert len(keys) == len(set(keys))
+    for method in ("pgfmd", "pgfmd steps", "Polonsky-Keer"):
+        assert min(float(row["pressure_error"]) for row in rows if row["method"] == method) < 1e-6
+    assert (tmp_path / "ratios.csv").exists() and list(tmp_path.glob("*.png"))
+    assert not list(tmp_path.glob("*.npy"))

@@ -1,0 +1,242 @@
+#!/usr/bin/env python
+"""Run time against error: this solver, the fastest peers and plain Polonsky–Keer, in one run on this machine.
+
+    python tools/benchmark.py run DIR --n 1024 --hurst 0.8 --lambda-s 16 --area 0.08    # measure cases, in turns
+    python tools/benchmark.py resolution DIR                                            # discretisation error against n
+    python tools/benchmark.py transforms DIR                                            # an FFT pair, ours and others'
+    python tools/benchmark.py report DIR                                                # tables, pictures once more
+
+All times are wall seconds of a complete solution: planning, coarse grids and all, but not the start of Python, the
+loading of compiled code and the surface.  Errors are relative to a solution certified to 1e-13 on the same grid.  Runs
+already in DIR/runs.csv are not repeated, so that an interrupted benchmark goes on, and cases add up.  Peers that are
+not installed (`tools/setup.sh bench`) are left out and named.  Processor time is noted too: on a busy machine, on one
+core, `report --clock cpu` says more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import dataclasses
+import importlib.util
+import itertools
+import json
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+from benchmarks.case import Case
+from benchmarks.methods import PEERS
+
+ROOT = Path(__file__).resolve().parent.parent
+COLUMNS = (
+    "n hurst lambda_s area mean_pressure method setting ranks threads repeat tolerance point "
+    "seconds cpu transforms pressure_error area_error truncated"
+).split()
+
+# ASPHER's precisions and preconditioners; which is best depends on the case.
+ASPHER = [
+    {"precision": precision, "engine": engine}
+    for precision in ("double", "float", "float_then_double")
+    for engine in ("stencil", "fft")
+]
+PLAN = [  # (method, setting, ranks, threads)
+    ("pgfmd", {}, 1, 1),
+    *[("ASPHER", setting, 1, 1) for setting in ASPHER],
+    ("pgfmd", {}, 2, 1),
+    ("pgfmd", {}, 1, 2),
+    *[("ASPHER", setting, 1, 2) for setting in ASPHER],
+    ("pgfmd steps", {}, 1, 1),
+    ("Polonsky-Keer", {}, 1, 1),
+    ("tamaas", {}, 1, 1),
+    ("tamaas", {}, 1, 2),
+    ("ContactMechanics", {}, 1, 1),
+]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("run", "resolution", "transforms", "report"))
+    parser.add_argument("folder", type=Path, help="for results; made if missing")
+    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms: 4096)")
+    parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
+    parser.add_argument("--lambda-s", nargs="+", default=["16"], help="in grid spacings; n/64 is allowed")
+    parser.add_argument("--area", type=float, nargs="+", default=[0.08], help="relative contact areas")
+    parser.add_argument(
+        "--methods", nargs="+", help=f"of {', '.join(dict.fromkeys(p[0] for p in PLAN))}; all by default"
+    )
+    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="cores (ranks × threads) to run on")
+    parser.add_argument("--repeat", type=int, default=3, help="repeats, of which the best counts")
+    parser.add_argument("--budget", type=float, default=120.0, help="seconds that one solution may take")
+    parser.add_argument("--floor", type=float, default=1e-7, help="pressure error at which a method may stop")
+    parser.add_argument("--clock", choices=("seconds", "cpu"), default="seconds", help="which time the tables compare")
+    parser.add_argument("--keep", action="store_true", help="keep surfaces and references, each 8 bytes per point")
+    options = parser.parse_args(arguments)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    (options.folder / "machine.txt").write_text(describe_machine() + "\n")
+    if options.what == "run":
+        measure(options)
+    elif options.what == "resolution":
+        from benchmarks.resolution import main as resolution
+
+        resolution(options.folder)
+    elif options.what == "transforms":
+        from benchmarks.transforms import main as transforms
+
+        for n in options.n or [4096]:
+            transforms(options.folder, n)
+    if options.what != "transforms":
+        from benchmarks.report import report
+
+        report(options.folder, options.clock)
+    return 0
+
+
+def measure(options) -> None:
+    """All cases × methods × repeats that are asked for and not yet in runs.csv."""
+    plan = [p for p in PLAN if (not options.methods or p[0] in options.methods) and p[2] * p[3] in options.threads]
+    for name in sorted({p[0] for p in plan} & set(PEERS)):
+        if importlib.util.find_spec(PEERS[name]) is None:
+            print(f"{name} is not installed: left out")
+            plan = [p for p in plan if p[0] != name]
+    done = _done(options.folder)
+    for n, hurst, length, area in itertools.product(options.n or [512], options.hurst, options.lambda_s, options.area):
+        lambda_s = n / float(length[2:]) if length.startswith("n/") else float(length)
+        case = Case(n, hurst, lambda_s, area)
+        jobs = [
+            (p, repeat) for repeat in range(options.repeat) for p in plan if (case.name, *_key(p), repeat) not in done
+        ]
+        if not jobs:
+            continue
+        print(case.name, flush=True)
+        if not case.prepared(options.folder):
+            _start({"case": dataclasses.asdict(case), "folder": str(options.folder), "method": "prepare"}, 1, 2, None)
+        slow = set()
+        for step, repeat in jobs:
+            if _key(step) not in slow and _one(options, case, step, repeat):
+                slow.add(_key(step))
+        if not options.keep:
+            for path in options.folder.glob("*.npy"):
+                path.unlink()
+
+
+def _promising(folder: Path, case: Case, plan: list) -> list:
+    """The plan without settings of peers that were never the fastest on a smaller grid (all, if none was measured)."""
+    from benchmarks.report import LEVELS, fastest, load
+
+    if not (folder / "runs.csv").exists():
+        return plan
+    smaller = [
+        (key[0], curves)
+        for key, curves in load(folder).items()
+        if 1024 <= key[0] < case.n and key[1] == case.hurst and key[3] == case.area
+        if key[2] == case.lambda_s or key[0] / key[2] == case.n / case.lambda_s
+    ]
+    if not smaller:
+        return plan
+    _, curves = max(smaller, key=lambda item: item[0])
+    good = {name: {fastest(curves, name, error)[1] for error in LEVELS} for name in PEERS}
+    return [step for step in plan if not step[1] or _key(step)[1] in good[step[0]]]
+
+
+def _key(step) -> tuple[str, str, int, int]:
+    method, setting, ranks, threads = step
+    return method, " ".join(str(value) for value in setting.values()), ranks, threads
+
+
+def _one(options, case: Case, step, repeat: int) -> bool:
+    """Run one method and add its points to runs.csv.  True if it is too slow to be repeated."""
+    method, setting, ranks, threads = step
+    out = options.folder / "points.jsonl"
+    out.unlink(missing_ok=True)
+    job = {"case": dataclasses.asdict(case), "folder": str(options.folder), "method": method, "setting": setting}
+    job |= {"threads": threads, "budget": options.budget, "floor": options.floor, "out": str(out)}
+    ended = _start(job, ranks, threads, 6 * options.budget + 120)
+    runs = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+    facts = case.facts(options.folder)
+    rows, known = [], dataclasses.asdict(case) | {"mean_pressure": facts["mean_pressure"]}
+    known |= dict(zip(("method", "setting", "ranks", "threads"), _key(step), strict=True)) | {"repeat": repeat}
+    for run in runs:
+        for number, point in enumerate(run["points"]):
+            extra = {"tolerance": run["tolerance"], "point": number, "truncated": int(run["truncated"])}
+            rows.append(known | point | extra)
+    _append(options.folder / "runs.csv", rows or [known | {"truncated": 1}])
+    best = min((row["pressure_error"] for row in rows), default=float("inf"))
+    slowest = max((row["seconds"] for row in rows), default=0.0)
+    name = " ".join(filter(None, _key(step)[:2]))
+    print(
+        f"  {name:34s} {ranks} × {threads}  {best:9.1e} in {slowest:8.2f} s {'' if ended else '(stopped)'}", flush=True
+    )
+    return not rows or slowest > options.budget / 4
+
+
+def _start(job: dict, ranks: int, threads: int, timeout: float | None) -> bool:
+    """Run the worker in its own process or processes.  False if it was stopped after `timeout` seconds."""
+    environment = os.environ | {
+        name: str(threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    }
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT / "tools"), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "mpi4py", "-m", "benchmarks.worker", json.dumps(job)]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), *command]
+    try:
+        done = subprocess.run(
+            command, env=environment, timeout=timeout, stdin=subprocess.DEVNULL, capture_output=True, text=True
+        )
+    except subprocess.TimeoutExpired:
+        return False
+    if done.returncode:
+        print(f"  {job['method']} failed:\n{done.stderr[-1500:]}", file=sys.stderr)
+        if job["method"] == "prepare":
+            raise SystemExit(1)
+    return True
+
+
+def _append(path: Path, rows: list[dict]) -> None:
+    fresh = not path.exists()
+    with open(path, "a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="")
+        if fresh:
+            writer.writeheader()
+        for row in rows:
+            writer.writerow({key: f"{value:.6g}" if isinstance(value, float) else value for key, value in row.items()})
+
+
+def _done(folder: Path) -> set[tuple]:
+    path = folder / "runs.csv"
+    if not path.exists():
+        return set()
+    with open(path, newline="") as file:
+        return {
+            (
+                Case(int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"])).name,
+                *(row["method"], row["setting"], int(row["ranks"]), int(row["threads"]), int(row["repeat"])),
+            )
+            for row in csv.DictReader(file)
+        }
+
+
+def describe_machine() -> str:
+    """One line: processor, cores, system, Python and the versions of all that is compared."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    model = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [
+            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
+        model = names[0] if names else model
+    parts = [f"{model}, {len(os.sched_getaffinity(0))} cores, {platform.system()}, Python {platform.python_version()}"]
+    for name in ("pgfmd", "numpy", "numba", "pyfftw", "aspher", "tamaas", "ContactMechanics", "mkl_fft"):
+        try:
+            parts.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            continue
+    return "; ".join(parts)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,187 @@
+"""How each solver is run: all with the same heights (peaks positive), contact modulus and mean pressure, from nothing.
+
+A method is a function (case, heights, mean_pressure, recorder, tolerance, threads, **setting) that starts the recorder,
+sets up, solves and notes: once at the end (`LADDERS`, run once per tolerance), or once per iteration of one long run
+(`STEPS`).  Peers are imported inside, so that each is optional.
+"""
+
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+
+from .case import CONTACT_MODULUS, Case
+from .recorder import EnoughError, Recorder
+
+
+def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """This project's solver; complete runs.  Collective."""
+    from mpi4py import MPI
+
+    from pgfmd.elasticity import Elasticity
+    from pgfmd.grid import SlabGrid
+    from pgfmd.solvers.cascade import solve_hard_wall
+
+    recorder.start()
+    grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
+    solution = solve_hard_wall(grid, heights, mean_pressure, Elasticity(CONTACT_MODULUS), tolerance)
+    recorder.note(solution.pressure, solution.transforms)
+    recorder.add_tail()
+    grid.free()
+
+
+def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """The same, watched after each outer step on the finest grid.  Collective."""
+    from mpi4py import MPI
+
+    from pgfmd.elasticity import Elasticity
+    from pgfmd.grid import SlabGrid
+    from pgfmd.solvers.cascade import solve_hard_wall
+
+    coarser = {}
+
+    def monitor(level, state):
+        if level is not grid:
+            coarser[level.shape] = level.transforms * level.size / grid.size
+            return
+        scale = mean_pressure * grid.size / MPI.COMM_WORLD.allreduce(float(state.pressure.sum()))
+        recorder.note(state.pressure, grid.transforms + sum(coarser.values()), scale)
+
+    recorder.start()
+    grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
+    solve_hard_wall(grid, heights, mean_pressure, Elasticity(CONTACT_MODULUS), tolerance, monitor=monitor)
+    recorder.add_tail()
+    grid.free()
+
+
+def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """Polonsky–Keer on this project's transforms, one rank."""
+    from mpi4py import MPI
+
+    from pgfmd.elasticity import Elasticity
+    from pgfmd.grid import SlabGrid
+
+    from .polonsky_keer import polonsky_keer
+
+    recorder.start()
+    grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
+    with contextlib.suppress(EnoughError):
+        polonsky_keer(
+            grid,
+            heights,
+            mean_pressure,
+            Elasticity(CONTACT_MODULUS),
+            lambda p, transforms: recorder.note(p, transforms, may_stop=True),
+        )
+
+
+def aspher(
+    case: Case,
+    heights,
+    mean_pressure,
+    recorder: Recorder,
+    tolerance: float,
+    threads: int,
+    precision: str = "double",
+    engine: str = "auto",
+    coarsest: int = 64,
+    coarse_tol: float = 1e-4,
+) -> None:
+    """ASPHER's nested solver with its periodic operator; OMP_NUM_THREADS is its number of threads."""
+    import aspher as peer
+
+    gap = -heights.ravel()
+    recorder.start()
+    result = peer.solve_nested(
+        case.n,
+        gap,
+        mean_pressure,
+        domain_size=float(case.n),
+        E_star=CONTACT_MODULUS,
+        backend="periodic",
+        coarsest=min(coarsest, case.n // 2),
+        coarse_tol=coarse_tol,
+        precision=precision,
+        precond_engine=engine,
+        tol=tolerance,
+        light_result=True,
+    )
+    recorder.note(np.asarray(result.pressure).reshape(case.n, case.n), _aspher_transforms(case, result, engine))
+    recorder.add_tail()
+    if result.status == "stagnated":
+        recorder.truncated = True
+
+
+def _aspher_transforms(case: Case, result, engine: str) -> float:
+    """Its kernel applications, and one more per iteration where its preconditioner transforms the full grid."""
+    spectral = engine == "fft" or (engine == "auto" and result.contact_fraction >= 0.4)
+    total = 0.0
+    for stage in result.stage_stats:
+        name, _, rest = stage["name"].partition(":")
+        side = int(rest) if rest.isdigit() else case.n
+        weight = (side / case.n) ** 2 * (0.5 if stage["precision"] == "float" else 1.0)
+        total += weight * (stage["matvec_count"] + (stage["iterations"] if spectral else 0))
+    return total
+
+
+def tamaas(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """tamaas' Polonsky–Keer–Rey in pressures (in gaps it takes far longer), watched by a functional of zero."""
+    import tamaas as peer
+
+    peer.set_log_level(peer.LogLevel.error)
+    peer.initialize(threads)
+    iterations = 0
+
+    class Watch(peer.Functional):
+        def computeF(self, variable, dual):  # noqa: N802 (their name)
+            return 0.0
+
+        def computeGradF(self, variable, gradient):  # noqa: N802
+            nonlocal iterations
+            if iterations:  # the first is the uniform start
+                recorder.note(np.asarray(variable).reshape(heights.shape), 2 * iterations, may_stop=True)
+            iterations += 1
+
+    recorder.start()
+    model = peer.Model(peer.model_type.basic_2d, [float(case.n)] * 2, [case.n, case.n])
+    model.E, model.nu = CONTACT_MODULUS, 0.0
+    solver = peer.PolonskyKeerRey(model, heights, tolerance)
+    watch = Watch()  # must live as long as the solver
+    solver.addFunctionalTerm(watch)
+    solver.max_iter = 100_000
+    with contextlib.suppress(EnoughError):
+        solver.solve(mean_pressure)
+
+
+def contact_mechanics(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """ContactMechanics' constrained conjugate gradients, watched through its callback."""
+    from ContactMechanics import PeriodicFFTElasticHalfSpace
+    from ContactMechanics.Optimization import constrained_conjugate_gradients
+
+    def watch(iteration, forces, _):
+        recorder.note(forces, 2 * iteration, -1.0, may_stop=True)
+
+    recorder.start()
+    substrate = PeriodicFFTElasticHalfSpace((case.n, case.n), CONTACT_MODULUS, (float(case.n), float(case.n)))
+    with contextlib.suppress(EnoughError):
+        constrained_conjugate_gradients(
+            substrate,
+            heights,
+            external_force=mean_pressure * case.n**2,
+            pentol=tolerance,
+            forcetol=tolerance,
+            thermotol=tolerance,
+            callback=watch,
+        )
+
+
+LADDERS = {"pgfmd": pgfmd, "ASPHER": aspher}
+STEPS = {
+    "pgfmd steps": pgfmd_steps,
+    "Polonsky-Keer": plain_polonsky_keer,
+    "tamaas": tamaas,
+    "ContactMechanics": contact_mechanics,
+}
+METHODS = LADDERS | STEPS
+PEERS = {"ASPHER": "aspher", "tamaas": "tamaas", "ContactMechanics": "ContactMechanics"}  # and their modules

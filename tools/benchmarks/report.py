@@ -1,0 +1,152 @@
+"""Tables and pictures from DIR/runs.csv: cost to reach an error, ratios to the peers, run time against error."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import defaultdict
+from pathlib import Path
+
+LEVELS = (1e-3, 1e-4, 1e-6)
+OURS = "pgfmd"
+HEAD = f"{'n':>5} {'H':>4} {'lambda_s':>8} {'f_c':>5}"
+CASE = ("n", "hurst", "lambda_s", "area")
+
+
+def asked(peer: str, n: int, lambda_s: float, area: float) -> float | None:
+    """The ratio of times that the project set itself, None where it set none."""
+    if n not in (1024, 2048):
+        return None
+    if peer == "tamaas" or (peer == "ContactMechanics" and area < 0.9):
+        return 30.0
+    if peer == "ASPHER":
+        return 2.0 if area >= 0.9 else 10.0 if lambda_s == 1 else 3.0 if lambda_s >= 16 else None
+    return None
+
+
+def load(folder: Path, clock: str = "seconds") -> dict[tuple, dict[tuple, list[dict]]]:
+    """{case: {(method, setting, ranks, threads): points by tolerance and step, the fastest of the repeats}}.
+
+    With clock = "cpu" the processor time stands for the seconds.
+    """
+    best: dict[tuple, dict] = {}
+    with open(folder / "runs.csv", newline="") as file:
+        for row in csv.DictReader(file):
+            if not row["seconds"]:
+                continue
+            case = (int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"]))
+            curve = (row["method"], row["setting"], int(row["ranks"]), int(row["threads"]))
+            key = (case, curve, float(row["tolerance"]), int(row["point"]))
+            numbers = ("seconds", "cpu", "transforms", "pressure_error", "area_error", "mean_pressure")
+            point = {name: float(row[name]) for name in numbers}
+            point["seconds"] = point[clock]
+            if key not in best or point["seconds"] < best[key]["seconds"]:
+                best[key] = point
+    cases: dict[tuple, dict[tuple, list[dict]]] = defaultdict(lambda: defaultdict(list))
+    for (case, curve, *_), point in sorted(best.items(), key=lambda item: (item[0][0], -item[0][2], item[0][3])):
+        cases[case][curve].append(point)
+    return cases
+
+
+def cost(points: list[dict], error: float, what: str = "seconds", between: bool = True) -> float:
+    """Least cost at which the pressure error is reached; with `between` interpolated (logarithmically) between points.
+
+    Interpolation is granted to peers, whose points are few or who could stop anywhere; our own runs count as they are.
+    """
+    of = "pressure_error"
+    least, before = math.inf, None
+    for point in points:
+        if point[of] <= error:
+            found = point[what]
+            if between and before and before[of] > error and before[what] < found:
+                share = math.log(before[of] / error) / math.log(before[of] / max(point[of], 1e-300))
+                found = before[what] + share * (found - before[what])
+            least = min(least, found)
+        before = point
+    return least
+
+
+def fastest(curves: dict[tuple, list[dict]], method: str, error: float, ranks: int = 1, threads: int = 1):
+    """(least seconds, setting) over all settings of a method."""
+    found = [
+        (cost(points, error, between=method != OURS), key[1])
+        for key, points in curves.items()
+        if key[0] == method and key[2:] == (ranks, threads)
+    ]
+    return min(found, default=(math.inf, ""))
+
+
+def report(folder: Path, clock: str = "seconds") -> None:
+    """Print the tables, write them as CSV, and draw."""
+    if not (folder / "runs.csv").exists():
+        print("nothing measured yet")
+        return
+    cases = load(folder, clock)
+    print((folder / "machine.txt").read_text().strip())
+    ratios = list(_ratios(cases))
+    _write(folder / "ratios.csv", ratios)
+    _print_ratios(ratios)
+    costs = list(_costs(cases))
+    _write(folder / "costs.csv", costs)
+    print("\nTransform equivalents (coarse grids included) and seconds of this solver")
+    print(f"{HEAD} {'cores':>6} {'error':>6} {'transf.':>8} {'seconds':>8} {'speed-up':>8}")
+    for row in costs:
+        cores = f"{row['ranks']}r × {row['threads']}t"
+        numbers = f"{row['transforms']:8.1f} {row['seconds']:8.3f} {row['speedup']:8.2f}"
+        print(f"{_start(row)} {cores} {row['error']:6.0e} {numbers}")
+    from .pictures import draw, overview
+
+    draw(folder, cases)
+    overview(folder, cases)
+
+
+def _ratios(cases):
+    for case, curves in sorted(cases.items()):
+        for error in LEVELS:
+            ours, _ = fastest(curves, OURS, error)
+            for peer in ("ASPHER", "tamaas", "ContactMechanics", "Polonsky-Keer"):
+                if not any(key[0] == peer and key[2:] == (1, 1) for key in curves):
+                    continue
+                theirs, setting = fastest(curves, peer, error)
+                lower = max(p["seconds"] for key, points in curves.items() if key[0] == peer for p in points)
+                row = dict(zip(CASE, case, strict=True)) | {"error": error, "peer": peer, "setting": setting}
+                row |= {"ours": ours, "theirs": theirs, "ratio": theirs / ours, "at_least": lower / ours}
+                yield row | {"asked": asked(peer, case[0], case[2], case[3]) or ""}
+
+
+def _print_ratios(ratios) -> None:
+    print("\nTime in s to a relative pressure error, one core each; the peer at its best setting")
+    print(f"{HEAD} {'error':>6}  {'peer':17} {'ours':>8} {'theirs':>9} {'ratio':>7} {'asked':>6}")
+    for row in ratios:
+        reached = math.isfinite(row["theirs"])
+        ratio = row["ratio"] if reached else row["at_least"]
+        shown = f"{ratio:7.1f}" if reached else f">{ratio:6.1f}"
+        verdict = "" if row["asked"] == "" else "yes" if ratio >= row["asked"] else "NO"
+        theirs = f"{row['theirs']:9.3f}" if reached else "not there"
+        numbers = f"{row['ours']:8.3f} {theirs} {shown} {row['asked']!s:>6} {verdict:3} {row['setting']}"
+        print(f"{_start(row)} {row['error']:6.0e}  {row['peer']:17} {numbers}")
+
+
+def _start(row: dict) -> str:
+    return f"{row['n']:5d} {row['hurst']:4g} {row['lambda_s']:8g} {row['area']:5g}"
+
+
+def _costs(cases):
+    for case, curves in sorted(cases.items()):
+        for error in LEVELS:
+            alone, _ = fastest(curves, OURS, error)
+            for key, points in sorted(curves.items()):
+                if key[0] != OURS:
+                    continue
+                seconds = cost(points, error, between=False)
+                row = dict(zip(CASE, case, strict=True)) | {"ranks": key[2], "threads": key[3], "error": error}
+                row |= {"transforms": cost(points, error, "transforms", between=False), "seconds": seconds}
+                yield row | {"speedup": alone / seconds if math.isfinite(seconds) else math.nan}
+
+
+def _write(path: Path, rows: list[dict]) -> None:
+    if rows:
+        with open(path, "w", newline="") as file:
+            writer = csv.DictWriter(file, rows[0])
+            writer.writeheader()
+            writer.writerows({k: f"{v:.5g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)

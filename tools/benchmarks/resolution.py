@@ -1,0 +1,51 @@
+"""The discretisation error: one band-limited surface on ever finer grids, against one four times finer than these."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+HURST, RATIO, PRESSURE, LENGTH = 0.3, 32, 0.0032, 1024.0  # λ_l/λ_s and the cell; the surface of PHYSICS section 6
+REFINEMENTS = (2, 4, 8, 16, 32, 128)  # points per λ_s; the last one is the reference
+COLUMNS = ("points_per_lambda_s", "n", "area_raw", "area_corrected", "mean_gap", "second_moment", "energy")
+STAIRCASE = (np.pi - 1 + np.log(2)) / 24  # Yastrebov, Anciaux, Molinari 2017
+
+
+def main(folder: Path) -> None:
+    """Solve on all grids, print the errors, write DIR/resolution.csv and draw."""
+    rows = [_solve(refinement) for refinement in REFINEMENTS]
+    with open(folder / "resolution.csv", "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows([f"{value:.8g}" for value in row] for row in rows)
+    print(f"\nRelative discretisation error, H = {HURST:g}, lambda_l = {RATIO} lambda_s, load {PRESSURE:g}")
+    print("".join(f"{name:>20}" for name in COLUMNS))
+    *coarser, limit = rows
+    best = (limit[3], limit[3], *limit[4:])  # raw and corrected area tend to the same
+    for row in coarser:
+        errors = [value / right - 1 for value, right in zip(row[2:], best, strict=True)]
+        print(f"{row[0]:20.0f}{row[1]:20.0f}" + "".join(f"{error:20.2e}" for error in errors))
+
+
+def _solve(refinement: int) -> tuple:
+    from mpi4py import MPI
+
+    from pgfmd.elasticity import Elasticity
+    from pgfmd.grid import SlabGrid
+    from pgfmd.solvers.cascade import solve_hard_wall
+    from pgfmd.topography import self_affine
+
+    from .case import CONTACT_MODULUS, RMS_SLOPE, SEED
+
+    n = RATIO * refinement
+    grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))
+    heights = self_affine(grid, HURST, LENGTH / RATIO, RMS_SLOPE, SEED)
+    solution = solve_hard_wall(grid, heights, PRESSURE, Elasticity(CONTACT_MODULUS), 1e-9)
+    contact = solution.pressure > 0
+    edges = sum(np.count_nonzero(contact != np.roll(contact, 1, axis)) for axis in (0, 1))
+    raw = float(np.mean(contact))
+    corrected = raw - STAIRCASE * edges / n**2
+    second = float(np.mean(solution.pressure**2)) / PRESSURE**2
+    return refinement, n, raw, corrected, solution.mean_gap / float(np.std(heights)), second, solution.elastic_energy

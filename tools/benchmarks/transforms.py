@@ -1,0 +1,187 @@
+"""One forward + backward pair of real two-dimensional transforms: ours, the libraries', and mpi4py-fft's PFFT.
+
+Everyone keeps their plans (of the effort that pgfmd uses, FFTW_MEASURE) and their buffers; only the pair is timed.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+KINDS = (np.float32, np.float64)
+PLAN = [  # (name, ranks, threads)
+    ("pgfmd", 1, 1),
+    ("pyFFTW", 1, 1),
+    ("MKL", 1, 1),
+    ("scipy", 1, 1),
+    ("PFFT", 1, 1),
+    ("pgfmd", 1, 2),
+    ("pyFFTW", 1, 2),
+    ("MKL", 1, 2),
+    ("pgfmd", 2, 1),
+    ("PFFT", 2, 1),
+]
+UNNORMALISED = ("pgfmd", "pyFFTW")
+ROUNDS = 3  # of all in turn, so that a disturbance hits everyone; the best counts
+
+
+def main(folder: Path, n: int = 4096) -> None:
+    """Measure all of PLAN, print the table and write DIR/transforms.csv."""
+    best: dict[tuple, float] = {}
+    for _ in range(ROUNDS):
+        for name, ranks, threads in PLAN:
+            for kind, seconds in _run(name, ranks, threads, n).items():
+                key = (name, ranks, threads, kind)
+                best[key] = min(seconds, best.get(key, float("inf")))
+    with open(folder / "transforms.csv", "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["n", "library", "ranks", "threads", "precision", "seconds"])
+        writer.writerows([n, *key, f"{seconds:.5f}"] for key, seconds in best.items())
+    _print(best, n)
+
+
+def _run(name: str, ranks: int, threads: int, n: int) -> dict[str, float]:
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, str(threads))
+    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT / "tools"), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "mpi4py", "-m", "benchmarks.transforms", name, str(threads), str(n)]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), *command]
+    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    if done.returncode:
+        print(f"{name}: {done.stderr.strip().splitlines()[-1:]}", file=sys.stderr)
+        return {}
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def _print(best: dict[tuple, float], n: int) -> None:
+    print(f"\nForward + backward pair at {n}², seconds")
+    print(f"{'':8} {'ranks':>5} {'threads':>7} {'float32':>9} {'float64':>9}")
+    for name, ranks, threads in PLAN:
+        values = [best.get((name, ranks, threads, np.dtype(kind).name), float("nan")) for kind in KINDS]
+        print(f"{name:8} {ranks:5d} {threads:7d} {values[0]:9.4f} {values[1]:9.4f}")
+    print(f"\n{'':44} {'float32':>8} {'float64':>8}  asked")
+    ratios = {"one thread / best of pyFFTW and MKL": 1.2, "two threads / one thread": 0.6, "two ranks / one rank": 0.65}
+    for what, limit in ratios.items():
+        values = []
+        for kind in KINDS:
+            of = {key[:3]: seconds for key, seconds in best.items() if key[3] == np.dtype(kind).name}
+            one = of.get(("pgfmd", 1, 1), np.nan)
+            library = min(of.get(("pyFFTW", 1, 1), np.inf), of.get(("MKL", 1, 1), np.inf))
+            two = of.get(("pgfmd", 1, 2) if "threads" in what else ("pgfmd", 2, 1), np.nan)
+            values.append(one / library if "best of" in what else two / one)
+        print(f"{what:44} {values[0]:8.2f} {values[1]:8.2f}  ≤ {limit}")
+
+
+# ---- in the process that measures: each returns a function that does one pair --------------------------------------
+
+
+def _pgfmd(n: int, kind, threads: int, field: np.ndarray):
+    from mpi4py import MPI
+
+    from pgfmd.grid import SlabGrid
+    from pgfmd.plans import save_wisdom
+
+    grid = SlabGrid(MPI.COMM_WORLD, (n, n), threads=threads)
+
+    def fill(first, stop, rows):
+        rows[...] = field[first:stop]
+
+    def drain(first, stop, rows):
+        field[first:stop] = rows
+
+    def pair():
+        grid.convolve(fill, lambda block, first, stop: None, drain, kind)
+        return field
+
+    grid.transform(kind)
+    save_wisdom()
+    return pair
+
+
+def _pyfftw(n: int, kind, threads: int, field: np.ndarray):
+    import pyfftw
+
+    real = pyfftw.empty_aligned((n, n), kind)
+    half = pyfftw.empty_aligned((n, n // 2 + 1), np.result_type(kind, np.complex64))
+    options = {"axes": (0, 1), "flags": ("FFTW_MEASURE", "FFTW_DESTROY_INPUT"), "threads": threads}
+    forward = pyfftw.FFTW(real, half, **options)
+    backward = pyfftw.FFTW(half, real, direction="FFTW_BACKWARD", **options)
+    real[...] = field
+
+    def pair():
+        forward.execute()
+        backward.execute()
+        return real
+
+    return pair
+
+
+def _mkl(n: int, kind, threads: int, field: np.ndarray):
+    import mkl_fft
+
+    return lambda: mkl_fft.irfftn(mkl_fft.rfftn(field), s=(n, n))
+
+
+def _scipy(n: int, kind, threads: int, field: np.ndarray):
+    import scipy.fft
+
+    def pair():
+        spectrum = scipy.fft.rfft2(field, workers=threads)
+        return scipy.fft.irfft2(spectrum, s=(n, n), workers=threads, overwrite_x=True)
+
+    return pair
+
+
+def _pfft(n: int, kind, threads: int, field: np.ndarray):
+    from mpi4py import MPI
+    from mpi4py_fft import PFFT
+
+    transform = PFFT(MPI.COMM_WORLD, (n, n), axes=(0, 1), dtype=kind)
+    transform.forward.input_array[...] = field
+
+    def pair():
+        transform.forward()
+        return transform.backward()
+
+    return pair
+
+
+def _measure(name: str, threads: int, n: int) -> dict[str, float]:
+    from mpi4py import MPI
+
+    from pgfmd.parallel import slab
+
+    comm = MPI.COMM_WORLD
+    rows = slab(n, comm.size, comm.rank)
+    makers = {"pgfmd": _pgfmd, "pyFFTW": _pyfftw, "MKL": _mkl, "scipy": _scipy, "PFFT": _pfft}
+    seconds = {}
+    for kind in KINDS:
+        field = np.random.default_rng(comm.rank).standard_normal((rows.stop - rows.start, n)).astype(kind)
+        pair, times = makers[name](n, kind, threads, field), []
+        for _ in range(6):
+            comm.Barrier()
+            began = time.perf_counter()
+            result = pair()
+            comm.Barrier()
+            times.append(time.perf_counter() - began)
+            if name in UNNORMALISED:
+                result *= kind(1 / n**2)  # else they overflow
+        seconds[np.dtype(kind).name] = min(times)
+    return seconds
+
+
+if __name__ == "__main__":
+    result = _measure(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    from mpi4py import MPI
+
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(result))
