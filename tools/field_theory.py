@@ -51,13 +51,14 @@ def make(folders: list[Path], output: Path) -> Findings:
 
 
 def bands(waves: np.ndarray, values: np.ndarray, case: Case) -> np.ndarray:
-    """Means of (cases, m) values over all modes of each band: (cases, bands)."""
+    """Means of (cases, m) values over all modes of each band: (cases, bands); NaN where a band holds no mode."""
     q, _, count = case.spectrum("stress")
     weight = np.interp(waves * case.wave_unit, q, count)
     means = []
     for low, high in BANDS:
         inside = (waves > low - 0.5) & (waves <= high + 0.5)
-        means.append(np.average(values[:, inside], axis=1, weights=weight[inside]))
+        empty = np.full(len(values), np.nan)
+        means.append(np.average(values[:, inside], axis=1, weights=weight[inside]) if np.any(inside) else empty)
     return np.array(means).T
 
 
