@@ -10,6 +10,7 @@ class SolverError(RuntimeError):
 
 
 class Stopped(Exception):
-    """A run was asked to stop, and did, ready to be continued; the message says by whom.  The command line exits with 75
-    (EX_TEMPFAIL).
+    """A run was asked to stop, and did, ready to be continued; the message says by whom.
+
+    The command line exits with 75 (EX_TEMPFAIL).
     """

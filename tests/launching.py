@@ -1,0 +1,125 @@
+"""Runs of the program started by tests, watched, and killed; results compared with those of an undisturbed run."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from pgfmd.results import Results
+
+ROOT = Path(__file__).resolve().parent.parent
+
+JOB = """
+[grid]
+n = {n}
+[surface]
+kind = "self-affine"
+hurst = 0.8
+lambda_s = {lambda_s}
+rms_slope = 0.031
+seed = 1
+[load]
+pressure = {pressures}
+[solver]
+tolerance = 1e-12
+[output]
+fields = ["height", "pressure"]
+observables = ["histogram"]
+[run]
+checkpoint_interval = {interval}
+"""
+SIX_LOADS = [0.0005, 0.001, 0.0016, 0.0024, 0.0032, 0.0045]
+
+
+def write_job(path: Path, n: int, lambda_s: float = 16.0, pressures=SIX_LOADS, interval: float = 0.0) -> Path:
+    """A job file; its tolerance is so strict that pressures of equal problems agree to 1e-10."""
+    path.write_text(JOB.format(n=n, lambda_s=lambda_s, pressures=list(pressures), interval=interval))
+    return path
+
+
+def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> subprocess.Popen:
+    """`mpirun -n ranks python -m pgfmd …`, going on in a session of its own; stderr is a pipe."""
+    command = [str(ROOT / "tests" / "mpirun.sh"), str(ranks), sys.executable, *map(str, (*script, *arguments))]
+    return subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+        start_new_session=True, env=dict(os.environ) | (environment or {}),
+    )  # fmt: skip
+
+
+def descendants(pid: int) -> list[int]:
+    """Processes started by that one, and by those."""
+    children: dict[int, list[int]] = {}
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                parent = int(Path("/proc", entry, "stat").read_text().rpartition(")")[2].split()[1])
+            except (OSError, IndexError):  # it has just ended
+                continue
+            children.setdefault(parent, []).append(int(entry))
+    found = [pid]
+    for each in found:
+        found += children.get(each, [])
+    return found[1:]
+
+
+def ranks_of(run: subprocess.Popen) -> list[int]:
+    """The Python processes of a run."""
+    return [pid for pid in descendants(run.pid) if "python" in _command(pid).split("\0")[0]]
+
+
+def _command(pid: int) -> str:
+    try:
+        return Path("/proc", str(pid), "cmdline").read_text()
+    except OSError:
+        return ""
+
+
+def kill(run: subprocess.Popen, way: str, choose) -> None:
+    """End a run: SIGKILL to one rank ("one"), to everything ("all"), or SIGTERM to mpirun ("mpirun")."""
+    ranks = ranks_of(run)
+    victims = {"one": [choose(ranks)] if ranks else [run.pid], "all": [run.pid, *descendants(run.pid)]}
+    for pid in victims.get(way, [run.pid]):
+        try:
+            os.kill(pid, signal.SIGTERM if way == "mpirun" else signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+
+
+def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
+    """Exit code and stderr of a run; nothing of it may outlive `timeout`."""
+    family = descendants(run.pid)
+    try:
+        _, stderr = run.communicate(timeout=timeout)
+    finally:
+        if run.poll() is None:
+            kill(run, "all", None)
+    end = time.monotonic() + timeout
+    while any("pgfmd" in _command(pid) for pid in family):
+        assert time.monotonic() < end, "ranks outlived their mpirun"
+        time.sleep(0.05)
+    return run.returncode, stderr
+
+
+def distance(folder: Path, reference: Path, complete: bool = True) -> tuple[int, float]:
+    """Loads of a run, and their largest relative L2 difference of pressures from those of a reference.
+
+    With `complete` it asserts that all loads are there.
+    """
+    if not complete and not (folder / "observables.h5").exists():
+        return 0, 0.0
+    mine, other = Results(folder), Results(reference)
+    assert not complete or (mine.status, len(mine)) == ("complete", len(other))
+    if len(mine):
+        np.testing.assert_allclose(mine.field("height"), other.field("height"), atol=1e-12)
+    found = [0.0]
+    for index in range(len(mine)):
+        a, b = mine.field("pressure", index), other.field("pressure", index)
+        found.append(float(np.linalg.norm(a - b) / np.linalg.norm(b)))
+        np.testing.assert_allclose(mine.loads["contact_area"][index], other.loads["contact_area"][index], atol=1e-5)
+    return len(mine), max(found)
