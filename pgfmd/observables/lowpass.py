@@ -15,44 +15,55 @@ from .staircase import contact_area
 POINTS_PER_WAVE = 8
 """Grid points to the shortest wavelength that is left.  With the staircase correction the area is then within 1 % of
 that of an infinitely fine grid."""
+FEWEST_POINTS = 4
+"""The same where more would take the full grid; the area is then within 2 %."""
+TOLERANCE = 1e-4
+"""Certified error of the contacts that are solved: their area has converged to a few parts in 1e4."""
 
-Relax = Callable[[SlabGrid, np.ndarray], ContactSolution]
-"""Solves the contact of heights (nx_local, ny) on a grid, at the load in question.  Collective."""
+Relax = Callable[..., ContactSolution]
+"""relax(grid, heights, start=None) solves the contact of heights (nx_local, ny) on a grid at the load in question, from
+a neighbour's pressure if one is given.  Collective."""
 
 
-def lowpass_areas(grid: SlabGrid, heights: np.ndarray, cutoffs: np.ndarray, relax: Relax) -> np.ndarray:
+def lowpass_areas(
+    grid: SlabGrid, heights: np.ndarray, cutoffs: np.ndarray, relax: Relax, start: np.ndarray | None = None
+) -> np.ndarray:
     """Relative contact area, corrected for the staircase, of the surface without modes |q| > each cutoff.  Collective.
 
-    heights (nx_local, ny); cutoffs in radians per length.  Each surface is solved on the coarsest grid that gives its
-    shortest wave POINTS_PER_WAVE points, but on no finer one than `grid`.
+    heights, start (nx_local, ny); cutoffs in radians per length.  Each surface is solved on the coarsest grid that
+    resolves it, from the one before on the same grid; on `grid` itself from `start`, so that no third field is kept.
     """
     areas, levels = np.empty(len(cutoffs)), {}
     for index, cutoff in enumerate(cutoffs):
         levels.setdefault(coarsening(grid, cutoff), []).append(index)
+    for index in levels.pop(1, ()):
+        areas[index] = _area(grid, relax(grid, lowpass(grid, heights, cutoffs[index]), start=start))
     for factor, indices in levels.items():
-        if factor == 1:
-            for index in indices:
-                areas[index] = _area(grid, lowpass(grid, heights, cutoffs[index]), relax)
-            continue
         coarse = grid.coarse(factor)
-        smooth = restrict(grid, coarse, heights)
+        smooth, before = restrict(grid, coarse, heights), None
         for index in indices:
-            areas[index] = _area(coarse, lowpass(coarse, smooth, cutoffs[index]), relax)
+            solution = relax(coarse, lowpass(coarse, smooth, cutoffs[index]), start=before)
+            areas[index], before = _area(coarse, solution), solution.pressure
         coarse.free()
     return areas
 
 
-def _area(grid: SlabGrid, heights: np.ndarray, relax: Relax) -> float:
-    return contact_area(grid, relax(grid, heights).pressure).corrected
+def _area(grid: SlabGrid, solution: ContactSolution) -> float:
+    return contact_area(grid, solution.pressure).corrected
 
 
 def coarsening(grid: SlabGrid, cutoff: float) -> int:
     """The largest power of two by which the grid may be coarsened so that waves up to `cutoff` are resolved."""
-    finest = 2 * math.pi / (POINTS_PER_WAVE * cutoff)
+    points = 2 * math.pi / (cutoff * max(grid.spacing)) * (1 + 1e-9)  # of `grid` to the shortest wave
     factor = 1
-    while 2 * factor * max(grid.spacing) <= finest * (1 + 1e-9) and min(grid.shape) // (2 * factor) >= POINTS_PER_WAVE:
+    while points >= 2 * factor * POINTS_PER_WAVE and min(grid.shape) >= 2 * factor * POINTS_PER_WAVE:
         factor *= 2
-    return factor
+    return 2 if factor == 1 and points >= 2 * FEWEST_POINTS and min(grid.shape) >= 2 * POINTS_PER_WAVE else factor
+
+
+def highest_wave_number(grid: SlabGrid) -> float:
+    """|q| beyond which a grid has no modes, that of its corners."""
+    return float(np.hypot(*(math.pi / step for step in grid.spacing)))
 
 
 def lowpass(grid: SlabGrid, field: np.ndarray, cutoff: float) -> np.ndarray:
@@ -72,10 +83,10 @@ def lowpass(grid: SlabGrid, field: np.ndarray, cutoff: float) -> np.ndarray:
     return out
 
 
-def octaves(grid: SlabGrid, q_max: float | None) -> np.ndarray:
-    """Cut-offs doubled from the longest wave of the cell on; the last is q_max, or the highest one along an axis."""
+def octaves(grid: SlabGrid, q_max: float) -> np.ndarray:
+    """Cut-offs doubled from the longest wave of the cell on, and last q_max."""
     lowest = 2 * math.pi / max(grid.lengths)
-    highest = max(math.pi / step for step in grid.spacing)
-    top = highest if q_max is None else min(q_max, highest)
-    cutoffs = lowest * 2.0 ** np.arange(max(math.ceil(math.log2(top / lowest) - 1e-9), 0) + 1)
-    return np.append(cutoffs[:-1], max(top, lowest))
+    if q_max <= lowest:
+        return np.array([lowest])
+    cutoffs = lowest * 2.0 ** np.arange(max(math.ceil(math.log2(q_max / lowest) - 1e-9), 0) + 1)
+    return np.append(cutoffs[:-1], q_max)

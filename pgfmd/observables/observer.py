@@ -15,10 +15,11 @@ from ..grid import SlabGrid
 from ..patches import label_patches, patch_table
 from ..solvers.cascade import solve_hard_wall
 from ..solvers.solution import ContactSolution
+from . import lowpass
 from .bearing import threshold_for_count
 from .correlations import Correlator, Measured, lag_bins, wave_number_bins
 from .histograms import gap_groups, pressure_groups
-from .lowpass import lowpass_areas, octaves
+from .lowpass import highest_wave_number, lowpass_areas, octaves
 from .staircase import Area, contact_area
 
 Groups = dict[str, dict[str, np.ndarray]]
@@ -31,8 +32,8 @@ class Observer:
     q_max: cut-off q_s of the surface, beyond which spectra are not averaged (None: every mode counts)
     names: which of "histogram", "spectra", "acf", "patches", "bearing", "lowpass" are measured; no other is computed
     histogram_bins; spectra, acf: (spacing, bins); connectivity; lowpass_q: options, see `sections`
-    tolerance: certified error of the contacts that "lowpass" solves
-    relax(grid, heights, mean_pressure): the solver of "lowpass" in place of the hard wall
+    tolerance: certified error of the contacts that "lowpass" solves, if coarser than `lowpass.TOLERANCE`
+    relax(grid, heights, mean_pressure=…, start=…): the solver of "lowpass" in place of the hard wall
 
     rms_slope: √Σ q²|h̃|²;  seconds: time spent so far on each observable, for `info`
     """
@@ -50,13 +51,16 @@ class Observer:
         acf: tuple[str, int] = ("log", 20),
         connectivity: int = 8,
         lowpass_q: Sequence[float] = (),
-        tolerance: float = 1e-6,
-        relax: Callable[[SlabGrid, np.ndarray, float], ContactSolution] | None = None,
+        tolerance: float = lowpass.TOLERANCE,
+        relax: Callable[..., ContactSolution] | None = None,
     ):
         self.grid, self.heights, self.contact_modulus = grid, heights, elasticity.contact_modulus
         self.names, self.histogram_bins, self.connectivity = frozenset(names), histogram_bins, connectivity
-        self.lowpass_q = np.asarray(lowpass_q, float) if len(lowpass_q) else octaves(grid, q_max)
-        self.relax = relax or partial(solve_hard_wall, elasticity=elasticity, tolerance=tolerance)
+        self.finest = highest_wave_number(grid) if q_max is None else q_max
+        self.lowpass_q = np.asarray(lowpass_q, float) if len(lowpass_q) else octaves(grid, self.finest)
+        self.relax = relax or partial(
+            solve_hard_wall, elasticity=elasticity, tolerance=max(tolerance, lowpass.TOLERANCE)
+        )
         self.seconds: dict[str, float] = {}
         self._correlator = Correlator(grid, wave_number_bins(grid, *spectra, q_max), lag_bins(grid, *acf))
         self._area: tuple[ContactSolution, Area] | None = None
@@ -118,9 +122,7 @@ class Observer:
                 out |= self._bearing(solution)
         if "lowpass" in self.names:
             with self._timed("lowpass"):
-                relax = partial(self.relax, mean_pressure=solution.mean_pressure)
-                areas = lowpass_areas(grid, self.heights, self.lowpass_q, relax)
-                out["lowpass_area"] = {"q": self.lowpass_q, "area": areas}
+                out["lowpass_area"] = {"q": self.lowpass_q, "area": self._lowpass(solution)}
         return out
 
     def label_field(self, solution: ContactSolution) -> np.ndarray:
@@ -186,6 +188,38 @@ class Observer:
         if "patches" in self.names:
             out["bearing_patches"] = self._patches(self.heights > threshold, None)
         return out
+
+    def _lowpass(self, solution: ContactSolution) -> np.ndarray:
+        """Areas at the cut-offs; the surface with all its modes is the one that is solved already.  Collective."""
+        areas = np.full(len(self.lowpass_q), self.area(solution).corrected)
+        smooth = self.lowpass_q < self.finest * (1 - 1e-9)
+        relax = partial(self.relax, mean_pressure=solution.mean_pressure)
+        with _folded(self.grid, solution):
+            areas[smooth] = lowpass_areas(self.grid, self.heights, self.lowpass_q[smooth], relax, solution.pressure)
+        return areas
+
+
+@contextmanager
+def _folded(grid: SlabGrid, solution: ContactSolution):
+    """While the block runs, pressure and gap of a hard contact are kept in one array, p − g.  Collective.
+
+    Nothing is lost, as one of them is 0, and the memory of the gap is there for another contact.  For a start, which is
+    cut off at 0, p − g serves as p.
+    """
+    pressure, gap = solution.pressure, solution.gap
+    both = any(np.any((p > 0) & (g != 0)) or np.any(g < 0) for p, g in zip(pressure, gap, strict=True))
+    if grid.reduction.any(both):
+        yield
+        return
+    np.subtract(pressure, gap, out=pressure)
+    del gap
+    solution.gap = None
+    try:
+        yield
+    finally:
+        solution.gap = np.negative(pressure)
+        np.maximum(solution.gap, 0, out=solution.gap)
+        np.maximum(pressure, 0, out=pressure)
 
 
 def _rows(field: np.ndarray):
