@@ -72,10 +72,11 @@ def _draw_theory(sheet: Sheet, found: list[Case]):
     case = found[0]
     q, power, count = case.spectrum("height")
     moments = SpectralMoments.from_spectrum(q, power, count)
-    low = np.geomspace(min(loads) / 1.5, 0.15, 25)
-    area, _ = asperity.at_pressure(
-        asperity.bush_gibson_thomas, low * case.modulus * moments.rms_slope, moments, case.modulus
-    )
+    separation = np.sqrt(moments.m0) * np.linspace(0.3, 5, 48)
+    area, pressure = asperity.bush_gibson_thomas(separation, moments, case.modulus)
+    low = pressure / (case.modulus * moments.rms_slope)
+    shown = low >= load[0]
+    low, area = low[shown], area[shown]
     name = f"BGT, H = {case.hurst:g}"
     sheet.curve(0, low, area, name, color=GREY)
     sheet.curve(1, area, area / low, name, color=GREY)

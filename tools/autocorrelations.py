@@ -39,7 +39,14 @@ def make(folders: list[Path], output: Path, area: float | None = None) -> Findin
     sheet.curve(1, x, ratio[near], "simulation", color=RED)
     for value, name, style in ((1, "1", "--"), (m2, f"m₂ = {m2:.3f}", "-."), (2, "2", ":")):
         sheet.curve(1, x[[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=style)
-    sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", "the bounds", scale="semilogx", legend="center right")
+    sheet.label(
+        1,
+        r"$\Delta r\,/\,\lambda_s$",
+        r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$",
+        "the bounds",
+        scale="semilogx",
+        legend="center right",
+    )
     findings = Findings()
     findings.add("contact area f_c", case.area)
     findings.add("m₂ = C_σ(0)/(σ_c² f_c)", m2)

@@ -78,7 +78,9 @@ def _draw_pressures(sheet: Sheet, size, load, centres, medians, saturated: float
     ratio = load / size
     sheet.curve(1, size[dots], ratio[dots], "patches", color=GREY, marker=".", ls="none", ms=1.5, alpha=0.5)
     sheet.curve(1, centres, medians / centres, "binned medians", color=RED, marker="o", ls="none")
-    sheet.curve(1, [1, size.max()], [saturated, saturated], rf"{saturated:.2f}: mean from $\lambda_s^2$ on", color=BLACK, lw=1.0)
+    sheet.curve(
+        1, [1, size.max()], [saturated, saturated], rf"{saturated:.2f}: mean from $\lambda_s^2$ on", color=BLACK, lw=1.0
+    )
     sheet.label(1, r"area $a_c\,/\,\lambda_s^2$", r"mean pressure $l_c\,/\,(a_c E'\bar g)$", scale="semilogx")
 
 

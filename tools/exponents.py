@@ -50,6 +50,8 @@ def make(
                 rows.append((hurst, *limits, kind, *found[""], len(values)))
                 if limits == window:
                     findings.add(f"μ {kind}, H = {hurst:g}", values)
+    for kind in ("contact", "stress"):
+        findings[f"sum rule, {kind}"] = (worst_sum([case for group in groups.values() for case in group], kind), None)
     _draw_windows(sheet, len(groups), rows)
     _write(output, rows)
     return plotting.finish(sheet, output, "exponents", findings)
@@ -73,6 +75,20 @@ def fit(curves: dict, kind: str, seed: int, limits: tuple[float, float]) -> floa
     inside = (waves >= limits[0]) & (waves <= limits[1])
     lines = [powers[name][seed][inside] for _, powers in curves.values() for name in kinds]
     return -fit_power_law(waves[inside], *lines)[0]
+
+
+def worst_sum(group: list[Case], kind: str) -> float:
+    """The largest residual of Σ_{q≠0} |f̃|² = ⟨f²⟩ − ⟨f⟩², relative to ⟨f²⟩, of loads whose bins hold every mode."""
+    residuals = [0.0]
+    for case in group:
+        _, power, count = case.spectrum(kind)
+        if round(count.sum()) == np.prod(case.results.shape) - 1:
+            square = (
+                case.area if kind == "contact" else case.normalised_second_moment * case.contact_pressure * case.load
+            )
+            mean = case.area if kind == "contact" else case.load
+            residuals.append(float(np.sum(power * count) + mean**2) / square - 1)
+    return max(residuals, key=abs)
 
 
 def _seeds(curves: dict) -> int:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import plotting
 from plotting import BLACK, BLUE, GREEN, ORANGE, Findings, Sheet
-from reading import Case, cases, nearest
+from reading import Case, cases, common_bins, nearest
 
 from pgfmd.theory import persson
 
@@ -46,8 +46,8 @@ def ratio(case: Case) -> tuple[np.ndarray, np.ndarray]:
     q_height, height, _ = case.spectrum("height")
     full = persson.full_contact_spectrum(q_height, height, contact_modulus=case.modulus)
     rough = (q_height <= case.q_limits[1] * (1 + 1e-9)) & (full > 0)
-    kept = np.isin(np.round(q, 12), np.round(q_height[rough], 12))
-    return q[kept], stress[kept] / full[rough]
+    common_bins([(q, stress), (q_height, height)])
+    return q[rough], stress[rough] / full[rough]
 
 
 def _draw(sheet: Sheet, panel: int, case: Case, gamma: float, findings: Findings):
@@ -64,6 +64,7 @@ def _draw(sheet: Sheet, panel: int, case: Case, gamma: float, findings: Findings
     title = f"$f_c$ = {case.area:.3f}"
     inner = (waves >= 4) & (q <= case.q_limits[1] / 2)
     at = f"f_c = {case.area:.2f}"
+    findings.add(f"load at {at}", case.load)
     findings.add(f"ratio/f_Persson, mean over 4 waves … λ = 2 λ_s, {at}",
                  (measured / np.interp(q, q_height, theory))[inner].mean())  # fmt: skip
     if case.has("lowpass_area"):
