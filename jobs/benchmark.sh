@@ -3,8 +3,9 @@
 #
 #   bash jobs/benchmark.sh [DIR] [--all]
 #
-# Tables and pictures go to DIR (default results/benchmark).  It takes about an hour on two cores, which should have nothing
-# else to do; --all adds every grid, surface and load, for a night.  Interrupted, it goes on where it was.
+# Tables and pictures go to DIR (default results/benchmark), after each part of what is there by then.  It takes one to two
+# hours on two cores, which should have nothing else to do; --all adds every grid, surface and load, for a night.
+# Interrupted, it goes on where it was.
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -19,17 +20,19 @@ run() { .venv/bin/python tools/benchmark.py "$1" "$folder" "${@:2}"; }
 
 run transforms
 run resolution
-# The scaling of this solver alone, in time and in transforms.
-for size in 512 1024 4096; do
-    run run --n $size --methods pgfmd --lambda-s 16 n/64 --hurst 0.8
-    run run --n $size --methods pgfmd --lambda-s 1 --hurst 0.3
-done
-# Everyone, on one core and on two: smooth and rough surfaces at the usual load, and near full contact.
-for size in 1024 2048; do
-    run run --n $size --lambda-s 16 n/64 --hurst 0.8 --repeat 2
-    run run --n $size --lambda-s 1 --hurst 0.3 --repeat 2 --budget 200
-    run run --n $size --lambda-s 16 --hurst 0.8 --area 0.9 --threads 1 --repeat 2 --budget 200
-done
+# Everyone: a smooth surface on one core and on two, a rough one and one near full contact on one core.
+run run --n 1024 --lambda-s 16 --hurst 0.8 --repeat 2
+run run --n 1024 --lambda-s 1 --hurst 0.3 --threads 1 --repeat 1
+run run --n 1024 --lambda-s 16 --hurst 0.8 --area 0.9 --threads 1 --repeat 1
+# This solver alone from small to large: growth in transforms, and what a second core gains.
+run run --n 512 1024 --methods pgfmd --lambda-s n/64 --hurst 0.8
+run run --n 512 1024 --methods pgfmd --lambda-s 1 --hurst 0.3
+run run --n 4096 --methods pgfmd --lambda-s n/64 --hurst 0.8 --repeat 1
+run run --n 4096 --methods pgfmd --lambda-s 1 --hurst 0.3 --repeat 1
+# Everyone again, on four times the points, peers at the settings that were best so far.
+run run --n 2048 --lambda-s 16 n/64 --hurst 0.8 --threads 1 --repeat 1 --budget 300
+run run --n 2048 --lambda-s 1 --hurst 0.3 --threads 1 --repeat 1 --budget 300
+run run --n 2048 --lambda-s 16 --hurst 0.8 --area 0.9 --threads 1 --repeat 1 --budget 300
 if [ -n "$all" ]; then
     for size in 512 1024 2048 4096; do
         run run --n $size --lambda-s 1 16 n/64 --hurst 0.3 0.8 --area 0.01 0.08 0.4 0.9 --repeat 2 --budget 600

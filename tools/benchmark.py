@@ -50,6 +50,7 @@ PLAN = [  # (method, setting, ranks, threads)
     *[("ASPHER", setting, 1, 2) for setting in ASPHER],
     ("pgfmd steps", {}, 1, 1),
     ("Polonsky-Keer", {}, 1, 1),
+    ("GFMD", {}, 1, 1),
     ("tamaas", {}, 1, 1),
     ("tamaas", {}, 1, 2),
     ("ContactMechanics", {}, 1, 1),

@@ -76,6 +76,25 @@ def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, 
         )
 
 
+def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
+    """Green's function molecular dynamics with a hard wall, noted where it checks its own error; one rank."""
+    from mpi4py import MPI
+
+    from pgfmd.elasticity import Elasticity
+    from pgfmd.errors import SolverError
+    from pgfmd.grid import SlabGrid
+    from pgfmd.solvers.gfmd import solve_gfmd
+
+    def watch(_, state):
+        recorder.note(state.pressure, grid.transforms, mean_pressure / state.pressure.mean(), may_stop=True)
+
+    recorder.start()
+    grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
+    elasticity = Elasticity(CONTACT_MODULUS)
+    with contextlib.suppress(EnoughError, SolverError):
+        solve_gfmd(grid, heights, mean_pressure, elasticity, tolerance=tolerance, max_steps=100_000, monitor=watch)
+
+
 def aspher(
     case: Case,
     heights,
@@ -180,6 +199,7 @@ LADDERS = {"pgfmd": pgfmd, "ASPHER": aspher}
 STEPS = {
     "pgfmd steps": pgfmd_steps,
     "Polonsky-Keer": plain_polonsky_keer,
+    "GFMD": gfmd,
     "tamaas": tamaas,
     "ContactMechanics": contact_mechanics,
 }

@@ -13,10 +13,15 @@ STYLES = {
     "ASPHER": ("#0072B2", "s"),
     "tamaas": ("#009E73", "^"),
     "ContactMechanics": ("#CC79A7", "v"),
-    "Polonsky-Keer": ("#56B4E9", ""),
+    "Polonsky-Keer": ("#56B4E9", "D"),
+    "GFMD": ("#E69F00", "P"),
 }
 LINES = {(1, 1): ("-", ""), (1, 2): ("--", ", 2 threads")}
-NAMES = {"pgfmd": "pgfmd (this project)", "Polonsky-Keer": "Polonsky–Keer on pgfmd's FFT"}
+NAMES = {
+    "pgfmd": "pgfmd (this project)",
+    "GFMD": "pgfmd's GFMD dynamics",
+    "Polonsky-Keer": "Polonsky–Keer on pgfmd's FFT",
+}
 
 
 def draw(folder: Path, cases: dict) -> None:

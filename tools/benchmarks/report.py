@@ -104,7 +104,7 @@ def _ratios(cases):
     for case, curves in sorted(cases.items()):
         for error in LEVELS:
             ours, _ = fastest(curves, OURS, error)
-            for peer in ("ASPHER", "tamaas", "ContactMechanics", "Polonsky-Keer"):
+            for peer in ("ASPHER", "tamaas", "ContactMechanics", "Polonsky-Keer", "GFMD"):
                 if not any(key[0] == peer and key[2:] == (1, 1) for key in curves):
                     continue
                 theirs, setting = fastest(curves, peer, error)
