@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -206,6 +207,23 @@ def test_work(comm, names, first, each):
     assert grid.transforms == first + each
     asked = " ".join(observer.seconds).replace(" and ", " ").split()
     assert sorted(asked) == sorted(names) and min(observer.seconds.values(), default=1) > 0
+
+
+def test_memory(comm):
+    """All observables take less than a quarter more memory than the solution of the contact did, at its peak."""
+    tracemalloc.start()
+    grid, solid = SlabGrid(comm, (512, 512)), Elasticity(MODULUS)
+    heights = self_affine(grid, 0.5, 8, 0.05, 5)
+    observer = Observer(grid, heights, solid, names=OBSERVABLES, q_max=2 * np.pi / 8)
+    tracemalloc.reset_peak()
+    solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-3)
+    solving = tracemalloc.get_traced_memory()[1]
+    tracemalloc.reset_peak()
+    observer.groups(solution)
+    observing = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert grid.reduction.sum(solving) > 40 * grid.size  # heights, pressure, gap, strips and one more field: it counts
+    assert grid.reduction.sum(observing) <= 1.25 * grid.reduction.sum(solving)
 
 
 # ---- area ------------------------------------------------------------------------------------------------------------

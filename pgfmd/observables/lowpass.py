@@ -38,13 +38,18 @@ def lowpass_areas(
         levels.setdefault(coarsening(grid, cutoff), []).append(index)
     for index in levels.pop(1, ()):
         areas[index] = _area(grid, relax(grid, lowpass(grid, heights, cutoffs[index]), start=start))
-    for factor, indices in levels.items():
-        coarse = grid.coarse(factor)
-        smooth, before = restrict(grid, coarse, heights), None
+    finer = grid
+    for factor, indices in sorted(levels.items()):
+        coarse, before = grid.coarse(factor), None
+        heights = restrict(finer, coarse, heights)
+        if finer is not grid:
+            finer.free()
+        finer = coarse
         for index in indices:
-            solution = relax(coarse, lowpass(coarse, smooth, cutoffs[index]), start=before)
+            solution = relax(coarse, lowpass(coarse, heights, cutoffs[index]), start=before)
             areas[index], before = _area(coarse, solution), solution.pressure
-        coarse.free()
+    if finer is not grid:
+        finer.free()
     return areas
 
 
