@@ -108,7 +108,11 @@ def _ratios(cases):
                 if not any(key[0] == peer and key[2:] == (1, 1) for key in curves):
                     continue
                 theirs, setting = fastest(curves, peer, error)
-                lower = max(p["seconds"] for key, points in curves.items() if key[0] == peer for p in points)
+                lower = min(
+                    max(point["seconds"] for point in points)
+                    for key, points in curves.items()
+                    if key[0] == peer and key[2:] == (1, 1)
+                )
                 row = dict(zip(CASE, case, strict=True)) | {"error": error, "peer": peer, "setting": setting}
                 row |= {"ours": ours, "theirs": theirs, "ratio": theirs / ours, "at_least": lower / ours}
                 yield row | {"asked": asked(peer, case[0], case[2], case[3]) or ""}
@@ -121,7 +125,7 @@ def _print_ratios(ratios) -> None:
         reached = math.isfinite(row["theirs"])
         ratio = row["ratio"] if reached else row["at_least"]
         shown = f"{ratio:7.1f}" if reached else f">{ratio:6.1f}"
-        verdict = "" if row["asked"] == "" else "yes" if ratio >= row["asked"] else "NO"
+        verdict = "" if row["asked"] == "" else "yes" if ratio >= row["asked"] else "no" if reached else "?"
         theirs = f"{row['theirs']:9.3f}" if reached else "not there"
         numbers = f"{row['ours']:8.3f} {theirs} {shown} {row['asked']!s:>6} {verdict:3} {row['setting']}"
         print(f"{_start(row)} {row['error']:6.0e}  {row['peer']:17} {numbers}")

@@ -19,7 +19,7 @@ from .recorder import Recorder
 TOLERANCES = {
     "pgfmd": tuple(10.0 ** (-exponent / 2) for exponent in range(4, 23)),  # 1e-2 … 1e-11
     "pgfmd steps": (1e-10,),
-    "ASPHER": tuple(10.0**-exponent for exponent in range(2, 12)),  # below 1e-2 its area is still far off
+    "ASPHER": tuple(10.0**-exponent for exponent in range(3, 12)),
 }
 TIGHTEST = 1e-12  # what methods that are watched at each iteration are asked for
 
