@@ -14,11 +14,12 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from . import heightfile, topography
+from . import heightfile, topography, topology
 from .checkpoint import Checkpoints
 from .config import Config, as_toml, differences, parse
 from .elasticity import Elasticity
 from .errors import InputError
+from .estimate import estimate
 from .grid import SlabGrid
 from .labelling import label_patches
 from .observables import Observer
@@ -41,6 +42,7 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
+    topology.report(comm, estimate(config, comm.size).memory)
     grid = SlabGrid(comm, config.grid.shape, config.grid.lengths)
     with ResultWriter(
         comm, directory, config.text, as_toml(config),

@@ -33,10 +33,17 @@ class Watch:
     within the context, if it is entered by the main thread; a STOP file from before is taken away.
     """
 
-    def __init__(self, comm: MPI.Comm, directory: str | os.PathLike, interval: float, time_limit: float):
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        directory: str | os.PathLike,
+        interval: float,
+        time_limit: float,
+        clock: Callable[[], float] = time.monotonic,
+    ):
         self.comm, self.interval = comm, interval
         self.stop_file = Path(directory) / STOP_FILE
-        self.now = time.monotonic
+        self.now = clock
         self.end, self.limit = min((self.now() + time_limit, "the time limit of the job"), _batch_limit(self.now()))
         self._saved = self._seen = self.now()
         self._longest_step = self._longest_save = 0.0

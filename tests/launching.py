@@ -80,11 +80,14 @@ def _command(pid: int) -> str:
         return ""
 
 
-def kill(run: subprocess.Popen, way: str, choose) -> None:
-    """End a run: SIGKILL to one rank ("one"), to everything ("all"), or SIGTERM to mpirun ("mpirun")."""
-    ranks = ranks_of(run)
-    victims = {"one": [choose(ranks)] if ranks else [run.pid], "all": [run.pid, *descendants(run.pid)]}
-    for pid in victims.get(way, [run.pid]):
+def kill(run: subprocess.Popen, way: str = "all", choose=min) -> None:
+    """End a run: SIGKILL to the rank that is chosen ("one"), to everything ("all"), or SIGTERM to mpirun ("mpirun")."""
+    victims = [run.pid]
+    if way == "one":
+        victims = [choose(ranks_of(run) or victims)]
+    elif way == "all":
+        victims += descendants(run.pid)
+    for pid in victims:
         try:
             os.kill(pid, signal.SIGTERM if way == "mpirun" else signal.SIGKILL)
         except ProcessLookupError:
@@ -98,7 +101,7 @@ def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
         _, stderr = run.communicate(timeout=timeout)
     finally:
         if run.poll() is None:
-            kill(run, "all", None)
+            kill(run)
     end = time.monotonic() + timeout
     while any("pgfmd" in _command(pid) for pid in family):
         assert time.monotonic() < end, "ranks outlived their mpirun"
