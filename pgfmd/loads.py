@@ -24,16 +24,17 @@ NEAR = math.log(1.05)  # loads this close start from each other; over larger ste
 LOOSE = 1e-3  # certified error on the way: it gives the contact area to about 1e-3, the mean gap to 1e-3 rms heights
 TIGHT = 1e-8  # certified error where a gap is to be found to GAP_TOLERANCE
 GAP_TOLERANCE = 1e-5  # of mean gap or displacement, over the rms height
-MOST_SOLVES = 60
+JUMP = 1e-6  # relative width of a bracket of loads across which the measure jumps
+MOST_SOLVES = 80
 CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement")
 
 
 class Loads:
     """Solutions of one surface, each at a load given in terms of `control`, in any order.  Collective to make.
 
-    contact_area: relative, to `area_tolerance` (relative) or one pixel; where the area jumps across the target, the load
-    of the jump, on the nearer side.  mean_gap: ⟨u − h⟩.  displacement: approach of the solid's far side (half-space, or
-    slab under a constant stress: of its mean plane) from where the undeformed solid touches the summit.
+    contact_area: relative, to `area_tolerance` (relative) or one pixel; where the area jumps across the target, the
+    load of the jump, on the nearer side.  mean_gap: ⟨u − h⟩.  displacement: approach of the solid's far side
+    (half-space, or slab under a constant stress: of its mean plane) from where the undeformed solid touches the summit.
     """
 
     def __init__(
@@ -142,12 +143,13 @@ class Loads:
                     low = (at, value, found) if low is None or at > low[0] else low
                 else:
                     high = (at, value, found) if high is None or at < high[0] else high
-                if low and high and high[0] - low[0] <= 1e-12:  # it jumps here
+                if low and high and high[0] - low[0] <= JUMP:
                     found = min(low, high, key=lambda side: abs(side[1] - wanted))[2]
                     break
                 at = _next(points, low, high, wanted)
             else:
-                raise SolverError(f"load.{self.control}: not found in {MOST_SOLVES} solutions, the last at {math.exp(at):g}")
+                last = math.exp(at)
+                raise SolverError(f"load.{self.control}: not found in {MOST_SOLVES} solutions, the last at {last:g}")
             best, at = found, math.log(found.mean_pressure)
         return best
 
@@ -162,8 +164,8 @@ def _next(points, low, high, wanted: float) -> float:
         return at + max(-3.0, min(3.0, math.log(wanted / value)))  # proportional to the load, nearly
     trial = at + (wanted - value) / slope if slope > 0 else math.nan
     if low and high:
-        # Every fourth step halves the bracket, so that a bent relation cannot creep.
-        inside = low[0] < trial < high[0] and len(points) % 4
+        # Every fourth step, later every second one, halves the bracket, so that a bent relation cannot creep.
+        inside = low[0] < trial < high[0] and len(points) % (4 if len(points) < 10 else 2)
         return trial if inside else (low[0] + high[0]) / 2
     step = trial - at if math.isfinite(trial) else math.copysign(3.0, wanted - value)
     if step * (wanted - value) <= 0:

@@ -16,10 +16,12 @@ from .. import kernels
 from ..elasticity import Elasticity, multiply
 from ..grid import SlabGrid
 from ..hierarchy import Interpolation, restrict
+from . import scale
 from .hard_wall import Relaxation, State
 from .solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
+FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
 COARSE_TOLERANCE = 1e-2  # certified error at which a coarse grid has served: discretisation errors are larger
 
 
@@ -41,9 +43,7 @@ def solve_hard_wall(
     """
     began, transforms = time.perf_counter(), grid.transforms
     reduce = grid.reduction
-    mean = reduce.sum(heights) / grid.size
-    centred = heights - mean
-    height = float(np.sqrt(reduce.dot(centred, centred) / grid.size))
+    centred, height = scale.centred(grid, heights, mean_pressure, elasticity)
     unit = elasticity.contact_modulus * (height or 1.0) / min(grid.spacing)  # of pressure
     scaled = _Scaled(elasticity, unit / (height or 1.0))
     highest = reduce.max(centred)
@@ -143,6 +143,9 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, fl
         return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
     coarse = grid.coarse()
     coarse_heights = restrict(grid, coarse, heights)
+    if coarse.reduction.dot(coarse_heights, coarse_heights) < FLAT**2 * coarse.size:
+        state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
+        return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
     found, extra = _cascade(coarse, coarse_heights, scaled, load, max(tolerance, COARSE_TOLERANCE), monitor)
     state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
     extra = (extra + coarse.transforms) * coarse.size / grid.size

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..elasticity import Elasticity
-from ..errors import InputError
+from ..errors import InputError, SolverError
 from ..grid import SlabGrid
 from .cascade import solve_hard_wall
 from .exponential import solve_exponential_wall
 from .gfmd import solve_gfmd
 from .solution import ContactSolution
 
+RESCUE = 4000  # steps of dynamics after another method has failed
+log = logging.getLogger("pgfmd")
 METHODS = {"hard": ("auto", "active-set", "gfmd"), "exponential": ("auto", "newton", "gfmd")}
 
 
@@ -41,8 +44,9 @@ def solve_contact(
 ) -> ContactSolution:
     """Contact of heights (nx_local, ny) with that wall at the mean pressure, by that method.  Collective.
 
-    `max_iterations` limits the steps of "gfmd"; the other methods stop by themselves.  `start`, a pressure
-    (nx_local, ny), replaces coarse grids.  Raises InputError for a method that the wall does not know, SolverError.
+    "auto" takes the fastest method, and dynamics should that fail.  `max_iterations` limits the steps of "gfmd"; the
+    other methods stop by themselves.  `start`, a pressure (nx_local, ny), replaces coarse grids.  Raises InputError for
+    a method that the wall does not know, SolverError.
     """
     if method not in METHODS[wall.kind]:
         raise InputError(f"method {method!r}: must be one of {', '.join(METHODS[wall.kind])} for a wall of this kind")
@@ -50,6 +54,14 @@ def solve_contact(
     if method == "gfmd" and (mean_pressure > 0 or wall.kind != "hard"):
         law = wall.zeta or 0.0, wall.sigma_ref
         return solve_gfmd(*common, *law, tolerance, max_iterations, start=start, monitor=monitor)
-    if wall.kind == "exponential":
-        return solve_exponential_wall(*common, wall.zeta, wall.sigma_ref, tolerance, start, monitor)
-    return solve_hard_wall(*common, tolerance, start, monitor)
+    try:
+        if wall.kind == "exponential":
+            return solve_exponential_wall(*common, wall.zeta, wall.sigma_ref, tolerance, start, monitor)
+        return solve_hard_wall(*common, tolerance, start, monitor)
+    except SolverError as failure:
+        if method != "auto" or mean_pressure == 0:
+            raise
+        if grid.comm.rank == 0:
+            log.info("%s; trying dynamics, which are slower but always converge", failure)
+    law = wall.zeta or 0.0, wall.sigma_ref
+    return solve_gfmd(*common, *law, tolerance, min(max_iterations, RESCUE), monitor=monitor)

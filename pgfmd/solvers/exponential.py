@@ -18,10 +18,12 @@ from ..grid import SlabGrid
 from ..hierarchy import Interpolation, restrict
 from . import entropy
 from .newton import WallRelaxation, WallState
+from .scale import centred
 from .solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 COARSE_TOLERANCE = 1e-2  # certified error at which a coarse grid has served: discretisation errors are larger
+FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
 LOOSE, REDUCTION = 0.1, 4  # certified error and factor between the steps of a ζ continuation
 UNIFORM = 1e15  # ζ over the rms height from which on the pressure is uniform to a double's rounding
 
@@ -49,8 +51,7 @@ def solve_exponential_wall(
     for name, value in (("mean pressure", mean_pressure), ("zeta", zeta)):
         if not 0 < value < math.inf:
             raise InputError(f"exponential wall: {name} = {value!r}: must be positive and finite")
-    heights = heights - reduce.sum(heights) / grid.size
-    height = math.sqrt(reduce.dot(heights, heights) / grid.size)
+    heights, height = centred(grid, heights, mean_pressure, elasticity)
     from_mean = zeta * math.log((sigma_ref or elasticity.contact_modulus) / mean_pressure)  # gap where p = p̄
     if height * UNIFORM <= zeta:
         uniform = np.full(grid.local_shape, float(mean_pressure))
@@ -120,6 +121,9 @@ class _Problem:
             return self.continuation(grid, heights, state, tolerance), 0.0
         coarse = grid.coarse()
         coarse_heights = restrict(grid, coarse, heights)
+        if coarse.reduction.dot(coarse_heights, coarse_heights) < FLAT**2 * coarse.size:
+            state = WallState(np.ones(grid.local_shape), np.empty(grid.local_shape))
+            return self.continuation(grid, heights, state, tolerance), 0.0
         found, extra = self.cascade(coarse, coarse_heights, max(tolerance, COARSE_TOLERANCE))
         state = self.prolong(coarse, found, coarse_heights, grid, heights)
         extra = (extra + coarse.transforms) * coarse.size / grid.size

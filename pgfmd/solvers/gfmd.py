@@ -28,6 +28,7 @@ from ..errors import InputError, SolverError
 from ..grid import SlabGrid
 from .exponential import UNIFORM
 from .newton import WallRelaxation, WallState
+from .scale import centred
 from .solution import ContactSolution
 
 INERTIA = 1.8  # of the full step: relaxation factor
@@ -54,8 +55,7 @@ def solve_gfmd(
     began, transforms, reduce = time.perf_counter(), grid.transforms, grid.reduction
     if not 0 < mean_pressure < math.inf:
         raise InputError(f"GFMD: mean pressure = {mean_pressure!r}: must be positive and finite")
-    heights = heights - reduce.sum(heights) / grid.size
-    height = math.sqrt(reduce.dot(heights, heights) / grid.size)
+    heights, height = centred(grid, heights, mean_pressure, elasticity)
     from_mean = zeta * math.log((sigma_ref or elasticity.contact_modulus) / mean_pressure)  # gap where p = p̄
     if height == 0 or height * UNIFORM <= zeta:
         uniform = np.full(grid.local_shape, float(mean_pressure))

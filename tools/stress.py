@@ -1,0 +1,211 @@
+"""Extreme inputs against the solvers: each ends right, or in a clear error; never in NaN, a hang, a warning or a lie.
+
+Every case is solved on one rank and judged from outside: finite fields, pressures ≥ 0 that carry the load, and a bound
+on the energy error computed anew with NumPy's transforms in double precision.  Exits with 1 on any wrong verdict.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd import InputError, SolverError
+from pgfmd.elasticity import Elasticity
+from pgfmd.grid import SlabGrid
+from pgfmd.solvers.choice import Wall, solve_contact
+from pgfmd.topography import self_affine
+
+TOLERANCE = 1e-6
+SLOW = 60.0  # seconds for a case of at most 128² points
+
+
+@dataclass
+class Case:
+    """One contact; `error` is the exception that is right for it."""
+
+    name: str
+    heights: np.ndarray
+    pressure: float
+    elasticity: Elasticity = Elasticity(1.0)
+    wall: Wall = Wall()
+    method: str = "auto"
+    error: type[Exception] | None = None
+
+
+def rough(n: int | tuple[int, int] = 64, hurst: float = 0.8, lambda_s: float = 4.0, seed: int = 1) -> np.ndarray:
+    """A self-affine surface of rms slope 0.1."""
+    shape = (n, n) if isinstance(n, int) else n
+    return self_affine(SlabGrid(MPI.COMM_SELF, shape), hurst, lambda_s, 0.1, seed)
+
+
+def cases() -> Iterator[Case]:
+    """All of them; pressures in units of E' = 1."""
+    base = rough()
+    for power in (-8, -5, -3, -2, -1, 0, 3):
+        yield Case(f"load 1e{power} E'g", base, 0.1 * 10.0**power)
+        yield Case(f"load 1e{power} E'g, exponential", base, 0.1 * 10.0**power, wall=Wall("exponential", base.std()))
+    yield Case("load 1e-300", base, 1e-300)
+    yield Case("no load", base, 0.0)
+    yield Case("no load, exponential", base, 0.0, wall=Wall("exponential", 1.0), error=InputError)
+    yield Case("offset 1e9", base + 1e9, 0.01)
+    for scale in (1e-12, 1e12):
+        yield Case(f"heights × {scale:g}", base * scale, 0.01 * scale)
+        yield Case(f"heights × {scale:g}, exponential", base * scale, 0.01 * scale, wall=Wall("exponential", scale))
+    for modulus in (1e-12, 1e12):
+        yield Case(f"modulus × {modulus:g}", base, 0.01 * modulus, Elasticity(modulus))
+    for hurst in (0.0, 0.3, 0.5, 1.0):
+        yield Case(f"H = {hurst:g}", rough(hurst=hurst, lambda_s=1.0), 0.01)
+    for ratio in (1e-4, 1e-3, 1e-2, 0.1, 1, 10, 100):
+        for load in (1e-4, 1e-2, 0.1):
+            yield Case(f"ζ = {ratio:g} h_rms, p = {load:g}", base, load, wall=Wall("exponential", ratio * base.std()))
+    yield from slabs(base)
+    yield from shapes()
+    yield from surfaces()
+    wave = np.cos(2 * np.pi * np.arange(64) / 64)[:, None] * np.ones(64)
+    for method in ("auto", "gfmd"):
+        yield Case(f"Westergaard, {method}", wave, 0.02, method=method)
+    yield Case("GFMD, exponential", base, 0.01, wall=Wall("exponential", 0.1 * base.std()), method="gfmd")
+
+
+def slabs(base: np.ndarray) -> Iterator[Case]:
+    """Thickness from a tenth of a pixel to infinity, Poisson's ratio from 0 to nearly ½."""
+    for bottom in ("bonded", "free", "sliding"):
+        for thickness in (0.1, 1.0, 10.0, 64.0, 1e6, math.inf):
+            for poisson in (0.0, 0.4999) if bottom == "bonded" else (0.25,):
+                solid = Elasticity(1.0, thickness, bottom, poisson)
+                yield Case(f"{bottom}, d = {thickness:g}, ν = {poisson:g}", base, 0.01, solid)
+    for poisson in (0.5, 0.6, -1.0):
+        yield Case(f"ν = {poisson:g}", base, 0.01, error=InputError, elasticity=(1.0, 1.0, "bonded", poisson))
+
+
+def shapes() -> Iterator[Case]:
+    """Grids that are tiny, prime, flat or long."""
+    for n in (2, 3, 5, 61, 67, 127, (64, 31), (1, 64), (64, 1), (2, 128), (37, 96)):
+        generator = np.random.default_rng(3)
+        shape = (n, n) if isinstance(n, int) else n
+        heights = generator.standard_normal(shape)
+        yield Case(f"{shape[0]} × {shape[1]} points, noise", heights, 0.1)
+        yield Case(f"{shape[0]} × {shape[1]} points, exponential", heights, 0.1, wall=Wall("exponential", 0.1))
+
+
+def surfaces() -> Iterator[Case]:
+    """Heights that no instrument would give."""
+    i, j = np.meshgrid(np.arange(64), np.arange(64), indexing="ij")
+    zero = np.zeros((64, 64))
+    spike, peaks, hole = zero.copy(), zero.copy(), zero.copy()
+    spike[5, 7] = peaks[10, 10] = peaks[40, 33] = 1.0
+    hole[20, 30] = -1e-3
+    denormal = np.random.default_rng(1).standard_normal((64, 64)) * 1e-310
+    all_surfaces = {
+        "flat": zero, "flat at 1e9": zero + 1e9, "one spike": spike, "two identical peaks": peaks,
+        "all but one point": hole,
+        "Nyquist": np.cos(np.pi * i), "Nyquist in both": np.cos(np.pi * i) * np.cos(np.pi * j),
+        "white noise": np.random.default_rng(2).standard_normal((64, 64)),
+        "step": np.where(i < 32, 1.0, 0.0), "checkerboard": ((i + j) % 2).astype(float), "denormals": denormal,
+        "float32": rough().astype(np.float32), "huge": rough() * 1e200, "range of 1e300": rough() * 1e300,
+    }  # fmt: skip
+    for name, heights in all_surfaces.items():
+        size = float(np.abs(heights - heights.mean()).max()) or 1.0
+        for load in (1e-6, 0.02, 1.0):
+            yield Case(f"{name}, p = {load:g} h", heights, load * size)
+            if name not in ("denormals", "huge", "range of 1e300"):
+                wall = Wall("exponential", 0.05 * size)
+                yield Case(f"{name}, p = {load:g} h, exponential", heights, load * size, wall=wall)
+    for value in (np.nan, np.inf):
+        broken = rough()
+        broken[3, 4] = value
+        yield Case(f"{value} in the heights", broken, 0.01, error=InputError)
+
+
+def judge(case: Case, tolerance: float) -> tuple[str, str, int, bool]:
+    """Solve a case: (verdict, certified error, iterations, whether the verdict is right)."""
+    began = time.perf_counter()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with np.errstate(all="warn", under="ignore"):
+                verdict, error, iterations = attempt(case, tolerance)
+    except (InputError, SolverError) as failure:
+        right = case.error is not None and isinstance(failure, case.error)
+        return f"{type(failure).__name__}: {str(failure)[:90]}", "", 0, right or isinstance(failure, InputError)
+    except Exception as failure:  # whatever it is, it is the solver's fault
+        return f"{type(failure).__name__}: {str(failure)[:90]}", "", 0, False
+    seconds = time.perf_counter() - began
+    if seconds > SLOW:
+        verdict = f"slow: {seconds:.0f} s"
+    return verdict, f"{error:.1e}", iterations, verdict == "right" and case.error is None
+
+
+def attempt(case: Case, tolerance: float) -> tuple[str, float, int]:
+    """(verdict, certified error, iterations) of a case."""
+    elasticity = case.elasticity if isinstance(case.elasticity, Elasticity) else Elasticity(*case.elasticity)
+    grid = SlabGrid(MPI.COMM_SELF, case.heights.shape)
+    heights = np.ascontiguousarray(case.heights, dtype=np.float64)
+    if not np.isfinite(heights).all():
+        raise InputError("heights: all must be finite")
+    found = solve_contact(grid, heights, case.pressure, elasticity, case.wall, case.method, tolerance)
+    return verify(found, heights, grid, elasticity, case, tolerance), found.certified_error, found.iterations
+
+
+def verify(found, heights: np.ndarray, grid: SlabGrid, elasticity: Elasticity, case: Case, tolerance: float) -> str:
+    """ "right", or what is wrong."""
+    pressure, load = found.pressure, case.pressure
+    if not (np.isfinite(pressure).all() and np.isfinite(found.gap).all() and math.isfinite(found.mean_gap)):
+        return "not finite"
+    if pressure.min() < 0 or abs(pressure.mean() - load) > 1e-9 * load:
+        return "load not carried"
+    if case.wall.kind == "hard" and (found.gap.min() < 0 or np.any(found.gap[pressure > 0] != 0)):
+        return "gap in contact"
+    bound, work = bound_of(pressure, heights, grid, elasticity, case)
+    if not found.certified_error <= tolerance:
+        return "tolerance not reached"
+    if load > 0 and bound > 2 * tolerance * work + 1e-13 * load * np.ptp(heights):
+        return f"error is {bound / work:.1e}"
+    return "right"
+
+
+def bound_of(pressure, heights, grid, elasticity, case) -> tuple[float, float]:
+    """Duality gap and ⟨p, Gp⟩ per point from NumPy's transforms."""
+    qy = 2 * np.pi / grid.lengths[1] * np.arange(grid.shape[1] // 2 + 1)
+    q = np.hypot(grid.qx[0][:, None], qy[None, :])
+    unit = float(pressure.mean()) or 1.0
+    displacement = np.fft.irfft2(np.fft.rfft2(pressure / unit) * elasticity.compliance(q), s=grid.shape) * unit
+    gap = displacement - (heights - heights.mean())
+    work = float(np.mean(pressure / unit * displacement)) * unit
+    if case.wall.kind == "hard":
+        return float(np.mean(pressure * (gap - gap.min()))), work
+    zeta = case.wall.zeta
+    weight = np.exp((gap.min() - gap) / zeta)
+    ratio = pressure / unit
+    logarithm = np.log(ratio, where=ratio > 0, out=np.zeros_like(ratio))
+    logarithm += (gap - gap.min()) / zeta + np.log(weight.mean())
+    return float(np.mean(ratio * logarithm)) * zeta * unit, work
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table; 0 if every verdict is right."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, help="certified relative energy error to ask for")
+    parser.add_argument("--only", default="", help="cases whose name contains this")
+    options = parser.parse_args(arguments)
+    print(f"{'case':44} {'error':>8} {'iter':>5}  verdict")
+    wrong = count = 0
+    for case in cases():
+        if options.only not in case.name:
+            continue
+        verdict, error, iterations, right = judge(case, options.tolerance)
+        count, wrong = count + 1, wrong + (not right)
+        print(f"{case.name:44} {error:>8} {iterations:5d}  {'' if right else 'WRONG: '}{verdict}", flush=True)
+    print(f"{count} cases, {wrong} wrong")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
