@@ -1,0 +1,75 @@
+"""The batch scripts, with stand-ins for the batch system: stopped in time, queued again, finished."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import launching
+import pytest
+from conftest import ROOT, SIZE, WORLD
+
+from pgfmd.results import Results
+
+pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+
+LOADS = [1e-3 + 1e-6 * number for number in range(2000)]
+
+
+def batch(tmp_path, script: str, *arguments, **variables) -> subprocess.Popen:
+    """A batch script, its batch system replaced by stand-ins that note what they were asked."""
+    bin = tmp_path / "bin"
+    bin.mkdir(exist_ok=True)
+    for name in ("scontrol", "qsub"):
+        (bin / name).write_text(f'#!/bin/sh\necho {name} "$@" >>"{tmp_path}/asked"\n')
+        (bin / name).chmod(0o755)
+    environment = dict(os.environ) | {
+        "PATH": f"{bin}:{os.environ['PATH']}", "PYTHON": sys.executable, "PGFMD_ROOT": str(ROOT),
+        "LAUNCH": "mpirun -n 2", "SLURM_CPUS_PER_TASK": "1", "SLURM_JOB_ID": "77", "PBS_O_WORKDIR": str(ROOT),
+    } | variables  # fmt: skip
+    command = ["bash", str(ROOT / "jobs" / script), *map(str, arguments)]
+    return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def completed(folder) -> int:
+    """Loads in a folder, which may not be there yet."""
+    return len(Results(folder)) if (folder / "observables.h5").exists() else 0
+
+
+def test_slurm_job_is_requeued(tmp_path):
+    """SIGUSR1 to the script, as SLURM sends it: the run of an array's task ends with 75 and is queued again."""
+    job = launching.write_job(tmp_path / "a job.toml", 64, lambda_s=8, pressures=LOADS)
+    script = batch(tmp_path, "slurm.sh", job, tmp_path / "out", SLURM_ARRAY_TASK_ID="5")
+    folder, end = tmp_path / "out" / "seed-5", time.monotonic() + 120
+    while not completed(folder):
+        assert script.poll() is None and time.monotonic() < end
+        time.sleep(0.2)
+    script.send_signal(signal.SIGUSR1)
+    code, stderr = launching.wait(script)
+    assert code == 75, stderr
+    assert (tmp_path / "asked").read_text() == "scontrol requeue 77\n"
+    assert Results(folder).status == "stopped" and Results(folder).config.surface.seed == 5
+
+
+def test_pbs_job_is_submitted_again(tmp_path):
+    """The time limit of the run ends it with 75; it is submitted again with the same job, folder and seed."""
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
+    folder = tmp_path / "out"
+    script = batch(tmp_path, "pbs.sh", JOB=str(job), DIR=str(folder), PBS_ARRAY_INDEX="3", LIMIT="12")
+    code, stderr = launching.wait(script)
+    assert code == 75, stderr
+    asked = (tmp_path / "asked").read_text()
+    assert asked == f"qsub -v JOB={job},DIR={folder},LIMIT=12,SEED=3 {ROOT}/jobs/pbs.sh\n"
+    assert Results(folder / "seed-3").status == "stopped"
+
+
+@pytest.mark.skipif(shutil.which("shellcheck") is None, reason="needs shellcheck")
+def test_scripts_are_clean():
+    """shellcheck finds nothing in the batch scripts."""
+    scripts = [ROOT / "jobs" / name for name in ("slurm.sh", "pbs.sh", "scaling.sh")]
+    done = subprocess.run(["shellcheck", "-x", *map(str, scripts)], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
