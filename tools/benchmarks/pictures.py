@@ -81,7 +81,8 @@ def overview(folder: Path, cases: dict) -> None:
 
 def _title(case: tuple) -> str:
     n, hurst, lambda_s, area = case
-    return f"{n}² points, H = {hurst:g}, $\\lambda_s$ = {lambda_s:g}a, contact area {area:g}"
+    length = "a" if lambda_s == 1 else f"{lambda_s:g}a"
+    return f"{n}² points, H = {hurst:g}, $\\lambda_s$ = {length}, contact area {area:g}"
 
 
 def _resolution(axes, table: Path) -> None:
