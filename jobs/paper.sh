@@ -34,6 +34,10 @@ plan() {
     for h in 0.3 0.8; do
         echo "scales-h$h jobs/paper/scales.toml $(size 2048 8) surface.hurst=$h"
     done
+    for points in 2 4 8 16 32 64; do
+        [ -n "$small" ] && [ "$points" -gt 16 ] && continue
+        echo "resolution-$points jobs/paper/resolution.toml grid.n=$((32 * points)) surface.lambda_s=$points.0"
+    done
     for seed in 1 2 3 4; do
         for h in 0.3 0.5 0.8; do
             echo "exponents-h$h-s$seed jobs/paper/exponents.toml $(size 2048 1) surface.hurst=$h surface.seed=$seed"
@@ -42,10 +46,6 @@ plan() {
         for zeta in 0.05 0.25 1.0; do
             echo "exponential-z$zeta-s$seed jobs/paper/exponential.toml $(size 1024 32) wall.zeta=$zeta surface.seed=$seed"
         done
-    done
-    for points in 2 4 8 16 32 64; do
-        [ -n "$small" ] && [ "$points" -gt 16 ] && continue
-        echo "resolution-$points jobs/paper/resolution.toml grid.n=$((32 * points)) surface.lambda_s=$points.0"
     done
 }
 

@@ -36,7 +36,7 @@ def make(folders: list[Path], output: Path, area: float = 0.09, window: tuple[fl
             findings.add(f"μ_c {title}, H = {hurst:g}", -np.array(exponents))
             law = -(1 + hurst) if kind == "contact" else -bearing.spectrum_exponent(hurst)
             ends = np.array(window, float)
-            factor = 2.2 if kind == "contact" else 0.35
+            factor = 2.2 if kind == "contact" else 0.12
             guide(sheet.panels[panel], ends, factor * np.interp(window[0], waves, mean), law, f"{law:.1f}")
         findings.add(f"theory 2 + H of the bearing area, H = {hurst:g}", bearing.spectrum_exponent(hurst))
         text = f"H = {hurst:g}, $f_c$ = {chosen[0].area:.3f}"

@@ -127,12 +127,12 @@ class Sheet:
 
 
 def guide(axes, x, y0: float, exponent: float, text: str, **style):
-    """A power law y0 (x/x[0])^exponent as a guide to the eye, with its name beside its end."""
+    """A power law y0 (x/x[0])^exponent as a guide to the eye, with its name beside it."""
     x = np.asarray(x, float)
     y = y0 * (x / x[0]) ** exponent
     axes.plot(x, y, **({"color": GREY, "lw": 0.9, "ls": "--"} | style))
-    middle = np.sqrt(x[0] * x[-1]), np.sqrt(y[0] * y[-1])
-    axes.annotate(text, middle, textcoords="offset points", xytext=(5, 3), color="0.35", fontsize=7.5)
+    third = x[0] ** (2 / 3) * x[-1] ** (1 / 3), y[0] ** (2 / 3) * y[-1] ** (1 / 3)
+    axes.annotate(text, third, textcoords="offset points", xytext=(5, 3), color="0.35", fontsize=7.5)
 
 
 def _label_short_decades(axis):

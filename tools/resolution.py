@@ -41,6 +41,7 @@ def make(folders: list[Path], output: Path) -> Findings:
     sheet.panels[0].axhline(0, color=GREY, lw=0.8)
     sheet.label(0, r"$\lambda_s\,/\,a$", "deviation of the contact area", scale="semilogx")
     sheet.label(1, r"$\lambda_s\,/\,a$", "|deviation|", scale="log", legend="lower left")
+    sheet.panels[1].set_ylim(bottom=sheet.panels[1].get_ylim()[0] / 100)  # room for the legend
     findings.add(f"corrected area on the finest grid, λ_s = {resolution[-1]:.3g} a", limit.corrected_area)
     for points, first, second, third, fourth in zip(x, raw, corrected, gap, square, strict=True):
         at = f"λ_s = {points:.3g} a"
