@@ -1,0 +1,149 @@
+"""Loads found from a contact area, a mean gap or a displacement."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pgfmd.elasticity import Elasticity
+from pgfmd.errors import InputError
+from pgfmd.grid import SlabGrid
+from pgfmd.loads import Loads
+from pgfmd.solvers.choice import Wall, solve_contact
+from pgfmd.topography import self_affine, sinusoid
+
+pytestmark = pytest.mark.mpi
+
+SOLID = Elasticity(8 / 3)
+
+
+class Counted:
+    """`Loads` of a surface, and how often they solved."""
+
+    def __init__(self, control, grid, heights, solid=SOLID, wall=None, tolerance=1e-6, **keywords):
+        self.solves, self.wall = 0, wall or Wall()
+
+        def solve(pressure, start, tolerance):
+            self.solves += 1
+            return solve_contact(grid, heights, pressure, solid, self.wall, tolerance=tolerance, start=start)
+
+        self.loads = Loads(
+            control, solve, grid, heights, solid, tolerance, hard=self.wall.kind == "hard", **keywords
+        )  # fmt: skip
+
+    def solution(self, target):
+        return self.loads.solution(target)
+
+
+@pytest.fixture(scope="module")
+def rough(comm):
+    grid = SlabGrid(comm, (128, 128))
+    return grid, self_affine(grid, 0.8, 8.0, 0.031, 3)
+
+
+def test_areas_are_met_within_half_a_per_cent_in_few_solutions(rough):
+    """|A − target| ≤ 0.5 % or 1 pixel from 1 % to 95 %, in at most 6 solutions on average, the last certified."""
+    grid, heights = rough
+    counted = Counted("contact_area", grid, heights)
+    targets = (0.01, 0.04, 0.08, 0.3, 0.6, 0.95)
+    for target in targets:
+        found = counted.solution(target)
+        area = grid.reduction.sum(found.pressure > 0) / grid.size
+        assert abs(area - target) <= max(0.005 * target, 1 / grid.size)
+        assert found.certified_error <= 1e-6
+    assert counted.solves <= 6 * len(targets)
+
+
+def test_a_load_does_not_depend_on_the_loads_before(rough):
+    """Up and down a sequence of pressures, warm and cold: pressures agree to 1e-8, contact is the same."""
+    grid, heights = rough
+    counted = Counted("pressure", grid, heights, tolerance=1e-13)
+    for load in (0.004, 0.00402, 0.0041, 0.02, 0.0199, 0.0041, 0.00402, 0.004):
+        found = counted.solution(load)
+        cold = solve_contact(grid, heights, load, SOLID, Wall(), tolerance=1e-13)
+        apart = found.pressure - cold.pressure
+        assert math.sqrt(grid.reduction.dot(apart, apart) / grid.reduction.dot(cold.pressure, cold.pressure)) < 1e-8
+
+
+def test_an_area_that_jumps_is_met_on_the_nearer_side(comm):
+    """On a wave that varies in x only whole rows come into contact: the area is within a row of the target."""
+    grid = SlabGrid(comm, (64, 8))
+    counted = Counted("contact_area", grid, sinusoid(grid, 1.0, (1, 0)))
+    found = counted.solution(0.4)
+    area = grid.reduction.sum(found.pressure > 0) / grid.size
+    assert abs(area - 0.4) <= 1 / 64
+
+
+@pytest.mark.parametrize("gap", [2.0, 0.7, 0.1, 0.01])
+def test_mean_gaps_are_met(rough, gap):
+    """⟨u − h⟩ to 1e-5 of the rms height, for a hard wall."""
+    grid, heights = rough
+    rms = math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
+    found = Counted("mean_gap", grid, heights).solution(gap * rms)
+    assert found.mean_gap == pytest.approx(gap * rms, abs=1e-5 * rms)
+    assert grid.reduction.sum(found.gap) / grid.size == pytest.approx(gap * rms, abs=2e-5 * rms)
+
+
+def test_mean_gaps_under_an_exponential_wall_may_be_negative(rough):
+    """A soft wall lets the surfaces overlap."""
+    grid, heights = rough
+    found = Counted("mean_gap", grid, heights, wall=Wall("exponential", 0.1, 1.0)).solution(-0.05)
+    assert grid.reduction.sum(found.gap) / grid.size == pytest.approx(-0.05, abs=1e-5)
+
+
+def test_westergaard_s_approach_gives_westergaard_s_load(comm):
+    """h = Δ cos: approach Δ(f − f ln f) from first touch needs f = p̄/p*, to the discretisation error at n = 256."""
+    grid, f = SlabGrid(comm, (256, 8)), 0.3
+    found = Counted("displacement", grid, sinusoid(grid, 1.0, (1, 0))).solution(f - f * math.log(f))
+    assert found.mean_pressure / (np.pi * 8 / 3 / 256) == pytest.approx(f, rel=1e-4)
+
+
+def test_the_far_side_of_a_slab_moves_by_its_own_compression_too(rough):
+    """On a bonded slab the displacement is h_max − ⟨u⟩ + p̄ d/(λ + 2μ); beyond full contact it goes on."""
+    grid, heights = rough
+    thickness = 50.0
+    slab = Elasticity(8 / 3, thickness, "bonded", 0.25)  # λ = μ = 1
+    summit = grid.reduction.max(heights)
+    for target in (0.5 * summit, 3 * summit):
+        found = Counted("displacement", grid, heights, slab).solution(target)
+        expected = summit - found.mean_gap + found.mean_pressure * thickness / 3
+        assert expected == pytest.approx(target, rel=1e-4)
+
+
+def test_out_of_touch_there_is_no_load(rough):
+    """Displacements up to 0 and gaps above the summit leave a hard wall unloaded."""
+    grid, heights = rough
+    summit = grid.reduction.max(heights)
+    assert Counted("displacement", grid, heights).solution(-1.0).mean_pressure == 0
+    assert Counted("mean_gap", grid, heights).solution(2 * summit).mean_pressure == 0
+
+
+@pytest.mark.parametrize(("control", "target"), [("mean_gap", 0.0), ("mean_gap", -1.0), ("displacement", 1e3)])
+def test_what_no_load_gives_is_refused(rough, control, target):
+    """Closed gaps and approaches beyond full contact do not fix the load on a half-space."""
+    with pytest.raises(InputError, match="contact is full"):
+        Counted(control, *rough).solution(target)
+
+
+def test_controls_that_make_no_sense_are_refused(rough):
+    """Areas under an exponential wall, a flat surface, an unknown control."""
+    grid, heights = rough
+    with pytest.raises(InputError, match="touches everywhere"):
+        Counted("contact_area", grid, heights, wall=Wall("exponential", 1.0))
+    with pytest.raises(InputError, match="flat"):
+        Counted("mean_gap", grid, 0 * heights)
+    with pytest.raises(InputError, match="must be one of"):
+        Counted("force", grid, heights)
+
+
+def test_energy_and_gap_belong_together(rough):
+    """dE_el/dp̄ = −p̄ dḡ/dp̄ for the hard wall, by central differences (relative error of order step²)."""
+    grid, heights = rough
+    load, step = 0.01, 1e-3
+    low, high = (
+        solve_contact(grid, heights, load * f, SOLID, Wall(), tolerance=1e-12) for f in (1 - step, 1 + step)
+    )  # fmt: skip
+    work = -load * (high.mean_gap - low.mean_gap)
+    assert high.elastic_energy - low.elastic_energy == pytest.approx(work, rel=1e-4)
