@@ -36,7 +36,7 @@ def make(folders: list[Path], output: Path, area: float = 0.08) -> Findings:
     _draw_theory(sheet, found)
     sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area", scale="log")
     ratio = r"$\kappa = f_c E'\bar g\,/\,\bar p$"
-    sheet.label(1, "contact area", ratio, "open: raw, full: corrected area", scale="semilogx", legend="lower left")
+    sheet.label(1, "contact area", ratio, "open: raw, full: corrected area", scale="semilogx", legend=False)
     return plotting.finish(sheet, output, "area_load", findings)
 
 
