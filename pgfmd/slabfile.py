@@ -157,8 +157,10 @@ def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, F
                 part = slab(count, pieces, number)
                 if part.start == part.stop:  # fewer rows than pieces here: write the last one once more
                     part = slice(count - 1, count)
+                with raise_together(comm):  # all have their numbers before any of them enters the write
+                    block = field.block(part)
                 with raise_together(comm), dataset.collective:
-                    dataset[rows.start + part.start : rows.start + part.stop] = field.block(part)
+                    dataset[rows.start + part.start : rows.start + part.stop] = block
     finally:
         with raise_together(comm):
             file.close()

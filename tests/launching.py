@@ -103,7 +103,7 @@ def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
         if run.poll() is None:
             kill(run)
     end = time.monotonic() + timeout
-    while any("pgfmd" in _command(pid) for pid in family):
+    while any(_command(pid) for pid in family):
         assert time.monotonic() < end, "ranks outlived their mpirun"
         time.sleep(0.05)
     return run.returncode, stderr

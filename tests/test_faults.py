@@ -1,0 +1,169 @@
+"""Disks that fill up, folders that vanish, ranks that fail: a clear error soon, and what was complete stays good."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import time
+from contextlib import contextmanager
+
+import launching
+import pytest
+from conftest import SIZE, WORLD
+
+from pgfmd.results import Results
+
+pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+
+LOADS = [5e-4, 1e-3, 2e-3, 4e-3]
+FAULTY = """
+import sys
+from pgfmd import __main__ as cli
+cli.PATIENCE = 2.0
+from mpi4py import MPI
+{fault}
+sys.exit(cli.main())
+"""
+FAULTS = {
+    # where a rank fails alone: inside a thread in the middle of a transform, between transforms, in the observables
+    "in a thread": """
+from pgfmd import kernels
+original, calls = kernels.contact_sums, []
+def failing(*arguments):
+    calls.append(1)
+    if MPI.COMM_WORLD.rank == 1 and len(calls) == 9:
+        raise ArithmeticError("the last straw")
+    return original(*arguments)
+kernels.contact_sums = failing
+""",
+    "in a transform": """
+from pgfmd import strips
+original, calls = strips.SharedStrips.put, []
+def failing(self, *arguments):
+    calls.append(1)
+    if MPI.COMM_WORLD.rank == 1 and len(calls) == 200:
+        raise ArithmeticError("the last straw")
+    return original(self, *arguments)
+strips.SharedStrips.put = failing
+""",
+    "in the output": """
+from pgfmd import files
+original = files.reserve
+def failing(path, size):
+    if "load_0001" in path.name:
+        raise PermissionError(13, "the last straw")
+    return original(path, size)
+files.reserve = failing
+""",
+    "in a checkpoint": """
+from pgfmd import slabfile
+original, calls = slabfile.Field.block, []
+def failing(self, *arguments):
+    calls.append(1)
+    if MPI.COMM_WORLD.rank == 1 and len(calls) == 9:
+        raise ArithmeticError("the last straw")
+    return original(self, *arguments)
+slabfile.Field.block = failing
+""",
+}
+
+
+@pytest.mark.parametrize("where", FAULTS)
+def test_failure_on_one_rank_ends_all(tmp_path, where):
+    """An exception on one rank, wherever it is, ends both within seconds, with its message and an exit code."""
+    script = tmp_path / "faulty.py"
+    script.write_text(FAULTY.format(fault=FAULTS[where]))
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
+    began = time.monotonic()
+    environment = {"OMP_NUM_THREADS": "2"}
+    run = launching.start(2, "run", job, "--output", tmp_path / "out", script=(script,), environment=environment)
+    code, stderr = launching.wait(run, 90)
+    assert code not in (0, 75) and "pgfmd: error:" in stderr and "the last straw" in stderr
+    assert time.monotonic() - began < 60
+    assert Results(tmp_path / "out").status in ("failed", "interrupted")
+
+
+def test_lost_folder(tmp_path):
+    """The output folder is removed during the run: an error that names it, no hang."""
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=[1e-3 + 1e-6 * n for n in range(1000)])
+    folder = tmp_path / "out"
+    run = launching.start(2, "run", job, "--output", folder)
+    while not (folder / "fields" / "load_0001.h5").exists():
+        assert run.poll() is None
+        time.sleep(0.1)
+    os.rename(folder, tmp_path / "elsewhere")
+    code, stderr = launching.wait(run, 60)
+    assert code == 1 and str(folder) in stderr and "Traceback" not in stderr
+
+
+@contextmanager
+def small_disk(path, size: int):
+    """A file system of that many bytes."""
+    path.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(path)]
+    if os.geteuid() != 0 or subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a file system")
+    try:
+        yield path
+    finally:
+        subprocess.run(["umount", "-l", str(path)], check=True)
+
+
+def fill_disks(tmp_path, n: int, times: int, ranks: int):
+    """Runs on small disks that something else fills at random moments; then space is made, and they go on."""
+    chance = random.Random(time.time_ns())
+    job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, pressures=LOADS, interval=0.2)
+    began = time.monotonic()
+    code, stderr = launching.wait(launching.start(ranks, "run", job, "--output", tmp_path / "reference"), 900)
+    assert code == 0, stderr
+    length, done = time.monotonic() - began, 0
+    while done < times:
+        with small_disk(tmp_path / f"disk {done} {time.time_ns()}", 12 * 8 * n * n) as disk:
+            run = launching.start(ranks, "run", job, "--output", disk / "out")
+            time.sleep(chance.uniform(0.3 * length, 0.9 * length))
+            subprocess.run(["dd", "if=/dev/zero", f"of={disk}/filler", "bs=4k"], capture_output=True, check=False)
+            code, stderr = launching.wait(run, 300)
+            if code == 0:  # it needed no more space
+                continue
+            done += 1
+            said = [line for line in stderr.splitlines() if line.startswith("pgfmd: error:")]
+            assert code == 1 and len(said) == 1 and "Traceback" not in stderr, stderr
+            there, found = launching.distance(disk / "out", tmp_path / "reference", complete=False)
+            assert found < 1e-10
+            saved = (disk / "out" / "checkpoint.h5").exists()
+            (disk / "filler").unlink()
+            code, stderr = launching.wait(launching.start(1, "run", job, "--output", disk / "out", "--restart"), 600)
+            assert code == 0, stderr
+            assert not saved or f"load {there + 1} goes on from its checkpoint" in stderr
+            _, found = launching.distance(disk / "out", tmp_path / "reference")
+            print(f"full {done:2}: {there} loads{' + checkpoint' * saved}; then {found:.0e}; {said[0]}", flush=True)
+            assert found < 1e-10
+
+
+def test_full_disk(tmp_path):
+    """A disk that fills up: one line, the last checkpoint good, and the run goes on once there is space."""
+    fill_disks(tmp_path, 128, 1, 2)
+
+
+@pytest.mark.long
+def test_full_disks(tmp_path):
+    """The same ten times, at 512²."""
+    fill_disks(tmp_path, 512, 10, 2)
+
+
+@pytest.mark.parametrize("what", ["folder", "file"])
+def test_read_only(tmp_path, what):
+    """A file system that is read-only is refused before anything is computed; a file that turns so, as it is met."""
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
+    with small_disk(tmp_path / "disk", 2**24) as disk:
+        if what == "file":
+            done = launching.wait(launching.start(1, "run", job, "--output", disk / "out"), 120)
+            assert done[0] == 0, done[1]
+            before = {path: path.read_bytes() for path in disk.rglob("*.h5")}
+        subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
+        code, stderr = launching.wait(launching.start(2, "run", job, "--output", disk / "out", "--overwrite"), 120)
+        assert code == 2 and "Read-only file system" in stderr and "Traceback" not in stderr
+        if what == "file":
+            assert all(path.read_bytes() == content for path, content in before.items())
+            assert Results(disk / "out").status == "complete"
