@@ -12,6 +12,8 @@ import numpy as np
 
 _jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, error_model="numpy")
 
+_APART = 64  # columns
+
 
 @_jit
 def gather_columns(strip, first, count, block):
@@ -69,20 +71,49 @@ def drain_rows(rows, columns, offsets, first, values):
 
 
 @_jit
-def apply_stencil(rows, stencil, columns, offsets, first, values):
-    """values[k] = Σ stencil[s, t] rows[i + s, columns[k] + t] for the points k of row first + i.
+def apply_stencil(rows, taps_x, taps_y, weights, columns, offsets, first, count, values):
+    """values[k] = Σ_t weights[t] rows[i + taps_x[t], columns[k] + taps_y[t]] for the points k of row first + i.
 
-    `rows` holds `radius` more rows and columns on each side than the block of rows that is evaluated.
+    Rows i < count.  Points less than `_APART` columns apart are evaluated together with what lies between them: a loop
+    over contiguous memory is faster than one over points even where most of it is thrown away.
     """
-    width = stencil.shape[0]
-    for i in range(rows.shape[0] - width + 1):
-        for k in range(offsets[first + i], offsets[first + i + 1]):
-            j = columns[k]
-            total = stencil[0, 0] * 0
-            for s in range(width):
-                for t in range(width):
-                    total += stencil[s, t] * rows[i + s, j + t]
-            values[k] = total
+    line = np.empty(rows.shape[1], values.dtype)
+    for i in range(count):
+        k, end = offsets[first + i], offsets[first + i + 1]
+        while k < end:
+            stop = k + 1
+            while stop < end and columns[stop] < columns[stop - 1] + _APART:
+                stop += 1
+            start = columns[k]
+            dense = line[: columns[stop - 1] - start + 1]
+            dense[:] = 0
+            for t in range(weights.size):
+                at = start + taps_y[t]
+                source = rows[i + taps_x[t]][at : at + dense.size]
+                weight = weights[t]
+                for m in range(dense.size):
+                    dense[m] += weight * source[m]
+            for m in range(k, stop):
+                values[m] = dense[columns[m] - start]
+            k = stop
+
+
+@_jit
+def block_sums(values, columns, offsets, first, stop, start_row, size, sums):
+    """sums[(start_row + i) // size, columns[k] // size] += values[k] for the points k of the rows first ≤ i < stop."""
+    for i in range(first, stop):
+        line = sums[(start_row + i) // size]
+        for k in range(offsets[i], offsets[i + 1]):
+            line[columns[k] // size] += values[k]
+
+
+@_jit
+def add_blocks(values, table, columns, offsets, first, stop, start_row, size, out):
+    """out[k] = values[k] + table[(start_row + i) // size, columns[k] // size]"""
+    for i in range(first, stop):
+        line = table[(start_row + i) // size]
+        for k in range(offsets[i], offsets[i + 1]):
+            out[k] = values[k] + line[columns[k] // size]
 
 
 @_jit

@@ -5,6 +5,7 @@ The planner is pyFFTW, which brings the fastest FFTW there is as a package; wher
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
 import pickle
@@ -74,6 +75,7 @@ def _load_wisdom() -> None:
     global _loaded
     if not _loaded:
         _loaded = True
+        atexit.register(save_wisdom)
         with contextlib.suppress(Exception):
             pyfftw.import_wisdom(pickle.loads(wisdom_file().read_bytes()))
 

@@ -55,10 +55,25 @@ def test_apply_stencil(points):
     """A correlation with the stencil, evaluated on the set."""
     mask, offsets, columns = points
     stencil, field = rng.random((3, 3)), rng.random((11, 9))
+    stencil[0, 2] = 0
+    taps = np.nonzero(stencil)
     out = np.zeros(len(columns))
-    kernels.apply_stencil(field, stencil, columns, offsets, 0, out)
+    kernels.apply_stencil(field, *taps, stencil[taps], columns, offsets, 0, 9, out)
     windows = np.lib.stride_tricks.sliding_window_view(field, (3, 3))
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-14)
+
+
+def test_blocks(points):
+    """Sums over blocks of pixels, and a value per block added to the points in it."""
+    mask, offsets, columns = points
+    values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
+    sums, expected = np.zeros((4, 3)), np.zeros((4, 3))
+    kernels.block_sums(values, columns, offsets, 0, 9, 2, 3, sums)
+    np.add.at(expected, ((rows + 2) // 3, columns // 3), values)
+    assert np.allclose(sums, expected, rtol=1e-14)
+    out = np.zeros_like(values)
+    kernels.add_blocks(values, sums, columns, offsets, 0, 9, 2, 3, out)
+    assert np.allclose(out, values + sums[(rows + 2) // 3, columns // 3], rtol=1e-14)
 
 
 def test_contact_lists_and_sums():

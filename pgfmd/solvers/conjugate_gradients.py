@@ -7,14 +7,14 @@ import numpy as np
 from ..parallel import Reduction
 from ..transforms import Columns
 from .contact_set import ContactSet
-from .preconditioner import LocalStiffness
+from .preconditioner import TwoLevelStiffness
 
 
 def solve_on_set(
     points: ContactSet,
     residual: np.ndarray,
     compliance: Columns,
-    preconditioner: LocalStiffness,
+    preconditioner: TwoLevelStiffness,
     reduction_wanted: float,
     most: int,
 ) -> tuple[np.ndarray, int]:
@@ -29,12 +29,12 @@ def solve_on_set(
     r = residual
     x, z, product = np.zeros_like(r), np.empty_like(r), np.empty_like(r)
     direction = None
-    (mean_r,) = reduction.sums(r.sum(dtype=np.float64)) / total
+    (mean_r,) = reduction.sums(_sum(r)) / total
     r -= r.dtype.type(mean_r)
     start = rz_old = None
     for iteration in range(most + 1):
         preconditioner.apply(points, r, z)
-        rz, sum_z, sum_r = reduction.sums(_dot(r, z), z.sum(dtype=np.float64), r.sum(dtype=np.float64))
+        rz, sum_z, sum_r = reduction.sums(_dot(r, z), _sum(z), _sum(r))
         mean_z = sum_z / total
         rz -= mean_z * sum_r  # z is made to sum to zero
         start = rz if start is None else start
@@ -48,7 +48,7 @@ def solve_on_set(
             direction -= r.dtype.type(mean_z)
         rz_old = rz
         points.convolve(direction, compliance, product)
-        curvature, sum_product = reduction.sums(_dot(direction, product), product.sum(dtype=np.float64))
+        curvature, sum_product = reduction.sums(_dot(direction, product), _sum(product))
         if not curvature > 0:
             return x, iteration
         step = r.dtype.type(rz / curvature)
@@ -57,6 +57,10 @@ def solve_on_set(
         product *= step
         r -= product
     return x, most
+
+
+def _sum(a: np.ndarray) -> float:
+    return float(a.sum(dtype=np.float64))
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> float:

@@ -30,6 +30,11 @@ class ContactSet:
             lambda a, b: kernels.list_contact(pressure, gap, level, a, b, self.offsets, self.columns), rows
         )
 
+    @property
+    def lists(self) -> tuple[np.ndarray, np.ndarray]:
+        """(columns, offsets), as the kernels take them."""
+        return self.columns, self.offsets
+
     def take(self, field: np.ndarray) -> np.ndarray:
         """The values (count,) of a field (nx_local, ny) on the set."""
         values = np.empty(self.count, field.dtype)

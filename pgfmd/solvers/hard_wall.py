@@ -25,12 +25,12 @@ from ..errors import SolverError
 from ..grid import SlabGrid
 from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet
-from .preconditioner import LocalStiffness
+from .preconditioner import TwoLevelStiffness
 
 INNER_REDUCTION = (
     0.1  # of the residual by conjugate gradients; less wastes outer steps, more is lost when the set changes
 )
-FIRST_REDUCTION = 0.3  # in the first step the set still changes most
+FIRST_REDUCTION = 0.2  # in the first step the set still changes most
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
 MOST_INNER, MOST_OUTER = 300, 200
 PATIENCE = 12  # outer steps without halving the best error, before giving up
@@ -59,7 +59,7 @@ class Relaxation:
         self.compliance = {
             kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
         }
-        self.preconditioner = LocalStiffness(grid, elasticity.stiffness)
+        self.preconditioner = TwoLevelStiffness(grid, elasticity.stiffness)
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the certified error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
@@ -76,9 +76,12 @@ class Relaxation:
             self.certify(state)
             if monitor is not None:
                 monitor(state)
-            if state.error <= tolerance and (precision is np.float64 or state.error > SINGLE_LIMIT):
-                return state
-            if state.error < SINGLE_LIMIT or state.error > 0.5 * last:
+            if state.error <= tolerance:
+                if precision is np.float64 or state.error > SINGLE_LIMIT:
+                    return state
+                precision = np.float64  # look again before working on
+                continue
+            if state.error < SINGLE_LIMIT or (state.error > 0.5 * last and last < 1e-3):
                 precision = np.float64
             last = state.error
             patience = PATIENCE if last < 0.5 * best else patience - 1
