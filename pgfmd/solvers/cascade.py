@@ -22,7 +22,7 @@ from .solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
-COARSE_TOLERANCE = 1e-2  # certified error at which a coarse grid has served: discretisation errors are larger
+COARSE_TOLERANCE = 1e-3  # certified error of coarse grids: long waves that they leave cost most on the finest one
 
 
 def solve_hard_wall(
@@ -146,7 +146,7 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, fl
     if coarse.reduction.dot(coarse_heights, coarse_heights) < FLAT**2 * coarse.size:
         state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
         return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
-    found, extra = _cascade(coarse, coarse_heights, scaled, load, max(tolerance, COARSE_TOLERANCE), monitor)
+    found, extra = _cascade(coarse, coarse_heights, scaled, load, COARSE_TOLERANCE, monitor)
     state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
     extra = (extra + coarse.transforms) * coarse.size / grid.size
     coarse.free()
