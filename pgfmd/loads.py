@@ -55,6 +55,7 @@ class Loads:
         self.control, self._solve, self.grid = control, solve, grid
         self.tolerance, self.area_tolerance, self.hard = tolerance, area_tolerance, hard
         self.previous: ContactSolution | None = None
+        self._resumed: np.ndarray | None = None
         if control == "pressure":
             return
         reduce = grid.reduction
@@ -66,6 +67,10 @@ class Loads:
         self.stress = _full_contact_stress(grid, heights, elasticity)
         mean_stiffness = elasticity.mean_stiffness()
         self.mean_compliance = 1 / mean_stiffness if mean_stiffness > 0 else 0.0
+
+    def resume(self, pressure: np.ndarray | None) -> None:
+        """Begin the next target from that pressure (nx_local, ny), of an unfinished solution."""
+        self._resumed = pressure
 
     def solution(self, target: float) -> ContactSolution:
         """The contact at that target.  Collective.  Raises InputError for one that no load gives, and SolverError."""
@@ -96,8 +101,9 @@ class Loads:
 
     def at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
         """The contact at that mean pressure, from the previous solution where that is near.  Collective."""
-        before, start = self.previous, None
-        if before is not None and before.mean_pressure > 0 and mean_pressure > 0:
+        before, start = self.previous, self._resumed
+        self._resumed = None
+        if start is None and before is not None and before.mean_pressure > 0 and mean_pressure > 0:
             if abs(math.log(mean_pressure / before.mean_pressure)) <= NEAR:
                 start = before.pressure
         self.previous = self._solve(mean_pressure, start, tolerance)
@@ -131,6 +137,8 @@ class Loads:
         wanted: the measure's value; guess: of ln p̄.  One stage for each tolerance; returns the last one's solution.
         """
         at, best = guess, None
+        if self._resumed is not None:
+            at = math.log(self.grid.reduction.sum(self._resumed) / self.grid.size)
         for tolerance in tolerances:
             low, high, points = None, None, []
             for _ in range(MOST_SOLVES):

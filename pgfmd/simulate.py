@@ -7,7 +7,6 @@ import logging
 import math
 import os
 import time
-from collections.abc import Callable
 from contextlib import contextmanager
 from functools import partial
 
@@ -22,11 +21,12 @@ from .errors import InputError
 from .estimate import estimate
 from .grid import SlabGrid
 from .labelling import label_patches
+from .loads import Loads
 from .observables import Observer
 from .output import ResultWriter
 from .progress import Progress
 from .sections import FILE, PARABOLOID, ROUGH, SINUSOID, Run
-from .solvers.cascade import solve_hard_wall
+from .solvers.choice import Wall, solve_contact
 from .solvers.solution import ContactSolution
 from .watch import Watch
 
@@ -64,15 +64,13 @@ def simulate(
             writer.begin()
             if "height" in config.output.fields and not writer.former.has_height:
                 writer.write_field("height", heights)
+        steps = _Steps(config, grid, watch, checkpoints)
+        loads = make_loads(config, grid, heights, elasticity, steps)
         for index in writer.pending:
-
-            def look(pressure: np.ndarray | None, index: int = index):
-                watch.look(None if pressure is None else partial(checkpoints.save, index, pressure))
-
-            look(None)
-            with phases("solve"):
-                solution = _solve(config, grid, heights, elasticity, index, checkpoints.load(index), look)
-            look(solution.pressure)
+            with phases("solve"), steps.of_load(index):
+                loads.resume(checkpoints.load(index))
+                solution = loads.solution(config.load.targets[index])
+                steps.solved(solution)
             with phases("observe"):
                 row, groups = observer.row(solution), observer.groups(solution)
             with phases("write"):
@@ -137,25 +135,58 @@ def chosen_fields(config: Config, grid: SlabGrid, heights: np.ndarray, solution:
     return fields
 
 
-def _solve(
-    config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, index: int,
-    start: np.ndarray | None, look: Callable[[np.ndarray | None], None],
-) -> ContactSolution:  # fmt: skip
-    """One load, from the pressure `start` if there is one; `look(pressure)` is called between steps.  Collective."""
-    label = f"load {index + 1}/{len(config.load.targets)}"
-    progress = Progress(grid.comm.rank, label, grid.shape, config.solver.tolerance)
+def make_loads(
+    config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, steps: _Steps
+) -> Loads:  # fmt: skip
+    """The job's loads, solved by its method with its wall.  Collective."""
+    wall = Wall(config.wall.kind, config.wall.zeta, config.wall.sigma_ref)
+    solver, load = config.solver, config.load
 
-    def monitor(level: SlabGrid, state) -> None:
-        progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
-        if level.comm is grid.comm:  # grids that every rank holds whole are solved without messages
-            look(state.pressure if level is grid else None)
-
-    try:
-        return solve_hard_wall(
-            grid, heights, config.load.targets[index], elasticity, config.solver.tolerance, start, monitor
+    def solve(mean_pressure: float, start: np.ndarray | None, tolerance: float) -> ContactSolution:
+        return solve_contact(
+            grid, heights, mean_pressure, elasticity, wall, solver.method, tolerance, solver.max_iterations, start,
+            partial(steps.see, mean_pressure),
         )  # fmt: skip
-    finally:
-        progress.close()
+
+    hard = wall.kind == "hard"
+    return Loads(load.control, solve, grid, heights, elasticity, solver.tolerance, load.area_tolerance, hard)
+
+
+class _Steps:
+    """What happens between two steps of a solver: progress is shown, checkpoints are written, the run may stop."""
+
+    def __init__(self, config: Config, grid: SlabGrid, watch: Watch, checkpoints: Checkpoints):
+        self.count, self.tolerance = len(config.load.targets), config.solver.tolerance
+        self.grid, self.watch, self.checkpoints = grid, watch, checkpoints
+        self.index = self.progress = None
+
+    @contextmanager
+    def of_load(self, index: int):
+        """While load number `index` is solved.  Collective."""
+        self.index = index
+        self.progress = Progress(self.grid.comm.rank, f"load {index + 1}/{self.count}", self.grid.shape, self.tolerance)
+        self.watch.look()
+        try:
+            yield
+        finally:
+            self.progress.close()
+
+    def see(self, mean_pressure: float, level: SlabGrid, state) -> None:
+        """The monitor of a solver at that load.  Collective, on grids that are distributed like the finest one."""
+        self.progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
+        if level is self.grid:
+            self.watch.look(partial(self._save, mean_pressure, state.pressure))
+        elif level.comm is self.grid.comm:
+            self.watch.look()
+
+    def solved(self, solution: ContactSolution) -> None:
+        """The load is solved, not yet written.  Collective."""
+        self.watch.look(partial(self._save, solution.mean_pressure, solution.pressure))
+
+    def _save(self, mean_pressure: float, pressure: np.ndarray) -> None:
+        """A checkpoint; solvers have units of their own.  Collective."""
+        unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
+        self.checkpoints.save(self.index, unit * pressure)
 
 
 def _refuse_changed_job(config: Config, writer: ResultWriter) -> None:
