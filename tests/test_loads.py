@@ -39,8 +39,8 @@ class Counted:
 
 @pytest.fixture(scope="module")
 def rough(comm):
-    grid = SlabGrid(comm, (128, 128))
-    return grid, self_affine(grid, 0.8, 8.0, 0.031, 3)
+    grid = SlabGrid(comm, (64, 64))
+    return grid, self_affine(grid, 0.8, 4.0, 0.031, 3)
 
 
 def test_areas_are_met_within_half_a_per_cent_in_few_solutions(rough):
