@@ -80,6 +80,14 @@ def _command(pid: int) -> str:
         return ""
 
 
+def _lives(pid: int) -> bool:
+    """Whether a process exists, and may still hold files."""
+    try:
+        return Path("/proc", str(pid), "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 def kill(run: subprocess.Popen, way: str = "all", choose=min) -> None:
     """End a run: SIGKILL to the rank that is chosen ("one"), to everything ("all"), or SIGTERM to mpirun ("mpirun")."""
     victims = [run.pid]
@@ -95,16 +103,21 @@ def kill(run: subprocess.Popen, way: str = "all", choose=min) -> None:
 
 
 def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
-    """Exit code and stderr of a run; nothing of it may outlive `timeout`."""
-    family = descendants(run.pid)
+    """Exit code and stderr of a run, once all of its processes are gone; none may outlive `timeout`."""
+    family, stderr, end = set(), None, time.monotonic() + timeout
     try:
-        _, stderr = run.communicate(timeout=timeout)
+        while stderr is None:
+            family |= set(descendants(run.pid))
+            try:
+                _, stderr = run.communicate(timeout=0.5)
+            except subprocess.TimeoutExpired:
+                if time.monotonic() > end:
+                    raise
     finally:
         if run.poll() is None:
             kill(run)
-    end = time.monotonic() + timeout
-    while any(_command(pid) for pid in family):
-        assert time.monotonic() < end, "ranks outlived their mpirun"
+    while any(_lives(pid) for pid in family):
+        assert time.monotonic() < end + 30, "ranks outlived their mpirun"
         time.sleep(0.05)
     return run.returncode, stderr
 

@@ -1,0 +1,109 @@
+"""Many ranks on few cores, messages over TCP, two hosts: the answer is that of one rank."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from contextlib import ExitStack, contextmanager
+
+import launching
+import pytest
+from conftest import ROOT, SIZE, WORLD
+
+pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+
+SAME = 1e-10  # relative L2 of pressures that are solved to a certified energy error of 1e-12
+# Every message through the network layer, none through shared memory, and strips that are exchanged in messages too.
+TCP = {"OMPI_MCA_btl": "tcp,self", "OMPI_MCA_pml": "ob1", "OMPI_MCA_osc": "^sm"}
+EXCHANGED = """
+import functools, sys
+from pgfmd import simulate
+simulate.SlabGrid = functools.partial(simulate.SlabGrid, shared=False)
+from pgfmd.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    """A job of 75 × 67 points, so that no rank count divides it, two loads; and its result on one rank."""
+    folder = tmp_path_factory.mktemp("many")
+    job = launching.write_job(folder / "job.toml", [75, 67], lambda_s=8, pressures=[1e-3, 1e-2], interval=1e9)
+    (folder / "exchanged.py").write_text(EXCHANGED)
+    code, stderr = launching.wait(launching.start(1, "run", job, "--output", folder / "one"))
+    assert code == 0, stderr
+    return folder
+
+
+@pytest.mark.parametrize("ranks", [5, 8, pytest.param(16, marks=pytest.mark.long)])
+def test_many_ranks(case, tmp_path, ranks):
+    """On 5, 8 and 16 ranks of unequal slabs the pressure is that of one rank."""
+    run = launching.start(ranks, "run", case / "job.toml", "--output", tmp_path / "out")
+    code, stderr = launching.wait(run, 300)
+    assert code == 0, stderr
+    assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
+
+
+@pytest.mark.parametrize("ranks", [3, *(pytest.param(count, marks=pytest.mark.long) for count in (8, 16))])
+def test_over_tcp(case, tmp_path, ranks):
+    """The same with every message over TCP and strips that cross in an all-to-all."""
+    run = launching.start(
+        ranks, "run", case / "job.toml", "--output", tmp_path / "out",
+        script=(case / "exchanged.py",), environment=TCP,
+    )  # fmt: skip
+    code, stderr = launching.wait(run, 300)
+    assert code == 0, stderr
+    assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
+
+
+def sudo(*command: str) -> bool:
+    """Whether a command of the system's administrator went well."""
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@contextmanager
+def two_hosts(folder):
+    """Two network namespaces joined by a cable: addresses of the two, and an agent that starts a program on one."""
+    names = [f"pgfmd{os.getpid()}{side}" for side in "ab"]
+    addresses = ["10.77.66.1", "10.77.66.2"]
+    with ExitStack() as undo:
+        for name in names:
+            if os.geteuid() != 0 or not sudo("ip", "netns", "add", name):
+                pytest.skip("needs the right to make network namespaces")
+            undo.callback(sudo, "ip", "netns", "del", name)
+        pair = ["ip", "link", "add", "pgfmd0", "netns", names[0], "type", "veth", "peer", "pgfmd0", "netns", names[1]]
+        if not sudo(*pair):
+            pytest.skip("needs veth devices")
+        for name, address in zip(names, addresses, strict=True):
+            inside = ("ip", "-n", name)
+            assert sudo(*inside, "addr", "add", f"{address}/24", "dev", "pgfmd0")
+            assert sudo(*inside, "link", "set", "pgfmd0", "up") and sudo(*inside, "link", "set", "lo", "up")
+        # What mpirun calls in place of ssh: HOST COMMAND…; each host has a name of its own.
+        agent = folder / "agent.sh"
+        cases = "\n".join(f"{address}) ns={name} ;;" for name, address in zip(names, addresses, strict=True))
+        agent.write_text(
+            f'#!/bin/bash\nwhile [[ $1 == -* ]]; do shift; done\nhost=$1; shift\ncase $host in\n{cases}\nesac\n'
+            'exec ip netns exec "$ns" unshare --uts bash -c "hostname $ns; $*"\n'
+        )  # fmt: skip
+        agent.chmod(0o755)
+        yield names, addresses, agent
+
+
+def test_two_hosts(case, tmp_path):
+    """Two network namespaces stand for two hosts with two ranks each: they see two nodes, and agree with one rank."""
+    with two_hosts(tmp_path) as (names, addresses, agent):
+        mpirun = (
+            f"source {ROOT}/tools/env.sh; hostname {names[0]}; exec mpirun --mca plm_rsh_agent {agent} "
+            f"--mca btl tcp,self --mca pml ob1 --mca btl_tcp_if_include 10.77.66.0/24 "
+            f"--mca oob_tcp_if_include 10.77.66.0/24 -n 4 --host {addresses[0]}:2,{addresses[1]}:2 "
+            f'{sys.executable} -m mpi4py -m pgfmd run "{case}/job.toml" --output "{tmp_path}/out"'
+        )
+        command = ["ip", "netns", "exec", names[0], "unshare", "--uts", "bash", "-c", mpirun]
+        environment = dict(os.environ)  # as it was before MPI was initialised here, which confuses another mpirun
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=300, cwd=ROOT, check=False, env=environment
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "4 ranks on 2 nodes" in done.stderr
+    assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
