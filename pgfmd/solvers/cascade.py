@@ -95,6 +95,9 @@ class _Scaled:
     def stiffness(self, q: np.ndarray) -> np.ndarray:
         return self.elasticity.stiffness(q) / self.factor
 
+    def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
+        return 0.5 * self.elasticity.contact_modulus * q / self.factor
+
 
 def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float) -> State | None:
     """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.

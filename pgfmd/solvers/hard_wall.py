@@ -59,7 +59,7 @@ class Relaxation:
         self.compliance = {
             kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
         }
-        self.preconditioner = TwoLevelStiffness(grid, elasticity.stiffness)
+        self.preconditioner = TwoLevelStiffness(grid, elasticity.half_space_stiffness, elasticity.stiffness)
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the certified error is at most `tolerance`.  Overwrites and returns `state`.  Collective.

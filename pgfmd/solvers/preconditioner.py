@@ -46,8 +46,9 @@ class TwoLevelStiffness:
     blocks.
     """
 
-    def __init__(self, grid: SlabGrid, stiffness, dtype=np.float32):
-        self.near = LocalStiffness(grid, stiffness, dtype=dtype)
+    def __init__(self, grid: SlabGrid, half_space, stiffness, dtype=np.float32):
+        """half_space(|q|), stiffness(|q|): without and with the slab's base, which the near part would not bear."""
+        self.near = LocalStiffness(grid, half_space, dtype=dtype)
         self.grid = grid
         self.size = max(BLOCK, -(-max(grid.shape) // MOST_BLOCKS))
         self.shape = tuple(-(-n // self.size) for n in grid.shape)
