@@ -158,10 +158,10 @@ def test_standard_error_of_seeds():
 
 
 def test_verdict_allows_two_standard_errors():
-    """1.25 ± 0.03 agrees with an interval that ends at 1.2, 1.27 ± 0.03 does not."""
+    """With an error of 0.03, 0.95 and 1.25 agree with the interval from 1 to 1.2; 0.93 and 1.27 do not."""
     claim = report.Claim("", "", "x", expected=(1.0, 1.2))
-    assert claim.verdict(plotting.Findings(x=(1.25, 0.03))) == "agrees"
-    assert claim.verdict(plotting.Findings(x=(1.27, 0.03))) == "differs"
+    for value, verdict in ((0.93, "differs"), (0.95, "agrees"), (1.25, "agrees"), (1.27, "differs")):
+        assert claim.verdict(plotting.Findings(x=(value, 0.03))) == verdict
     assert report.Claim("", "", "x").verdict(plotting.Findings(x=(1.27, 0.03))) == ""
 
 
