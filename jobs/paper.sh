@@ -29,7 +29,7 @@ size() {
 
 # One line per run: name, job, overrides.
 plan() {
-    local h seed zeta points
+    local h seed zeta points areas
     echo "large jobs/paper/large.toml $(size 4096 64)"
     for h in 0.3 0.8; do
         echo "scales-h$h jobs/paper/scales.toml $(size 2048 8) surface.hurst=$h"
@@ -40,7 +40,8 @@ plan() {
     done
     for seed in 1 2 3 4; do
         for h in 0.3 0.5 0.8; do
-            echo "exponents-h$h-s$seed jobs/paper/exponents.toml $(size 2048 1) surface.hurst=$h surface.seed=$seed"
+            [ "$h" = 0.3 ] && areas="load.contact_area=[0.04,0.08,0.09]" || areas=
+            echo "exponents-h$h-s$seed jobs/paper/exponents.toml $(size 2048 1) surface.hurst=$h surface.seed=$seed $areas"
             echo "loads-h$h-s$seed jobs/paper/loads.toml $(size 1024 16) surface.hurst=$h surface.seed=$seed"
         done
         for zeta in 0.05 0.25 1.0; do

@@ -21,7 +21,7 @@ from pgfmd.theory import bearing
 
 def make(folders: list[Path], output: Path, area: float = 0.09, window: tuple[float, float] = (8, 128)) -> Findings:
     """One panel per H: both spectra, with power laws over the waves per cell in `window`."""
-    groups = by_hurst(nearest(cases(folders), area))
+    groups = by_hurst(nearest(cases(folders), area, slack=0.15))
     sheet, findings = Sheet(1, len(groups)), Findings()
     for panel, (hurst, chosen) in enumerate(groups.items()):
         for kind, title, colour, marker in (
