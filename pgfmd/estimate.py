@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from .config import Config
 
-# Big arrays of the hard-wall run in bytes per grid point, summed over ranks.  A half spectrum of complex numbers takes
-# as much as the real field.
+# The arrays that live at the peak of a run, in bytes per grid point, summed over ranks.
 ARRAYS = {
     "heights": 8,
+    "heights about their mean, over their rms value": 8,
     "pressure": 8,
     "gap": 8,
-    "search direction": 8,
-    "its image under the compliance": 8,
-    "spectrum": 8,
-    "transform buffer": 8,
+    "strips of the transforms": 8,
+    "means over blocks and their spectrum, rows of the coarse grid": 6,
 }
+# Per contact point: its column (4), direction, image, residual, preconditioned one, change (20), values taken from
+# pressure and gap in double precision (16), a part of a copy for the preconditioner (4).
+PER_CONTACT = 44
+# Newton's vectors for the exponential wall, single precision where that serves.
+EXPONENTIAL = {"pressure's root, residual, direction, image, change, response": 24, "targets and their sums": 34}
+PER_RANK = 6e6  # bytes: blocks of the transforms
 
 # Forward + backward transforms, double precision, to the default tolerance; and seconds per grid point of one of them
 # on one core of a 2020s machine (FFTW, 4096 × 4096).
-TRANSFORMS = {"hard": 50, "exponential": 80}
+TRANSFORMS = {"hard": 30, "exponential": 15}
 SECONDS_PER_POINT = 1.4e-8
 SOLVES_PER_AREA = 4  # loads tried until one contact area is met
 
@@ -44,10 +49,27 @@ def estimate(config: Config, ranks: int) -> Estimate:
     solves = loads * (1 if config.load.control == "pressure" else SOLVES_PER_AREA)
     work = TRANSFORMS[config.wall.kind] * solves + 2 * len(config.output.observables) * loads
     return Estimate(
-        memory=sum(ARRAYS.values()) * rows * config.grid.n[1],
+        memory=bytes_per_point(config) * rows * config.grid.n[1] + PER_RANK,
         files=fields * points * width,
         seconds=work * points * SECONDS_PER_POINT / ranks,
     )
+
+
+def bytes_per_point(config: Config) -> float:
+    """Bytes per grid point at the peak, over all ranks."""
+    if config.wall.kind == "exponential":
+        return sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
+    return sum(ARRAYS.values()) + PER_CONTACT * largest_area(config)
+
+
+def largest_area(config: Config) -> float:
+    """The relative contact area of the highest load: that asked for, or by Persson's theory, or 1 if neither helps."""
+    highest = max(config.load.targets)
+    if config.load.control == "contact_area":
+        return highest
+    if config.load.control != "pressure" or not config.surface.rms_slope:
+        return 1.0
+    return math.erf(math.sqrt(2) * highest / (config.solid.contact_modulus * config.surface.rms_slope))
 
 
 def report(config: Config, ranks: int) -> str:
@@ -60,7 +82,7 @@ def report(config: Config, ranks: int) -> str:
         "surface": config.surface.kind,
         "loads": f"{loads} by {config.load.control}",
         "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
-        f"({sum(ARRAYS.values())} bytes per grid point)",
+        f"({bytes_per_point(config):.0f} bytes per grid point)",
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
     }

@@ -1,0 +1,67 @@
+"""What `check` predicts, against what a run takes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from pgfmd import config
+from pgfmd.estimate import PER_RANK, bytes_per_point
+
+N = 1536
+
+JOB = """
+[grid]
+n = {n}
+[surface]
+kind = "self-affine"
+hurst = 0.8
+lambda_s = 16.0
+rms_slope = 0.031
+[wall]
+{wall}
+[load]
+pressure = [{pressure}]
+[solver]
+tolerance = 1e-3
+[output]
+fields = ["pressure"]
+"""
+
+# The peak of the resident memory counts from after a small run, so that the interpreter and its libraries do not.
+MEASURE = """
+import sys, tempfile
+from mpi4py import MPI
+from pgfmd.config import parse
+from pgfmd.simulate import simulate
+
+def peak():
+    lines = open("/proc/self/status").read().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+
+small, large = sys.stdin.read().split("====")
+with tempfile.TemporaryDirectory() as folder:
+    simulate(parse(small), MPI.COMM_WORLD, folder + "/small")
+    open("/proc/self/clear_refs", "w").write("5")
+    before = peak()
+    simulate(parse(large), MPI.COMM_WORLD, folder + "/large")
+    print(peak() - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the peak of the memory from /proc")
+@pytest.mark.parametrize(
+    ("wall", "pressure"),
+    [('kind = "hard"', 0.0032), ('kind = "hard"', 0.03), ('kind = "exponential"\nzeta = 0.25', 0.0032)],
+)
+def test_memory_is_predicted(wall, pressure, monkeypatch):
+    """The peak of a whole run (surface, solve, write) is within 10 % of what `check` says, at any contact area."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    jobs = [JOB.format(n=n, wall=wall, pressure=pressure) for n in (64, N)]
+    out = subprocess.run(
+        [sys.executable, "-c", MEASURE], input="====".join(jobs), capture_output=True, text=True, check=True
+    ).stdout
+    expected = bytes_per_point(config.parse(jobs[1])) * N**2 + PER_RANK
+    assert float(out.split()[-1]) == pytest.approx(expected, rel=0.1)
