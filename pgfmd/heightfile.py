@@ -10,6 +10,7 @@ import numpy as np
 from .errors import InputError
 from .grid import SlabGrid
 from .parallel import raise_together
+from .validate import printable
 
 DETREND = ("none", "mean", "plane")
 
@@ -25,8 +26,9 @@ def read_heights(
     Raises InputError on all ranks: file missing, unreadable, truncated, of another shape than the grid, or not finite.
     """
     with raise_together(grid.comm):
-        heights = _rows(os.fspath(path), dataset, grid.shape, grid.rows)
-        heights *= scale
+        with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is named below
+            heights = _rows(os.fspath(path), dataset, grid.shape, grid.rows)
+            heights *= scale
         bad = np.argwhere(~np.isfinite(heights))
         if len(bad):
             row, column = bad[0]
@@ -53,7 +55,7 @@ def _rows(path: str, dataset: str | None, shape: tuple[int, int], rows: slice) -
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except Exception as error:  # whatever a damaged file makes NumPy or HDF5 raise
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
         raise InputError(f"{path}: cannot be read as heights (.npy or HDF5), perhaps truncated: {reason}") from None
 
 
