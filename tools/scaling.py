@@ -55,6 +55,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
         "reductions": reductions.count, "reducing": reductions.seconds, "halos": fetches.count,
         "in halos": fetches.seconds, "area": grid.reduction.sum(solution.pressure > 0) / grid.size,
     }  # fmt: skip
+    found["bytes per solve"] = solution.transforms * found["bytes float64"]
     slowest = {name: comm.allreduce(value, MPI.MAX) for name, value in found.items()}
     if comm.rank == 0:
         with open(path, "a") as file:
@@ -192,7 +193,7 @@ def draw(rows: list[dict], folder: Path) -> None:
     for row in table:
         row["total"] = sum(row[name] for name in ("transforms", "vectors", "all-to-all", "latency", "coarse grids"))
     _write(folder / "scaling-model.csv", table)
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4))
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.7))
     for colour, n in zip(COLOURS, sorted({row["n"] for row in rows}), strict=False):
         for exchanged, style in ((False, "-"), (True, "--")):
             mine = sorted(
@@ -210,10 +211,11 @@ def draw(rows: list[dict], folder: Path) -> None:
         axis.loglog(MODEL_RANKS, [row["total"] for row in mine], "k", lw=2, label="total")
         title = "coarse grids on every rank" if how == "as it is" else "coarse grids on fewer ranks"
         axis.set(xlabel="ranks", ylabel="seconds per solve", title=f"model, {MODEL_SIZES[-1]}², {title}")
-    for axis in axes:
-        axis.legend()
-    axes[1].set_ylim(1e-2)
-    axes[2].set_ylim(1e-2)
+        axis.set_ylim(1e-2)
+    axes[0].set_xticks(counts := sorted({row["ranks"] for row in rows}), counts, minor=False)
+    axes[0].set_xticks([], minor=True)
+    axes[0].legend()
+    figure.legend(*axes[1].get_legend_handles_labels(), loc="outside lower right", ncols=6)
     for kind in ("png", "pdf"):
         figure.savefig(folder / f"scaling.{kind}")
     print(_verdict(table, known))
