@@ -45,8 +45,9 @@ def make(folders: list[Path], output: Path, area: float | None = None) -> Findin
         r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$",
         "the bounds",
         scale="semilogx",
-        legend="center right",
+        legend="upper right",
     )
+    sheet.panels[1].set_ylim(top=2.6)  # room for the legend
     findings = Findings()
     findings.add("contact area f_c", case.area)
     findings.add("m₂ = C_σ(0)/(σ_c² f_c)", m2)

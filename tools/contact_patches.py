@@ -17,7 +17,7 @@ from reading import Case, cases, nearest
 
 from pgfmd.theory import bearing
 
-SMALL, LARGE = 0.1, 3.0  # in λ_s²: patches up to SMALL are parts of single asperities, those from LARGE on hold many
+SMALL, LARGE = 0.1, 1.0  # in λ_s²: patches up to SMALL are parts of single asperities, those from LARGE on hold many
 PER_DECADE = 6  # bins
 DOTS = 4000  # patches drawn one by one
 

@@ -132,7 +132,8 @@ def guide(axes, x, y0: float, exponent: float, text: str, **style):
     y = y0 * (x / x[0]) ** exponent
     axes.plot(x, y, **({"color": GREY, "lw": 0.9, "ls": "--"} | style))
     third = x[0] ** (2 / 3) * x[-1] ** (1 / 3), y[0] ** (2 / 3) * y[-1] ** (1 / 3)
-    axes.annotate(text, third, textcoords="offset points", xytext=(5, 3), color="0.35", fontsize=7.5)
+    side = {"xytext": (-3, 4), "ha": "right"} if y[-1] > y[0] else {"xytext": (5, 3)}
+    axes.annotate(text, third, textcoords="offset points", color="0.35", fontsize=7.5, **side)
 
 
 def _label_short_decades(axis):
