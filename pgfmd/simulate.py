@@ -42,7 +42,6 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
-    topology.report(comm, estimate(config, comm.size).memory)
     grid = SlabGrid(comm, config.grid.shape, config.grid.lengths)
     with ResultWriter(
         comm, directory, config.text, as_toml(config),
@@ -53,6 +52,7 @@ def simulate(
         _refuse_changed_job(config, writer)
         with phases("surface"):
             heights = make_heights(config, grid)
+        topology.report(comm, estimate(config, comm.size).memory)  # now: a wrong input is answered by one line
         elasticity = make_elasticity(config)
         observer = make_observer(config, grid, heights, elasticity)
         checkpoints = Checkpoints(
@@ -92,7 +92,9 @@ def make_heights(config: Config, grid: SlabGrid) -> np.ndarray:
         )  # fmt: skip
     if surface.kind == FILE:
         path, dataset = surface.source
-        return heightfile.read_heights(grid, path, dataset, surface.detrend, surface.height_scale)
+        return heightfile.read_heights(
+            grid, path, dataset, surface.detrend, surface.height_scale, surface.periodic, config.output.length_unit
+        )  # fmt: skip
     if surface.kind == SINUSOID:
         waves = (surface.waves, surface.waves if surface.two_dimensional else 0)
         return topography.sinusoid(grid, surface.amplitude, waves)
