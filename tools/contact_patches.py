@@ -98,7 +98,7 @@ def _draw_sizes(sheet: Sheet, case: Case, size: np.ndarray, resolved: float):
     tail = middle >= 1
     if case.hurst is not None and np.count_nonzero(tail) >= 2:
         exponent = bearing.patch_exponent(case.hurst)
-        guide(sheet.panels[2], middle[tail][[0, -1]], 3 * density[tail][0], -exponent, f"−τ = −{exponent:.2f}")
+        guide(sheet.panels[2], middle[tail][[0, -1]], 3 * density[tail][0], -exponent, f"−{exponent:.2f}")
     sheet.panels[2].axvline(resolved, color=GREY, lw=0.8, ls=":")
     sheet.label(2, r"area $a_c\,/\,\lambda_s^2$", r"$P(a_c)\,\lambda_s^2$", "dotted: smallest in the fits", scale="log")
 
