@@ -78,9 +78,9 @@ def test_failure_on_one_rank_ends_all(tmp_path, where):
     began = time.monotonic()
     environment = {"OMP_NUM_THREADS": "2"}
     run = launching.start(2, "run", job, "--output", tmp_path / "out", script=(script,), environment=environment)
-    code, stderr = launching.wait(run, 90)
+    code, stderr = launching.wait(run, 180)
     assert code not in (0, 75) and "pgfmd: error:" in stderr and "the last straw" in stderr
-    assert time.monotonic() - began < 60
+    assert time.monotonic() - began < 120  # start-up included, on a machine that does other things
     assert Results(tmp_path / "out").status in ("failed", "interrupted")
 
 

@@ -116,10 +116,10 @@ def test_stop_and_go_on(tmp_path, how):
     """A run that is asked to stop ends within seconds, with 75 and one line, and goes on where it was."""
     folder = tmp_path / "out"
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=MANY)
-    environment = {"SLURM_JOB_END_TIME": str(int(time.time()) + 25)} if how == "time limit" else {}
+    environment = {"SLURM_JOB_END_TIME": str(int(time.time()) + 45)} if how == "time limit" else {}
     run = launching.start(2, "run", job, "--output", folder, environment=environment)
-    end = time.monotonic() + 90
-    while completed(folder) < 3:
+    end = time.monotonic() + 240
+    while completed(folder) < 1:
         assert time.monotonic() < end and run.poll() is None
         time.sleep(0.2)
     asked = time.monotonic()
@@ -129,15 +129,15 @@ def test_stop_and_go_on(tmp_path, how):
         run.send_signal(signal.SIGUSR1)  # mpirun hands it on
     elif how == "SIGTERM":  # to a rank: mpirun itself would follow it by SIGKILL
         os.kill(launching.ranks_of(run)[0], signal.SIGTERM)
-    code, stderr = launching.wait(run, 60)
-    assert time.monotonic() - asked < 40
+    code, stderr = launching.wait(run, 120)
+    assert time.monotonic() - asked < 60
     said = [line for line in stderr.splitlines() if line.startswith("pgfmd:")]
     assert code == 75 and len(said) == 1 and how in said[0] and "Traceback" not in stderr
     read = Results(folder)
-    assert read.status == "stopped" and 3 <= len(read) < len(MANY)
+    assert read.status == "stopped" and 1 <= len(read) < len(MANY)
     (folder / "STOP").touch()  # one from before does not stop the run that is to go on
     again = launching.start(1, "run", job, "--output", folder, "--restart")
-    done, end = len(read), time.monotonic() + 90
+    done, end = len(read), time.monotonic() + 240
     while completed(folder) <= done:
         assert time.monotonic() < end and again.poll() is None
         time.sleep(0.2)
