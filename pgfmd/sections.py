@@ -70,9 +70,14 @@ class Surface(Section):
     lambda_r: float | None = key(number(above=0, infinite=True), only=(ROUGH,))
     rms_slope: float | None = key(number(low=0), only=(ROUGH,), needed=True)  # √⟨|∇h|²⟩, exact, spectral
     seed: int | None = key(integer(0), 1, only=(ROUGH,))
-    path: str | None = key(text(), only=(FILE,), needed=True)  # .npy or HDF5 (file.h5:dataset); from the TOML's folder
+    # .npy, HDF5 (file.h5:dataset), or any format that SurfaceTopography reads; relative to the TOML's folder.  The cell
+    # is that of [grid]; what a file says of its size must agree, and of its unit is converted to output.length_unit.
+    path: str | None = key(text(), only=(FILE,), needed=True)
     dataset: str | None = key(text(), only=(FILE,))  # the same as the part of the path after the colon
     detrend: str | None = key(choice("none", "mean", "plane"), "none", only=(FILE,))
+    # What the periodic cell repeats: the heights; the heights and their mirror images, in a cell twice as long either
+    # way; the heights, led to their mean over the outer tenth of each side.
+    periodic: str | None = key(choice("as-is", "mirror", "taper"), "as-is", only=(FILE,))
     height_scale: float | None = key(number(), 1.0, only=(FILE,))  # factor on the heights; negative turns them over
     amplitude: float | None = key(number(), only=(SINUSOID,), needed=True)  # Δ of Δ cos(qx) or Δ cos(qx) cos(qy)
     waves: int | None = key(integer(1), 1, only=(SINUSOID,))  # wavelengths in the cell
@@ -272,7 +277,8 @@ class Output(Section):
     fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), ())
     observables: tuple[str, ...] = key(many(choice(*OBSERVABLES), distinct=True), ())
     precision: str = key(choice("float64", "float32"), "float64")  # of the fields in the file
-    length_unit: str = key(text(), "length")  # names that label the results; numbers are never converted
+    # Names that label the results.  Nothing is converted, but the heights of a file that says its own unit.
+    length_unit: str = key(text(), "length")
     pressure_unit: str = key(text(), "pressure")
     histogram: Histogram = key(Histogram)
     spectra: Spectra = key(Spectra)

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "pgfmd"
 LAYERS = (
     # 0: no grid, no physics; what tools use on a laptop is here too
     "errors threads parallel plans kernels validate sections config files schema runs seal spectra theory "
-    "results estimate",
+    "results estimate instrument",
     "strips transforms grid",
     "hierarchy elasticity topography heightfile labelling",
     "solvers patches observables loads",
@@ -62,6 +62,7 @@ def test_imports_point_down(path):
         ("mpi4py_fft", {"plans"}),
         ("h5py", {"output", "slabfile", "checkpoint", "former", "heightfile", "results", "topology", "seal"}),
         ("pyfftw", {"plans", "topology", "provenance"}),
+        ("SurfaceTopography", {"instrument"}),
     ],
 )
 def test_libraries_stay_where_they_belong(outside, allowed):
