@@ -1,0 +1,165 @@
+"""Surfaces end to end: cells and pixels of any aspect, roll-off, a measured surface in SI units."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from mpi4py import MPI
+
+from pgfmd import config
+from pgfmd.elasticity import Elasticity
+from pgfmd.grid import SlabGrid
+from pgfmd.results import Results
+from pgfmd.simulate import simulate
+from pgfmd.solvers.cascade import solve_hard_wall
+from pgfmd.solvers.exponential import solve_exponential_wall
+from pgfmd.theory import exact
+from pgfmd.topography import coordinates, self_affine
+
+pytestmark = pytest.mark.mpi
+
+MODULUS = 8 / 3
+STRETCHED = ((48, 80), (1.0, 3.1))  # points, cell: pixels 0.021 × 0.039
+JOB = ROOT / "jobs" / "measured.toml"
+
+
+def whole(grid, slab):
+    return grid.fetch(slab, 0, grid.shape[0])
+
+
+def frequencies(shape, lengths):
+    """|q| (nx, ny) in NumPy's order, from the cell alone."""
+    qx, qy = (2 * np.pi * np.fft.fftfreq(count, length / count) for count, length in zip(shape, lengths, strict=True))
+    return np.hypot(qx[:, None], qy)
+
+
+def gap_of(pressure, heights, lengths):
+    """u − h up to a constant for a whole field of pressures: ũ = 2 p̃/(E' q), by NumPy alone."""
+    q = frequencies(heights.shape, lengths)
+    q[0, 0] = np.inf
+    displacement = np.fft.ifft2(2 / (MODULUS * q) * np.fft.fft2(pressure)).real
+    return displacement - (heights - heights.mean()), displacement
+
+
+def test_waves_along_both_axes_of_stretched_pixels(comm):
+    """Westergaard's wave along x with pixels 5 times as long in y, and along y: one and the same pressure, the exact
+    one.  L2 error ≤ 2e-3 at n = 256, of first order as in the test of the hard wall (5e-4 at 1024); certificates of
+    1e-13 leave √(2e-13) between the two, 1e-6."""
+    n, other, found = 256, 6, []
+    theory = exact.Westergaard(1.0, 1.0, MODULUS)
+    mean = 0.5 * theory.full_pressure
+    for axis in (0, 1):
+        shape, lengths = (n, other), (1.0, 5 * other / n)
+        grid = SlabGrid(comm, shape[::-1] if axis else shape, lengths[::-1] if axis else lengths)
+        x = (coordinates(grid)[axis] + np.zeros(grid.local_shape) + 0.5 / n + 0.5) % 1.0 - 0.5
+        solution = solve_hard_wall(grid, np.cos(2 * np.pi * x), mean, Elasticity(MODULUS), 1e-13)
+        expected, pressure = whole(grid, theory.pressure(x, mean)), whole(grid, solution.pressure)
+        assert np.linalg.norm(pressure - expected) <= 2e-3 * np.linalg.norm(expected)
+        assert abs(solution.mean_gap - theory.mean_gap(mean)) <= 16e-6  # second order: 1e-6 at 1024
+        found.append(pressure.T if axis else pressure)
+    assert np.linalg.norm(found[0] - found[1]) <= 1e-6 * np.linalg.norm(found[0])
+
+
+@pytest.fixture
+def stretched(comm):
+    grid = SlabGrid(comm, *STRETCHED)
+    return grid, self_affine(grid, 0.8, 0.2, 0.031, 11)
+
+
+def test_contact_conditions_on_stretched_pixels(stretched):
+    """p ≥ 0, ⟨p⟩ = p̄, and by transforms written here again ⟨p, g − min g⟩ ≤ tol · 2 E_el, the certificate: contact and
+    gap exclude each other."""
+    grid, heights = stretched
+    tolerance, mean = 1e-10, 0.01
+    found = solve_hard_wall(grid, heights, mean, Elasticity(MODULUS), tolerance)
+    pressure, heights = whole(grid, found.pressure), whole(grid, heights)
+    gap, displacement = gap_of(pressure, heights, grid.lengths)
+    energy = np.mean(pressure * displacement) / 2
+    assert pressure.min() >= 0 and pressure.mean() == pytest.approx(mean, rel=1e-12)
+    assert np.mean(pressure * (gap - gap.min())) <= 1.01 * tolerance * 2 * energy
+    assert 0.05 < np.mean(pressure > 0) < 0.5
+    assert energy == pytest.approx(found.elastic_energy, rel=1e-9)
+    assert np.allclose(whole(grid, found.gap), gap - gap.mean() + found.mean_gap, rtol=0, atol=1e-10 * np.ptp(heights))
+
+
+def test_exponential_wall_on_stretched_pixels(stretched):
+    """σ = σ_ref exp(−g/ζ) at every point, with the gap from transforms written here again; D = 1e-14 · 2 E_el leaves
+    relative pressures of about √(1e-14 · 2 E_el/(ζ p̄))."""
+    grid, heights = stretched
+    mean, zeta = 0.01, 0.2 * math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
+    found = solve_exponential_wall(grid, heights, mean, Elasticity(MODULUS), zeta, 2.0, tolerance=1e-14)
+    pressure, heights = whole(grid, found.pressure), whole(grid, heights)
+    gap, _ = gap_of(pressure, heights, grid.lengths)
+    wall = 2.0 * np.exp(-(gap - gap.mean() + found.mean_gap) / zeta)
+    allowed = 3 * math.sqrt(1e-14 * max(1, 2 * found.elastic_energy / (zeta * mean)))
+    assert np.linalg.norm(wall - pressure) <= allowed * np.linalg.norm(pressure)
+
+
+def test_roll_off_end_to_end(comm, shared_tmp_path):
+    """A job with lambda_s < lambda_l < lambda_r writes heights whose spectrum, by NumPy, is nothing below 2π/λ_r, one
+    plateau up to 2π/λ_l, then q^(−2(1+H)) with no step, nothing above 2π/λ_s; 4 standard errors of Gaussian modes."""
+    text = (
+        "[grid]\nn = [192, 128]\nspacing = [0.5, 1.0]\n[surface]\nkind = 'self-affine'\nhurst = 0.6\nlambda_s = 6\n"
+        "lambda_l = 32\nlambda_r = 100\nrms_slope = 0.05\nseed = 4\n[load]\npressure = 0.01\n"
+        "[solver]\ntolerance = 1e-3\n[output]\nfields = ['height']\n"
+    )
+    simulate(config.parse(text), comm, shared_tmp_path / "out")
+    results = Results(shared_tmp_path / "out")
+    heights = results.field("height")
+    power, q = np.abs(np.fft.fft2(heights) / heights.size) ** 2, frequencies((192, 128), (96.0, 128.0))
+    q_s, q_l, q_r = (2 * np.pi / (waves * 0.5) for waves in (6, 32, 100))
+    plateau, law = (q >= q_r) & (q <= q_l), (q > q_l) & (q <= q_s)
+    assert power[(q < q_r * (1 - 1e-6)) | (q > q_s * (1 + 1e-6))].max() < 1e-20 * power.max()
+    low, high = power[plateau], power[law] * (q[law] / q_l) ** 3.2
+    error = math.sqrt(2 / low.size + 2 / high.size)  # each mode and its conjugate are one
+    assert low.mean() / high.mean() == pytest.approx(1, abs=4 * error)
+    assert math.sqrt(np.sum(q**2 * power)) == pytest.approx(0.05, rel=1e-10)
+
+
+def run_measured(comm, folder, *overrides):
+    simulate(config.load(JOB, overrides), comm, folder)
+    comm.Barrier()
+    return Results(folder)
+
+
+def test_measured_job(comm, shared_tmp_path):
+    """jobs/measured.toml runs as it stands, in metres and pascals, and any number of ranks gives what one process
+    gives: two pressures that are certified to tol differ by no more than 2 √(2 tol) in energy norm."""
+    found = run_measured(comm, shared_tmp_path / "ranks")
+    assert found.status == "complete" and (found.loads["certified_error"] <= 1e-8).all()
+    assert np.allclose(found.loads["mean_pressure"], [1e6, 5e6], rtol=1e-12)
+    assert found.units["mean_gap"] == "m" and found.units["mean_pressure"] == "Pa"
+    heights = found.field("height")
+    assert heights.shape == (256, 192) and np.array_equal(heights, heights[::-1, ::-1])
+    if comm.size == 1:
+        return
+    if comm.rank == 0:
+        run_measured(MPI.COMM_SELF, shared_tmp_path / "alone")
+    comm.Barrier()
+    alone = Results(shared_tmp_path / "alone")
+    for load in (0, 1):
+        change = found.field("pressure", load=load) - alone.field("pressure", load=load)
+        q = frequencies(change.shape, (25.6e-6, 23.04e-6))
+        q[0, 0] = np.inf
+        norms = [np.sum(np.abs(np.fft.fft2(p)) ** 2 / q) for p in (change, alone.field("pressure", load=load))]
+        assert math.sqrt(norms[0] / norms[1]) <= 2 * math.sqrt(2e-8)
+
+
+def test_units_do_not_matter(comm, shared_tmp_path):
+    """The measured job in metres and pascals, and in grid spacings and Young's moduli: pressures and gaps agree to 1e-8
+    of their largest value, certified to 1e-10."""
+    common = ("solver.tolerance=1e-10", "load.pressure=[5e6]", "output.observables=[]")
+    physical = run_measured(comm, shared_tmp_path / "si", *common)
+    bare = run_measured(
+        comm, shared_tmp_path / "bare", *common, "grid.length=[256, 230.4]", "surface.height_scale=1e7",
+        "solid.young=1", "load.pressure=[5e-3]", "output.length_unit=spacing", "output.pressure_unit=E",
+    )  # fmt: skip
+    for name, unit in (("pressure", 1e9), ("gap", 1e-7)):
+        expected = unit * bare.field(name, load=0)
+        assert np.abs(physical.field(name, load=0) - expected).max() <= 1e-8 * np.abs(expected).max(), name
+    assert physical.loads["contact_area"][0] == bare.loads["contact_area"][0]
+    energy = bare.loads["elastic_energy"][0] * 1e9 * 1e-7
+    assert physical.loads["elastic_energy"][0] == pytest.approx(energy, rel=1e-8)
