@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import plotting
-from plotting import BLUE, RED, Findings, Sheet, fit_power_law, guide
+from plotting import BLACK, BLUE, RED, Findings, Sheet, fit_power_law
 from reading import Case, by_hurst, cases, common_bins, nearest
 
 from pgfmd.theory import bearing
@@ -24,9 +24,9 @@ def make(folders: list[Path], output: Path, area: float = 0.09, window: tuple[fl
     groups = by_hurst(nearest(cases(folders), area, slack=0.15))
     sheet, findings = Sheet(1, len(groups)), Findings()
     for panel, (hurst, chosen) in enumerate(groups.items()):
-        for kind, title, colour, marker in (
-            ("contact", "elastic contact", RED, "o"),
-            ("bearing", "bearing area", BLUE, "s"),
+        for kind, title, colour, marker, dashes in (
+            ("contact", "elastic contact", RED, "o", "-"),
+            ("bearing", "bearing area", BLUE, "s", "--"),
         ):
             waves, spectra = normalised(chosen, kind)
             inside = (waves >= window[0]) & (waves <= window[1])
@@ -34,12 +34,11 @@ def make(folders: list[Path], output: Path, area: float = 0.09, window: tuple[fl
             mean = np.exp(np.log(spectra).mean(axis=0))
             sheet.curve(panel, waves, mean, title, color=colour, marker=marker, ls="none")
             findings.add(f"μ_c {title}, H = {hurst:g}", -np.array(exponents))
-            law = -(1 + hurst) if kind == "contact" else -bearing.spectrum_exponent(hurst)
-            ends = np.array(window, float)
-            factor = 2.2 if kind == "contact" else 0.12
-            guide(sheet.panels[panel], ends, factor * np.interp(window[0], waves, mean), law, f"{law:.1f}")
+            slope, offset = fit_power_law(waves[inside], mean[inside])
+            line = np.exp(offset[0]) * waves[inside] ** slope
+            sheet.curve(panel, waves[inside], line, f"$\\mu$ = {-slope:.2f}", color=BLACK, ls=dashes, lw=1.0)
         findings.add(f"theory 2 + H of the bearing area, H = {hurst:g}", bearing.spectrum_exponent(hurst))
-        text = f"H = {hurst:g}, $f_c$ = {chosen[0].area:.3f}"
+        text = f"H = {hurst:g}, $f_c$ = {chosen[0].area:.3f}; 2 + H = {bearing.spectrum_exponent(hurst):g}"
         spectrum = r"$f_c\,|\tilde\Theta(q)|^2\,/\,(1-f_c)\,|\tilde\Theta(0)|^2$"
         sheet.label(panel, "waves per cell, qL/2π", spectrum, text,
                     scale="log", legend="lower left")  # fmt: skip
