@@ -191,6 +191,7 @@ def test_no_folder_is_left(comm, shared_tmp_path):
     )  # fmt: skip
     with pytest.raises(InputError, match="truncated"):
         simulate(job, comm, shared_tmp_path / "out")
+    comm.Barrier()  # rank 0 takes the folder away on its way out
     assert not (shared_tmp_path / "out").exists()
 
 
