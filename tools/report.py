@@ -177,8 +177,8 @@ def _introduction(folders: list[Path], rows) -> str:
 runs of pgfmd {about["softwareVersion"]}. {counts["agrees"]} statements agree, {counts["differs"]} differ; the tables
 say why. Nothing was fitted to the paper. Numbers with ± are means over seeds with their standard error; “agrees”
 allows for the paper's own uncertainty and two standard errors.</p>
-<p>λ = μ = 1, so that E' = 8/3; rms slope 0.031; lengths in grid spacings a. λ_s = a means every mode of the grid, corners
-included. Loads are those that give the contact areas named, to 0.5 %. Largest certified relative energy error of any run:
+<p>λ = μ = 1, so that E' = 8/3; rms slope 0.031; lengths in grid spacings a. λ_s = a means every mode of the grid,
+corners included. Loads are those that give the contact areas named. Largest certified relative energy error of any run:
 {worst:.1e}. All runs together: {_duration(sum(map(_seconds, folders)))} on {about["ranks"]} rank(s) ×
 {about["threads"]} thread(s).</p>"""
 
