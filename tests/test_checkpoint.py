@@ -86,6 +86,7 @@ def test_cut_files_are_recognised(comm, shared_tmp_path):
     mine.save(0, FIELD[mine.rows] + 1)
     mine.save(0, FIELD[mine.rows])
     whole = mine.path.read_bytes()
+    comm.Barrier()  # all have read it before rank 0 cuts it
     for damaged in (*(whole[:length] for length in range(0, len(whole), 499)), whole + b"x", whole + whole):
         if comm.rank == 0:
             mine.path.write_bytes(damaged)
