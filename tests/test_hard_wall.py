@@ -281,3 +281,13 @@ def test_wrong_input_is_refused_by_all(comm, rough, wrong):
         heights = heights[None]
     with pytest.raises(InputError):
         solve(heights, -0.1 if wrong == "load" else 0.1, comm=comm)
+
+
+def test_heights_are_kept_unless_given_away(comm, rough):
+    """The heights come back untouched; where they may be overwritten the answer is the same."""
+    grid = SlabGrid(comm, rough.shape)
+    heights = rough[grid.rows].copy()
+    kept = solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-10)
+    assert np.array_equal(heights, rough[grid.rows])
+    given = solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-10, overwrite_heights=True)
+    assert np.array_equal(kept.pressure, given.pressure)

@@ -33,7 +33,8 @@ class Observer:
     names: which of "histogram", "spectra", "acf", "patches", "bearing", "lowpass" are measured; no other is computed
     histogram_bins; spectra, acf: (spacing, bins); connectivity; lowpass_q: options, see `sections`
     tolerance: certified error of the contacts that "lowpass" solves, if coarser than `lowpass.TOLERANCE`
-    relax(grid, heights, mean_pressure=…, start=…): the solver of "lowpass" in place of the hard wall
+    relax(grid, heights, mean_pressure=…, start=…): the solver of "lowpass" in place of the hard wall; it may overwrite
+        heights
 
     rms_slope: √Σ q²|h̃|²;  seconds: time spent so far on each observable, for `info`
     """
@@ -59,7 +60,10 @@ class Observer:
         self.finest = highest_wave_number(grid) if q_max is None else q_max
         self.lowpass_q = np.asarray(lowpass_q, float) if len(lowpass_q) else octaves(grid, self.finest)
         self.relax = relax or partial(
-            solve_hard_wall, elasticity=elasticity, tolerance=max(tolerance, lowpass.TOLERANCE)
+            solve_hard_wall,
+            elasticity=elasticity,
+            tolerance=max(tolerance, lowpass.TOLERANCE),
+            overwrite_heights=True,
         )
         self.seconds: dict[str, float] = {}
         self._correlator = Correlator(grid, wave_number_bins(grid, *spectra, q_max), lag_bins(grid, *acf))

@@ -33,17 +33,19 @@ def solve_hard_wall(
     tolerance: float = 1e-6,
     start: np.ndarray | None = None,
     monitor: Callable[[SlabGrid, State], None] | None = None,
+    overwrite_heights: bool = False,
 ) -> ContactSolution:
     """Pressure and gap of a hard, frictionless contact at the imposed mean pressure, to a certified relative energy
     error.  Collective.
 
     heights: (nx_local, ny) in units of length, of any offset and size.  start: a pressure (nx_local, ny) from a
-    neighbouring load to begin with, instead of coarse grids.  monitor: called after each outer step.  Raises
-    SolverError if the tolerance cannot be reached.
+    neighbouring load to begin with, instead of coarse grids.  monitor: called after each outer step.
+    overwrite_heights: use their memory, for heights that nobody needs afterwards.  Raises SolverError if the tolerance
+    cannot be reached.
     """
     began, transforms = time.perf_counter(), grid.transforms
     reduce = grid.reduction
-    centred, height = scale.centred(grid, heights, mean_pressure, elasticity)
+    centred, height = scale.centred(grid, heights, mean_pressure, elasticity, overwrite_heights)
     unit = elasticity.contact_modulus * (height or 1.0) / min(grid.spacing)  # of pressure
     scaled = _Scaled(elasticity, unit / (height or 1.0))
     highest = reduce.max(centred)
@@ -57,7 +59,8 @@ def solve_hard_wall(
     load = mean_pressure / unit
     state, extra = _full_contact(grid, centred, scaled, load), 0.0
     if state is None and start is not None:
-        state = State(np.maximum(start / unit, 0), np.empty(grid.local_shape))
+        state = State(start / unit, np.empty(grid.local_shape))
+        np.maximum(state.pressure, 0, out=state.pressure)
         state.pressure *= load * grid.size / reduce.sum(state.pressure)
         state = _relax(grid, centred, scaled, load, state, tolerance, monitor)
     elif state is None:

@@ -14,9 +14,9 @@ LARGEST = 1e120  # of heights over the grid spacing, of pressures over the conta
 
 
 def centred(
-    grid: SlabGrid, heights: np.ndarray, mean_pressure: float, elasticity: Elasticity
+    grid: SlabGrid, heights: np.ndarray, mean_pressure: float, elasticity: Elasticity, overwrite: bool = False
 ) -> tuple[np.ndarray, float]:
-    """heights − ⟨heights⟩ as a new array (nx_local, ny), and the rms of that.  Collective.
+    """heights − ⟨heights⟩ (nx_local, ny), as a new array or in the place of the heights, and its rms.  Collective.
 
     Raises InputError, saying what is out of range, for a surface that is not flat, or a pressure, beyond `LARGEST`.
     """
@@ -31,6 +31,6 @@ def centred(
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / LARGEST:g} and {LARGEST:g}")
     if low == high:
         return np.zeros(grid.local_shape), 0.0
-    heights = heights - low
+    heights = np.subtract(heights, low, out=heights if overwrite else None)
     heights -= reduce.sum(heights) / grid.size
     return heights, math.sqrt(reduce.dot(heights, heights) / grid.size)
