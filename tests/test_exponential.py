@@ -175,8 +175,6 @@ def test_omega_solves_its_equation():
 
 
 ONE_SEED = "k = 4–7 comes out 15–18 % low: 0.288(9) over 16 seeds, which scatter by 0.037; one seed gave 0.34"
-    "k = 4–7 comes out 15–18 % low: 0.288(9) over 16 seeds, whose standard deviation is 0.037, where one gave 0.34"
-)
 
 
 @pytest.mark.long
