@@ -2,7 +2,7 @@
 grids.
 
 Symbols: nx × ny points on a cell lx × ly; fields are float64 of shape (nx_local, ny), axis 0 (x) split over the ranks.
-Spectra are complex of shape (ny_local//2+1 …): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
+Spectra are complex of shape (nky_local, nx): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
 spectra are *transposed*.  A mode with 0 < ky < ny/2 stands for itself and its conjugate: Hermitian weight 2, else 1.
 
 DFT convention, once and for all: forward is the plain sum over points, backward carries 1/(nx ny).

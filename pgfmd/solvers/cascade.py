@@ -105,8 +105,7 @@ class _Scaled:
 def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float) -> State | None:
     """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.
 
-    Its own transform is spent only if the load exceeds the rms value of Kh, bounded from below by that of a few rows…
-    of slopes.
+    Half a transform gives the rms value of Kh; only a load above that is worth the other one.
     """
     squares = []
     action = multiply(grid, np.float64, scaled.stiffness)
