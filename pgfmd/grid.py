@@ -63,7 +63,7 @@ class SlabGrid:
         self.qy = (2 * np.pi / self.lengths[1] * ky)[:, None]
         self.hermitian_weight = np.where((ky == 0) | (2 * ky == ny), 1.0, 2.0)[:, None]
         # Small blocks are not worth waking a thread for.
-        threads = self._asked_threads = threads_per_rank() if threads is None else threads
+        threads = self.asked_threads = threads_per_rank() if threads is None else threads
         self.threads = Threads(threads if self.local_shape[0] * ny >= 256 * 256 else 1)
         self.transforms = 0.0
         self._shared, self._strips, self._made = shared, None, {}
@@ -144,7 +144,7 @@ class SlabGrid:
         """
         shape = tuple(-(-n // factor) for n in self.shape)
         thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
-        return SlabGrid(MPI.COMM_SELF if thin else self.comm, shape, self.lengths, self._asked_threads, self._shared)
+        return SlabGrid(MPI.COMM_SELF if thin else self.comm, shape, self.lengths, self.asked_threads, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.

@@ -12,7 +12,8 @@ import numpy as np
 
 _jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, error_model="numpy")
 
-_APART = 64  # columns
+_u = np.uintp  # of indices: spares the test for negative ones, without which loops are not vectorised
+_APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
 
 
 @_jit
@@ -42,13 +43,16 @@ def divide_by_q(block, qx_squared, qy_squared, factor):
     """block[j, i] *= factor / sqrt(qx²[i] + qy²[j]), and 0 at q = 0; the last axis of `block` holds (real,
     imaginary).
     """
+    scale = np.empty_like(qx_squared)
     for j in range(qy_squared.size):
+        for i in range(scale.size):  # apart from the product, so that roots and quotients are taken many at a time
+            scale[i] = factor / math.sqrt(qx_squared[i] + qy_squared[j])
+        if qx_squared[0] + qy_squared[j] == 0:
+            scale[0] = 0
         row = block[j]
-        for i in range(qx_squared.size):
-            q_squared = qx_squared[i] + qy_squared[j]
-            scale = factor / math.sqrt(q_squared) if q_squared > 0 else q_squared
-            row[i, 0] *= scale
-            row[i, 1] *= scale
+        for i in range(scale.size):
+            row[i, 0] *= scale[i]
+            row[i, 1] *= scale[i]
 
 
 @_jit
@@ -62,6 +66,23 @@ def fill_rows(values, columns, offsets, first, rows):
 
 
 @_jit
+def fill_wrapped(values, columns, offsets, first, count, margin, rows):
+    """rows[i, margin + columns[k]] = values[k] for the points k of row first + i, i < count, 0 elsewhere; `margin`
+    columns on either side repeat those of the other.
+    """
+    ny = rows.shape[1] - 2 * margin
+    for i in range(count):
+        row = rows[i]
+        row[:] = 0
+        for k in range(offsets[first + i], offsets[first + i + 1]):
+            row[_u(margin + columns[k])] = values[k]
+        for j in range(margin):
+            row[j] = row[j + ny]
+        for j in range(margin):
+            row[ny + margin + j] = row[margin + j]
+
+
+@_jit
 def drain_rows(rows, columns, offsets, first, values):
     """values[k] = rows[i, columns[k]] for the points k of row first + i."""
     for i in range(rows.shape[0]):
@@ -71,49 +92,121 @@ def drain_rows(rows, columns, offsets, first, values):
 
 
 @_jit
-def apply_stencil(rows, taps_x, taps_y, weights, columns, offsets, first, count, values):
-    """values[k] = Σ_t weights[t] rows[i + taps_x[t], columns[k] + taps_y[t]] for the points k of row first + i.
+def _thirteen(flat, p, s, a, b, c, d, e, f):
+    """The stencil around flat index p of rows s apart.  Unsigned indices spare the test for negative ones."""
+    centre = a * flat[_u(p)] + b * (flat[_u(p - 1)] + flat[_u(p + 1)]) + c * (flat[_u(p - 2)] + flat[_u(p + 2)])
+    corners = (flat[_u(p - s - 1)] + flat[_u(p - s + 1)]) + (flat[_u(p + s - 1)] + flat[_u(p + s + 1)])
+    across = d * (flat[_u(p - s)] + flat[_u(p + s)]) + f * (flat[_u(p - 2 * s)] + flat[_u(p + 2 * s)])
+    return centre + e * corners + across
 
-    Rows i < count.  Points less than `_APART` columns apart are evaluated together with what lies between them: a loop
-    over contiguous memory is faster than one over points even where most of it is thrown away.
+
+@_jit
+def apply_stencil(rows, weights, columns, offsets, first, count, values):
+    """values[k] = Σ_st w[s, t] rows[i + 2 + s, columns[k] + 2 + t] for the points k of row first + i, rows i < count.
+
+    weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are zero.  Points that lie close
+    are evaluated together with what lies between them: a loop over contiguous memory is several times faster.
     """
-    line = np.empty(rows.shape[1], values.dtype)
+    flat, stride = rows.reshape(-1), rows.shape[1]
+    line = np.empty(stride, values.dtype)
+    a, b, c, d, e, f = weights
     for i in range(count):
+        base = (i + 2) * stride + 2
         k, end = offsets[first + i], offsets[first + i + 1]
         while k < end:
-            stop = k + 1
-            while stop < end and columns[stop] < columns[stop - 1] + _APART:
+            stop, start = k + 1, columns[k]
+            while stop < end and columns[stop] <= columns[stop - 1] + _APART:
                 stop += 1
-            start = columns[k]
-            dense = line[: columns[stop - 1] - start + 1]
-            dense[:] = 0
-            for t in range(weights.size):
-                at = start + taps_y[t]
-                source = rows[i + taps_x[t]][at : at + dense.size]
-                weight = weights[t]
-                for m in range(dense.size):
-                    dense[m] += weight * source[m]
-            for m in range(k, stop):
-                values[m] = dense[columns[m] - start]
+            if stop - k < _FEW:
+                for m in range(k, stop):
+                    values[m] = _thirteen(flat, base + columns[m], stride, a, b, c, d, e, f)
+            else:
+                for m in range(columns[stop - 1] - start + 1):
+                    line[m] = _thirteen(flat, base + start + m, stride, a, b, c, d, e, f)
+                for m in range(k, stop):
+                    values[m] = line[_u(columns[m] - start)]
             k = stop
 
 
 @_jit
-def block_sums(values, columns, offsets, first, stop, start_row, size, sums):
-    """sums[(start_row + i) // size, columns[k] // size] += values[k] for the points k of the rows first ≤ i < stop."""
+def spread_points(values, columns, offsets, first, stop, x_first, x_weights, y_first, y_weights, mesh_row, mesh):
+    """mesh[x_first[i] + s − mesh_row, y_first[k] + t] += x_weights[i, s] y_weights[k, t] values[k] for the points k of
+    the rows first ≤ i < stop and s, t < 4; rows outside `mesh` are left out, columns wrap.
+    """
+    ny = mesh.shape[1]
+    line = np.empty(ny + 4, mesh.dtype)
     for i in range(first, stop):
-        line = sums[(start_row + i) // size]
+        if offsets[i] == offsets[i + 1]:
+            continue
+        line[:] = 0
         for k in range(offsets[i], offsets[i + 1]):
-            line[columns[k] // size] += values[k]
+            column = columns[k]
+            at = y_first[column] + 1
+            for t in range(4):
+                line[at + t] += y_weights[column, t] * values[k]
+        line[ny] += line[0]
+        for t in range(1, 4):
+            line[t] += line[ny + t]
+        for s in range(4):
+            row = x_first[i] + s - mesh_row
+            weight = x_weights[i, s]
+            if 0 <= row < mesh.shape[0] and weight != 0:
+                target = mesh[row]
+                for j in range(ny):
+                    target[j] += weight * line[j + 1]
 
 
 @_jit
-def add_blocks(values, table, columns, offsets, first, stop, start_row, size, out):
-    """out[k] = values[k] + table[(start_row + i) // size, columns[k] // size]"""
+def add_interpolated(mesh, mesh_row, columns, offsets, first, stop, x_first, x_weights, y_first, y_weights, values):
+    """values[k] += Σ_st x_weights[i, s] y_weights[k, t] mesh[x_first[i] + s − mesh_row, y_first[k] + t] for the points
+    k of the rows first ≤ i < stop; columns wrap.
+    """
+    ny = mesh.shape[1]
+    line = np.empty(ny + 4, mesh.dtype)
     for i in range(first, stop):
-        line = table[(start_row + i) // size]
+        if offsets[i] == offsets[i + 1]:
+            continue
+        at = x_first[i] - mesh_row
+        a, b, c, d = x_weights[i]
+        for j in range(ny):
+            line[j + 1] = a * mesh[at, j] + b * mesh[at + 1, j] + c * mesh[at + 2, j] + d * mesh[at + 3, j]
+        line[0] = line[ny]
+        for t in range(3):
+            line[ny + 1 + t] = line[1 + t]
         for k in range(offsets[i], offsets[i + 1]):
-            out[k] = values[k] + line[columns[k] // size]
+            column = columns[k]
+            at = y_first[column] + 1
+            total = values[k]
+            for t in range(4):
+                total += y_weights[column, t] * line[at + t]
+            values[k] = total
+
+
+@_jit
+def scale_modes(block, scale):
+    """block *= scale; the last axis of `block` holds (real, imaginary)."""
+    for j in range(scale.shape[0]):
+        for i in range(scale.shape[1]):
+            block[j, i, 0] *= scale[j, i]
+            block[j, i, 1] *= scale[j, i]
+
+
+@_jit
+def block_sums(values, columns, offsets, first, stop, size, column_block, sums):
+    """sums[(i − first) // size, column_block[columns[k]]] += values[k] for the points k of rows first … stop−1."""
+    for i in range(first, stop):
+        line = sums[(i - first) // size]
+        for k in range(offsets[i], offsets[i + 1]):
+            line[_u(column_block[_u(columns[k])])] += values[k]
+
+
+@_jit
+def add_blocks(values, table, columns, offsets, first, stop, row_block, column_block, out):
+    """out[k] = values[k] + table[row_block[i], column_block[columns[k]]]"""
+    for i in range(first, stop):
+        line = table[row_block[i]]
+        for k in range(offsets[i], offsets[i + 1]):
+            out[k] = values[k] + line[_u(column_block[_u(columns[k])])]
 
 
 @_jit

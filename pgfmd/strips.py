@@ -39,10 +39,19 @@ def _from_cache_line(raw: np.ndarray) -> np.ndarray:
     return raw[-raw.ctypes.data % ALIGNMENT :]
 
 
-def aligned(shape: tuple[int, int], dtype) -> np.ndarray:
-    """A new padded array of that shape, for blocks."""
+def aligned(shape: tuple[int, int], dtype, apart: bool = True) -> np.ndarray:
+    """A new array of that shape whose rows start on cache lines, and unless `apart` is False on different cache sets
+    (without it, rows that fill whole cache lines make a contiguous array, which compiled loops are faster on).
+    """
     dtype = np.dtype(dtype)
+    if not apart and shape[1] * dtype.itemsize % ALIGNMENT == 0:
+        return aligned_bytes(shape[0] * shape[1] * dtype.itemsize).view(dtype).reshape(shape)
     return padded(aligned_bytes(shape[0] * row_stride(shape[1], dtype.itemsize) * dtype.itemsize), shape, dtype)
+
+
+def with_padding(array: np.ndarray) -> np.ndarray:
+    """A `padded` array together with its padding: contiguous, so that compiled loops know its strides."""
+    return np.lib.stride_tricks.as_strided(array, (len(array), array.strides[0] // array.itemsize))
 
 
 class Strips:

@@ -23,7 +23,7 @@ import numpy as np
 
 from . import kernels
 from .plans import plan
-from .strips import Strips, aligned
+from .strips import Strips, aligned, with_padding
 from .threads import Threads
 
 Rows = Callable[[int, int, np.ndarray], None]
@@ -41,7 +41,7 @@ class _Worker:
     def __init__(self, transform: Transform):
         nx, ny = transform.shape
         real, cplx = transform.real, transform.complex
-        self.rows = aligned((transform.row_block, ny), real)
+        self.rows = aligned((transform.row_block, ny), real, apart=False)
         self.half = aligned((transform.row_block, ny // 2 + 1), cplx)
         self.rows_forward = plan(self.rows, self.half, True)
         self.rows_backward = plan(self.half, self.rows, False)
@@ -50,6 +50,7 @@ class _Worker:
         self.columns_backward = plan(self.block, self.block, False)
         for array in (self.rows, self.half, self.block):
             array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
+        self.whole_block = with_padding(self.block)
 
 
 class Transform:
@@ -61,6 +62,7 @@ class Transform:
         self.complex = np.result_type(self.real, np.complex64)
         nx, ny = shape
         self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
+        self.whole_strip = with_padding(self.strip)
         self.row_block = _block(ROW_BLOCK, ny * self.real.itemsize, strips.rows, threads.count)
         self.column_block = _block(COLUMN_BLOCK, nx * self.complex.itemsize, self.strip.shape[1], threads.count)
         self.threads = threads
@@ -90,12 +92,12 @@ class Transform:
             worker = self.workers[thread]
             block = worker.block[: stop - first]
             if forward:
-                kernels.gather_columns(self.strip, first, stop - first, worker.block)
+                kernels.gather_columns(self.whole_strip, first, stop - first, worker.whole_block)
                 worker.columns_forward()
             action(block, first, stop)
             if backward:
                 worker.columns_backward()
-                kernels.scatter_columns(worker.block, first, stop - first, self.strip)
+                kernels.scatter_columns(worker.whole_block, first, stop - first, self.whole_strip)
 
         self.threads.share(one, self.strip.shape[1], self.column_block)
 

@@ -51,29 +51,69 @@ def test_fill_and_drain_rows(points):
     assert np.array_equal(back[offsets[2] :], values[offsets[2] :])
 
 
-def test_apply_stencil(points):
-    """A correlation with the stencil, evaluated on the set."""
+def test_fill_wrapped(points):
+    """The values on the set, zero elsewhere, and two columns from the other side on each side."""
     mask, offsets, columns = points
-    stencil, field = rng.random((3, 3)), rng.random((11, 9))
-    stencil[0, 2] = 0
-    taps = np.nonzero(stencil)
-    out = np.zeros(len(columns))
-    kernels.apply_stencil(field, *taps, stencil[taps], columns, offsets, 0, 9, out)
-    windows = np.lib.stride_tricks.sliding_window_view(field, (3, 3))
-    assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-14)
+    values, rows = rng.random(len(columns)), np.full((6, 11), np.nan)
+    kernels.fill_wrapped(values, columns, offsets, 2, 5, 2, rows)
+    dense = np.zeros((9, 7))
+    dense[mask] = values
+    assert np.array_equal(rows[:5], np.pad(dense, ((0, 0), (2, 2)), mode="wrap")[2:7])
+
+
+@pytest.mark.parametrize("density", [0.05, 0.4, 0.95])
+def test_apply_stencil(density):
+    """A correlation with a symmetric disc of radius 2, on points that lie apart and on runs of them."""
+    mask, field = rng.random((9, 70)) < density, rng.random((13, 74))
+    weights = rng.random(6)
+    a, b, c, d, e, f = weights
+    stencil = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
+    offsets = np.concatenate([[0], np.cumsum(mask.sum(axis=1))])
+    out = np.zeros(offsets[-1])
+    kernels.apply_stencil(field, weights, np.nonzero(mask)[1].astype(np.int32), offsets, 0, 9, out)
+    windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
+    assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-13)
+
+
+def test_spread_and_interpolate(points):
+    """Values to the nodes around each point by weights, and back by the same: one is the transpose of the other."""
+    mask, offsets, columns = points
+    x_first, y_first = np.repeat([-1, 0, 1], 3).astype(np.int32), np.array([-1, 0, 1, 2, 3, 2, 4], np.int32)
+    x_weights, y_weights = rng.random((9, 4)), rng.random((7, 4))
+    matrix = np.zeros((len(columns), 7, 5))  # points × nodes −1 … 5 and 0 … 4, periodic
+    for k, (i, j) in enumerate(zip(*np.nonzero(mask), strict=True)):
+        for s in range(4):
+            for t in range(4):
+                matrix[k, x_first[i] + s + 1, (y_first[j] + t) % 5] += x_weights[i, s] * y_weights[j, t]
+    splines = x_first, x_weights, y_first, y_weights
+    values, nodes = rng.random(len(columns)), np.zeros((5, 5))
+    kernels.spread_points(values, columns, offsets, 0, 9, *splines, 0, nodes)
+    assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13)
+    nodes, out = rng.random((7, 5)), np.ones(len(columns))
+    kernels.add_interpolated(nodes, -1, columns, offsets, 0, 9, *splines, out)
+    assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13)
+
+
+def test_scale_modes():
+    """block · scale"""
+    block, scale = rng.random((3, 8)) + 1j * rng.random((3, 8)), rng.random((3, 8))
+    expected = block * scale
+    kernels.scale_modes(block.view(float).reshape(3, 8, 2), scale)
+    assert np.allclose(block, expected, rtol=1e-15)
 
 
 def test_blocks(points):
     """Sums over blocks of pixels, and a value per block added to the points in it."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
-    sums, expected = np.zeros((4, 3)), np.zeros((4, 3))
-    kernels.block_sums(values, columns, offsets, 0, 9, 2, 3, sums)
-    np.add.at(expected, ((rows + 2) // 3, columns // 3), values)
+    row_block, column_block = np.arange(9) // 3, np.arange(7) // 3
+    sums, expected = np.zeros((3, 3)), np.zeros((3, 3))
+    kernels.block_sums(values, columns, offsets, 0, 9, 3, column_block, sums)
+    np.add.at(expected, (rows // 3, columns // 3), values)
     assert np.allclose(sums, expected, rtol=1e-14)
     out = np.zeros_like(values)
-    kernels.add_blocks(values, sums, columns, offsets, 0, 9, 2, 3, out)
-    assert np.allclose(out, values + sums[(rows + 2) // 3, columns // 3], rtol=1e-14)
+    kernels.add_blocks(values, sums, columns, offsets, 0, 9, row_block, column_block, out)
+    assert np.allclose(out, values + sums[rows // 3, columns // 3], rtol=1e-14)
 
 
 def test_contact_lists_and_sums():

@@ -15,7 +15,7 @@ LAYERS = (
     "errors threads parallel plans kernels validate sections config files schema runs seal spectra theory "
     "results estimate instrument",
     "strips transforms grid",
-    "hierarchy elasticity topography heightfile labelling",
+    "hierarchy window elasticity topography heightfile labelling",
     "solvers patches observables loads",
     "slabfile former provenance output checkpoint watch topology progress",
     "simulate contact",

@@ -98,6 +98,12 @@ class _Scaled:
     def stiffness(self, q: np.ndarray) -> np.ndarray:
         return self.elasticity.stiffness(q) / self.factor
 
+    def compliance(self, q: np.ndarray) -> np.ndarray:
+        return self.elasticity.compliance(q) * self.factor
+
+    def half_space_compliance(self, q: np.ndarray) -> np.ndarray:
+        return 1 / self.half_space_stiffness(q)
+
     def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
         return 0.5 * self.elasticity.contact_modulus * q / self.factor
 
@@ -136,7 +142,9 @@ def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: fl
 
 def _relax(grid, heights, scaled, load, state, tolerance, monitor) -> State:
     solver = Relaxation(grid, heights, scaled, load * grid.size)
-    return solver.relax(state, tolerance, None if monitor is None else lambda state: monitor(grid, state))
+    state = solver.relax(state, tolerance, None if monitor is None else lambda state: monitor(grid, state))
+    solver.free()
+    return state
 
 
 def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..parallel import Reduction
-from ..transforms import Columns
 from .contact_set import ContactSet
 from .preconditioner import TwoLevelStiffness
 
@@ -13,7 +12,7 @@ from .preconditioner import TwoLevelStiffness
 def solve_on_set(
     points: ContactSet,
     residual: np.ndarray,
-    compliance: Columns,
+    compliance,
     preconditioner: TwoLevelStiffness,
     reduction_wanted: float,
     most: int,
@@ -47,7 +46,7 @@ def solve_on_set(
             direction += z
             direction -= r.dtype.type(mean_z)
         rz_old = rz
-        points.convolve(direction, compliance, product)
+        compliance.apply(points, direction, product)
         curvature, sum_product = reduction.sums(_dot(direction, product), _sum(product))
         if not curvature > 0:
             return x, iteration

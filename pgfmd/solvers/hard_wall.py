@@ -23,8 +23,10 @@ from .. import kernels
 from ..elasticity import Elasticity
 from ..errors import SolverError
 from ..grid import SlabGrid
+from ..transforms import Columns
 from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet
+from .mesh import MeshCompliance
 from .preconditioner import TwoLevelStiffness
 
 INNER_REDUCTION = (
@@ -51,6 +53,20 @@ class State:
     iterations: int = 0
 
 
+class FullCompliance:
+    """u = S G Sᵀ p by full transforms."""
+
+    def __init__(self, action: Columns):
+        self.action = action
+
+    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
+        """out = the response to `values`, both (count,).  Collective."""
+        points.convolve(values, self.action, out)
+
+    def free(self) -> None:
+        """Nothing to give back."""
+
+
 class Relaxation:
     """Active-set relaxation of heights (nx_local, ny) on `grid` under the total load Σp."""
 
@@ -59,6 +75,12 @@ class Relaxation:
         self.compliance = {
             kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
         }
+        half_space = elasticity.half_space_compliance, elasticity.compliance
+        self.inner = (
+            MeshCompliance(grid, *half_space)
+            if MeshCompliance.serves(grid, *half_space)
+            else FullCompliance(self.compliance[np.float32])
+        )
         self.preconditioner = TwoLevelStiffness(grid, elasticity.half_space_stiffness, elasticity.stiffness)
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
@@ -95,6 +117,11 @@ class Relaxation:
             f"hard wall: the certified error stays at {best:.1e}, above the tolerance {tolerance:.1e}, after "
             f"{state.iterations} iterations on {self.grid.shape[0]} x {self.grid.shape[1]} points; ask for less"
         )
+
+    def free(self) -> None:
+        """Give the memory of coarser transforms back.  Collective."""
+        self.inner.free()
+        self.preconditioner.free()
 
     def compute_gap(self, state: State, precision) -> None:
         """gap = Gp − h for the state's pressure, of either sign.  Collective."""
@@ -162,7 +189,7 @@ class Relaxation:
         inside, count = self.grid.reduction.sums(gap.sum(), points.count)
         residual = (inside / count - gap).astype(np.float32)
         change, steps = solve_on_set(
-            points, residual, self.compliance[np.float32], self.preconditioner, wanted, MOST_INNER
+            points, residual, self.inner, self.preconditioner, wanted, MOST_INNER
         )  # fmt: skip
         points.put(state.pressure, points.take(state.pressure) + change)
         state.iterations += steps

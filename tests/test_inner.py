@@ -1,0 +1,113 @@
+"""The parts of the inner solver: sets with their halo, windows of rows, the mesh compliance and the preconditioner."""
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from pgfmd.elasticity import Elasticity
+from pgfmd.grid import SlabGrid
+from pgfmd.solvers.contact_set import HALO, ContactSet
+from pgfmd.solvers.mesh import MeshCompliance
+from pgfmd.solvers.preconditioner import TwoLevelStiffness
+from pgfmd.window import RowWindow
+
+pytestmark = pytest.mark.mpi
+comm = MPI.COMM_WORLD
+
+
+def random_set(grid: SlabGrid, density: float):
+    """A set, the same on any number of ranks, its mask on the whole grid, and values on it that sum to zero."""
+    rng = np.random.default_rng(3)
+    mask = rng.random(grid.shape) < density
+    field = np.where(mask, rng.standard_normal(grid.shape), 0).astype(np.float32)
+    field -= np.where(mask, field[mask].mean(), 0).astype(np.float32)
+    points = ContactSet(grid, mask[grid.rows].astype(float), np.ones(grid.local_shape), -np.inf)
+    return points, mask, field
+
+
+def everywhere(grid: SlabGrid, points: ContactSet, values: np.ndarray) -> np.ndarray:
+    """Values on the set as a field on the whole grid, on every rank."""
+    field = np.zeros(grid.local_shape)
+    points.put(field, values.astype(float))
+    return np.concatenate(comm.allgather(field))
+
+
+@pytest.mark.parametrize("shape", [(64, 16), (61, 7), (9, 5), (4, 3)])
+def test_halo_of_a_set(shape):
+    """The rows before and after a slab, around the ring, also where slabs are thinner than the halo."""
+    grid = SlabGrid(comm, shape)
+    points, mask, field = random_set(grid, 0.4)
+    rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO) % shape[0]
+    columns, offsets = points.extended
+    assert np.array_equal(np.diff(offsets), mask[rows].sum(axis=1))
+    assert np.array_equal(columns, np.nonzero(mask[rows])[1])
+    assert np.array_equal(points.extend(field[grid.rows][mask[grid.rows]]), field[rows][mask[rows]])
+
+
+@pytest.mark.parametrize("beyond", [(0, 0), (-3, 2), (-40, 35)])
+def test_window_of_rows(beyond):
+    """Rows around the own ones, from as many ranks and periods as it takes, each time anew."""
+    grid = SlabGrid(comm, (23, 4))
+    window = RowWindow(grid, grid.rows.start + beyond[0], grid.rows.stop + beyond[1])
+    rows = np.arange(window.low, window.low + len(window.rows)) % 23
+    for shift in (0, 1000):
+        window.own[...] = shift + 10 * np.arange(grid.rows.start, grid.rows.stop)[:, None] + np.arange(4)
+        window.exchange()
+        assert np.array_equal(window.rows, shift + 10 * rows[:, None] + np.arange(4))
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (96, 80), (61, 67), (50, 128)])
+@pytest.mark.parametrize("density", [0.05, 0.5, 1.0])
+def test_mesh_compliance(shape, density):
+    """Within two per cent of the response by full transforms, on any number of ranks."""
+    grid, elasticity = SlabGrid(comm, shape), Elasticity(1.3)
+    points, mask, field = random_set(grid, density)
+    values = field[grid.rows][mask[grid.rows]]
+    exact, found = np.empty_like(values), np.empty_like(values)
+    half_space = Elasticity(1.3).compliance
+    MeshCompliance(grid, lambda q: 2 / (1.3 * q), half_space).apply(points, values, found)
+    points.convolve(values, elasticity.apply_compliance(grid, np.float32, 1 / grid.size), exact)
+    exact, found = (everywhere(grid, points, part)[mask] for part in (exact, found))
+    off = found - exact
+    assert np.linalg.norm(off - off.mean()) < 0.02 * np.linalg.norm(exact - exact.mean())
+
+
+def test_mesh_compliance_is_where_it_serves():
+    """Not on grids of a few points, of oblong pixels, or for slabs as thin as the mesh is wide."""
+    grid = SlabGrid(comm, (64, 64))
+
+    def serves(grid, thickness=np.inf):
+        return MeshCompliance.serves(grid, lambda q: 2 / q, Elasticity(1.0, thickness).compliance)
+
+    assert serves(grid)
+    assert serves(grid, 20.0)
+    assert not serves(grid, 2.0)
+    assert not serves(SlabGrid(comm, (8, 8)))
+    assert not serves(SlabGrid(comm, (64, 64), (64, 128)))
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (61, 50), (20, 20)])
+def test_preconditioner_is_symmetric_and_positive(shape):
+    """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks."""
+    grid, one = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
+    kernels = (lambda q: q / 2,) * 2
+
+    def applied(grid, field):
+        points, mask, _ = random_set(grid, 0.4)
+        values, out = field[grid.rows][mask[grid.rows]].astype(np.float32), np.empty(points.count, np.float32)
+        TwoLevelStiffness(grid, *kernels).apply(points, values, out)
+        return points, out
+
+    a, b = np.random.default_rng(1).standard_normal((2, *shape))
+    images = []
+    for field in (a, b):
+        points, found = applied(grid, field)
+        whole = everywhere(grid, points, found)
+        alone = np.zeros(shape)
+        points, found = applied(one, field)
+        points.put(alone, found.astype(float))
+        assert np.abs(whole - alone).max() < 1e-5 * np.abs(alone).max()
+        images.append(whole)
+    mask = random_set(one, 0.4)[1]
+    assert abs(np.vdot(a * mask, images[1]) - np.vdot(b * mask, images[0])) < 1e-4 * np.vdot(a * mask, images[0])
+    assert np.vdot(a * mask, images[0]) > 0
