@@ -16,9 +16,10 @@ ARRAYS = {
     "strips of the transforms": 8,
     "means over blocks and their spectrum, rows of the coarse grid": 6,
 }
-# Per contact point: its column (4), direction, image, residual, preconditioned one, change (20), values taken from
-# pressure and gap in double precision (16), a part of a copy for the preconditioner (4).
+# Per contact point: its column (4), direction, image, residual, preconditioned one, change (20), copies with a halo and
+# without the means of blocks (8), values taken from a field in double precision (8), products in passing (4).
 PER_CONTACT = 44
+HARD = {"mesh of half the side: strips, field, influence": 4}
 # Newton's vectors for the exponential wall, single precision where that serves.
 EXPONENTIAL = {"pressure's root, residual, direction, image, change, response": 24, "targets and their sums": 34}
 PER_RANK = 6e6  # bytes: blocks of the transforms
@@ -59,7 +60,7 @@ def bytes_per_point(config: Config) -> float:
     """Bytes per grid point at the peak, over all ranks."""
     if config.wall.kind == "exponential":
         return sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
-    return sum(ARRAYS.values()) + PER_CONTACT * largest_area(config)
+    return sum(ARRAYS.values()) + sum(HARD.values()) + PER_CONTACT * largest_area(config)
 
 
 def largest_area(config: Config) -> float:

@@ -52,10 +52,7 @@ class Interpolation:
         self._fields = [coarse.fetch(field, low, high) for field in fields]
         self._x = [_weights(at - low, order) for order in orders]
         across = np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1])
-        self._y = []
-        for order in orders:
-            first, weights = _weights(across, order)
-            self._y.append(((first[:, None] + np.arange(order)) % coarse.shape[1], weights))
+        self._y = [_weights(across, order) for order in orders]
 
     def rows(self, which: int, first: int, stop: int) -> np.ndarray:
         """Rows first … stop−1 (local to the fine grid) of field number `which`, shape (stop − first, ny_fine)."""

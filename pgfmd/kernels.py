@@ -210,24 +210,31 @@ def add_blocks(values, table, columns, offsets, first, stop, row_block, column_b
 
 
 @_jit
-def interpolate_rows(coarse, first_index, weights, columns_index, column_weights, out):
-    """out[i, j] = Σ weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_index[j, t]]: separable
-    interpolation.
+def interpolate_rows(coarse, first_index, weights, columns_first, column_weights, out):
+    """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
+    interpolation by `order` = 2 or 4 points; columns from −1 on, wrapping.
     """
-    order = weights.shape[1]
-    width = coarse.shape[1]
-    work = np.empty(width, coarse.dtype)
+    order, width = weights.shape[1], coarse.shape[1]
+    line = np.empty(width + 4, coarse.dtype)
     for i in range(out.shape[0]):
-        for j in range(width):
-            total = weights[i, 0] * coarse[first_index[i], j]
-            for s in range(1, order):
-                total += weights[i, s] * coarse[first_index[i] + s, j]
-            work[j] = total
-        for j in range(out.shape[1]):
-            total = column_weights[j, 0] * work[columns_index[j, 0]]
-            for t in range(1, order):
-                total += column_weights[j, t] * work[columns_index[j, t]]
-            out[i, j] = total
+        line[:] = 0
+        for s in range(order):
+            weight, row = weights[i, s], coarse[first_index[i] + s]
+            for j in range(width):
+                line[_u(j + 1)] += weight * row[j]
+        line[0] = line[width]
+        for t in range(3):
+            line[width + 1 + t] = line[1 + t]
+        target = out[i]
+        if order == 2:
+            for j in range(target.size):
+                at = columns_first[j] + 1
+                target[j] = column_weights[j, 0] * line[_u(at)] + column_weights[j, 1] * line[_u(at + 1)]
+        else:
+            for j in range(target.size):
+                at = columns_first[j] + 1
+                inner = column_weights[j, 1] * line[_u(at + 1)] + column_weights[j, 2] * line[_u(at + 2)]
+                target[j] = inner + column_weights[j, 0] * line[_u(at)] + column_weights[j, 3] * line[_u(at + 3)]
 
 
 @_jit
@@ -300,6 +307,14 @@ def put_rows(field, columns, offsets, first, stop, values):
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             field[i, columns[k]] = values[k]
+
+
+@_jit
+def add_to_rows(field, columns, offsets, first, stop, values):
+    """field[i, columns[k]] += values[k] for the listed points of rows first … stop−1."""
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            field[i, columns[k]] += values[k]
 
 
 @_jit

@@ -133,6 +133,8 @@ def test_contact_lists_and_sums():
     assert np.array_equal(values, gap[mask])
     kernels.put_rows(heights, columns, offsets, 0, 9, values)
     assert np.array_equal(heights[mask], gap[mask])
+    kernels.add_to_rows(heights, columns, offsets, 0, 9, values)
+    assert np.array_equal(heights[mask], 2 * gap[mask])
     on = p > 0
     expected = (p * gap)[on].sum(), (p * (gap + heights))[on].sum(), p[on].sum(), on.sum(), gap.min()
     assert np.allclose(kernels.contact_sums(p, gap, heights, 0, 9), expected, rtol=1e-13)
@@ -150,12 +152,14 @@ def test_start_rows():
     assert (total, count) == (pytest.approx(out.sum()), mask.sum())
 
 
-def test_interpolate_rows():
-    """Σ_s Σ_t w_s v_t coarse[i + s, j + t]."""
+@pytest.mark.parametrize("order", [2, 4])
+def test_interpolate_rows(order):
+    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic."""
     coarse = rng.random((8, 6))
-    index, weights = np.array([0, 3, 5]), rng.random((3, 2))
-    columns, column_weights = rng.integers(0, 6, (4, 2)), rng.random((4, 2))
+    index, weights = np.array([0, 3, 4]), rng.random((3, order))
+    first, column_weights = rng.integers(-1, 6, 4), rng.random((4, order))
+    columns = (first[:, None] + np.arange(order)) % 6
     out = np.empty((3, 4))
-    kernels.interpolate_rows(coarse, index, weights, columns, column_weights, out)
-    picked = coarse[(index[:, None] + np.arange(2))[:, :, None, None], columns[None, None]]
-    assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-14)
+    kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
+    picked = coarse[(index[:, None] + np.arange(order))[:, :, None, None], columns[None, None]]
+    assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13)

@@ -111,8 +111,11 @@ class _Scaled:
 def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float) -> State | None:
     """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.
 
-    Half a transform gives the rms value of Kh; only a load above that is worth the other one.
+    The rms value of Kh takes half a transform, and only a load above it is worth the other half; differences along y,
+    which are free, bound it from below.
     """
+    if load < _least_deviation(grid, heights, scaled):
+        return None
     squares = []
     action = multiply(grid, np.float64, scaled.stiffness)
 
@@ -138,6 +141,20 @@ def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: fl
         return None
     energy = grid.reduction.dot(pressure, heights) / 2
     return State(pressure, np.zeros(grid.local_shape), 0.0, energy, 0.0, grid.size)
+
+
+def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> float:
+    """A lower bound of the rms value of Kh, as |q| ≥ 2 sin(q_y a/2)/a.  Collective."""
+    parts = []
+
+    def part(_: int, first: int, stop: int):
+        steps = np.diff(heights[first:stop], axis=1)
+        parts.append(float(np.einsum("ij,ij->", steps, steps)))
+
+    grid.threads.share(part, grid.local_shape[0], 64)
+    q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
+    factor = np.min(scaled.stiffness(q) / q)
+    return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
 
 
 def _relax(grid, heights, scaled, load, state, tolerance, monitor) -> State:

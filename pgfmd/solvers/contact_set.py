@@ -53,6 +53,12 @@ class ContactSet:
             lambda a, b: kernels.put_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
 
+    def add(self, field: np.ndarray, values: np.ndarray) -> None:
+        """Adds values (count,) to a field (nx_local, ny) on the set."""
+        self.grid.threads.split(
+            lambda a, b: kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
+        )
+
     def _make_halo(self) -> None:
         """Learn which points lie in the `HALO` rows before and after those of this rank, around the ring.
         Collective.
@@ -75,6 +81,8 @@ class ContactSet:
             self._before, self._after = int(previous[HALO:].sum()), int(following[:HALO].sum())
         offsets = np.concatenate([[0], np.cumsum(counts)])
         self.extended = self.extend(self.columns), offsets
+        if not self._thin:  # the same memory once
+            self.columns = self.extended[0][self._before : self._before + self.count]
 
     def extend(self, values: np.ndarray) -> np.ndarray:
         """`values` (count,) with those of the halo before and after them, as `extended` lists them.  Collective."""
@@ -115,6 +123,6 @@ class ContactSet:
 
         return rows
 
-    def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray) -> None:
-        """out = (kernel ∗ values) on the set.  Collective."""
-        self.grid.convolve(self.fill(values), action, self.drain(out), self.dtype)
+    def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out = (kernel ∗ values) on the set, or on `targets`.  Collective."""
+        self.grid.convolve(self.fill(values), action, (targets or self).drain(out), self.dtype)

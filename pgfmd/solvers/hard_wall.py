@@ -35,6 +35,8 @@ INNER_REDUCTION = (
 FIRST_REDUCTION = 0.2  # in the first step the set still changes most
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
 MOST_INNER, MOST_OUTER = 300, 200
+CLOSE = 3.0  # times the tolerance: errors below are worth an exact look
+STUCK = 3  # outer steps without halving the best error, after which gaps in single precision may be why
 PATIENCE = 12  # outer steps without halving the best error, before giving up
 
 
@@ -59,9 +61,9 @@ class FullCompliance:
     def __init__(self, action: Columns):
         self.action = action
 
-    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """out = the response to `values`, both (count,).  Collective."""
-        points.convolve(values, self.action, out)
+    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out = the response to `values` (count,) on the set, there or on `targets`.  Collective."""
+        points.convolve(values, self.action, out, targets)
 
     def free(self) -> None:
         """Nothing to give back."""
@@ -90,12 +92,10 @@ class Relaxation:
         falling above the tolerance.
         """
         precision, points, wanted = np.float32, None, FIRST_REDUCTION
-        last = best = np.inf
-        patience = PATIENCE
+        best, patience = np.inf, PATIENCE
         for _ in range(MOST_OUTER):
             self.compute_gap(state, precision)
-            points = self.next_set(state, points)
-            self.certify(state)
+            points, residual = self.next_set(state, points, tolerance)
             if monitor is not None:
                 monitor(state)
             if state.error <= tolerance:
@@ -103,14 +103,13 @@ class Relaxation:
                     return state
                 precision = np.float64  # look again before working on
                 continue
-            if state.error < SINGLE_LIMIT or (state.error > 0.5 * last and last < 1e-3):
+            patience = PATIENCE if state.error < 0.5 * best else patience - 1
+            best = min(best, state.error)
+            if state.error < SINGLE_LIMIT or patience <= PATIENCE - STUCK:
                 precision = np.float64
-            last = state.error
-            patience = PATIENCE if last < 0.5 * best else patience - 1
-            best = min(best, last)
             if patience == 0:
                 break
-            self.correct(state, points, wanted)
+            self.correct(state, points, residual, wanted)
             # A set that will not settle wants more exact steps.
             wanted = INNER_REDUCTION ** (1 + (PATIENCE - patience) // 3)
         raise SolverError(
@@ -134,29 +133,47 @@ class Relaxation:
 
         self.grid.convolve(fill, self.compliance[precision], drain, precision)
 
-    def next_set(self, state: State, points: ContactSet | None) -> ContactSet:
-        """The set after points in tension have left and overlapping points joined; makes the state feasible.
-        Collective.
+    def next_set(self, state: State, points: ContactSet | None, tolerance: float) -> tuple[ContactSet, np.ndarray]:
+        """The set after points in tension have left and overlapping points joined, and the residual on it; makes the
+        state feasible and certifies it.  Collective.
 
         `points` is the set that the pressure was solved on (None at the start).  The set is chosen from the pressure
-        with its
-        tensions: once these are cut off, the gap reacts everywhere, and a set chosen from it would oscillate.
+        with its tensions: once these are cut off, the gap reacts everywhere, and a set chosen from it would oscillate.
+        That reaction is computed on the set alone, approximately, while the error is far from the tolerance; a state
+        within it has an exact one.
         """
         total = self.grid.reduction.sums
-        if points is None:
-            start = ContactSet(self.grid, state.pressure, state.gap, -np.inf)
-            inside, count = total(start.take(state.gap).sum(), start.count)
-            return ContactSet(self.grid, state.pressure, state.gap, inside / count)
-        pressure, gap = points.take(state.pressure), points.take(state.gap)
-        inside, count = total(gap.sum(), points.count)
+        old = points or ContactSet(self.grid, state.pressure, state.gap, -np.inf)
+        inside, count = total(old.take(state.gap).sum(), old.count)
         new = ContactSet(self.grid, state.pressure, state.gap, inside / count)
+        change = None if points is None else self.cut_tension(state, old)
+        if change is None:
+            self.certify(state)
+            return new, self.residual(state, new)
+        response = np.empty(new.count, np.float32)
+        self.inner.apply(old, change, response, new)
+        self.certify(state, float(np.dot(new.take(state.pressure), response)))
+        if state.error > CLOSE * tolerance:
+            return new, self.residual(state, new) - response
+        self.shift_gap(state, old, change)
+        self.certify(state)
+        return new, self.residual(state, new)
+
+    def residual(self, state: State, points: ContactSet) -> np.ndarray:
+        """How far the gap (count,) lies below the level of contact on a set, in single precision."""
+        return (state.level - points.take(state.gap)).astype(np.float32)
+
+    def cut_tension(self, state: State, points: ContactSet) -> np.ndarray | None:
+        """Make the pressure, which is tensile in places of the set, feasible.  Returns its change (count,), or None if
+        there was no tension.  Collective.
+        """
+        pressure = points.take(state.pressure)
         cut = np.maximum(pressure, 0)
-        kept, lost = total(cut.sum(), np.count_nonzero(pressure < 0))
+        kept, lost = self.grid.reduction.sums(cut.sum(), np.count_nonzero(pressure < 0))
         cut *= self.load / kept
         points.put(state.pressure, cut)
-        if lost:
-            self.shift_gap(state, points, cut - pressure)
-        return new
+        cut -= pressure
+        return cut.astype(np.float32) if lost else None
 
     def shift_gap(self, state: State, points: ContactSet, change: np.ndarray) -> None:
         """gap += G · change of the pressure on a set.  Collective."""
@@ -164,32 +181,31 @@ class Relaxation:
         def drain(first: int, stop: int, rows: np.ndarray):
             state.gap[first:stop] += rows
 
-        source = points.fill(change.astype(np.float32))
-        self.grid.convolve(source, self.compliance[np.float32], drain, np.float32)
+        self.grid.convolve(points.fill(change), self.compliance[np.float32], drain, np.float32)
 
-    def certify(self, state: State) -> None:
-        """Energy, number of contact points, and the bound on the error of a feasible state.  Collective."""
+    def certify(self, state: State, extra: float = 0.0) -> None:
+        """Energy, number of contact points, and the bound on the error of a feasible state.  Collective.
+
+        `extra`: of ⟨p, g⟩ over this rank's points, by a change of the gap that `state.gap` does not hold.
+        """
         parts = []
         self.grid.threads.split(
             lambda a, b: parts.append(kernels.contact_sums(state.pressure, state.gap, self.heights, a, b)),
             self.grid.local_shape[0],
         )
         work, energy, load, count, lowest = zip(*parts, strict=True)
-        work, energy, load, count = self.grid.reduction.sums(sum(work), sum(energy), sum(load), sum(count))
+        work, energy, load, count = self.grid.reduction.sums(
+            sum(work) + extra, sum(energy) + extra, sum(load), sum(count)
+        )
         lowest = self.grid.reduction.min(lowest)
         state.energy, state.contact = energy / 2, int(count)
         state.error = (work - lowest * load) / energy if energy > 0 else np.inf
         state.level = work / load
 
-    def correct(self, state: State, points: ContactSet, wanted: float) -> None:
-        """Change the pressure on the set by conjugate gradients, so that the gap there gets flatter by the factor
-        `wanted`.
+    def correct(self, state: State, points: ContactSet, residual: np.ndarray, wanted: float) -> None:
+        """Change the pressure on the set by conjugate gradients, so that the gap, whose residual (count,) is
+        overwritten, gets flatter there by the factor `wanted`.
         """
-        gap = points.take(state.gap)
-        inside, count = self.grid.reduction.sums(gap.sum(), points.count)
-        residual = (inside / count - gap).astype(np.float32)
-        change, steps = solve_on_set(
-            points, residual, self.inner, self.preconditioner, wanted, MOST_INNER
-        )  # fmt: skip
-        points.put(state.pressure, points.take(state.pressure) + change)
+        change, steps = solve_on_set(points, residual, self.inner, self.preconditioner, wanted, MOST_INNER)
+        points.add(state.pressure, change)
         state.iterations += steps

@@ -24,7 +24,7 @@ from .stencil import RADIUS, Stencil, lattice_kernel
 
 SPLIT = 0.55  # α in 1/pixel: errors of the cut and of the mesh are then about equal
 ROUNDEST = 1.25  # ratio of the two grid spacings up to which a round stencil serves
-SMALLEST = 16  # points of the shorter side below which transforms cost nothing
+SMALLEST = 128  # points of the shorter side below which transforms cost nothing
 
 
 class MeshCompliance:
@@ -60,11 +60,12 @@ class MeshCompliance:
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(compliance(q) / half_space(q) - 1) < 1e-2)
 
-    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """out = the response to `values`, both (count,) float32.  Collective."""
+    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out = the response to `values` (count,) on the set, there or on `targets`; both float32.  Collective."""
+        targets = targets or points
         mesh, own = self.mesh, self.mesh.rows.start
         extended = points.extend(values)
-        self.stencil.apply(points, extended, out)
+        self.stencil.apply(points, extended, out, targets)
 
         def fill(first: int, stop: int, block: np.ndarray):
             block[...] = 0
@@ -81,7 +82,7 @@ class MeshCompliance:
 
         def add(first: int, stop: int):
             kernels.add_interpolated(
-                self.window.rows, self.window.low, *points.lists, first, stop, *self._splines(HALO), out
+                self.window.rows, self.window.low, *targets.lists, first, stop, *self._splines(HALO), out
             )  # fmt: skip
 
         mesh.convolve(fill, act, drain, np.float32)

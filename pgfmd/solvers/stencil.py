@@ -34,8 +34,9 @@ class Stencil:
         corner = kernel[RADIUS:, RADIUS:]
         self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(dtype)
 
-    def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray) -> None:
-        """out (count,) = the kernel applied to values that `points.extend` has given a halo."""
+    def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None):
+        """out = the kernel applied to values that `points.extend` has given a halo, on the same set or on `targets`."""
+        lists = (targets or points).lists
         rows, ny = self.grid.local_shape
 
         def part(first: int, stop: int):
@@ -43,6 +44,6 @@ class Stencil:
             for low in range(first, stop, ROWS):
                 count = min(ROWS, stop - low)
                 kernels.fill_wrapped(extended, *points.extended, low + HALO - RADIUS, count + 2 * RADIUS, RADIUS, work)
-                kernels.apply_stencil(work, self.weights, *points.lists, low, count, out)
+                kernels.apply_stencil(work, self.weights, *lists, low, count, out)
 
         self.grid.threads.split(part, rows)
