@@ -285,12 +285,17 @@ def count_contact(pressure, gap, level, first, stop, counts):
 def list_contact(pressure, gap, level, first, stop, offsets, columns):
     """The columns of the points that `count_contact` counts."""
     for i in range(first, stop):
-        k = offsets[i]
-        for j in range(pressure.shape[1]):
-            p = pressure[i, j]
-            if (p > 0) | ((p == 0) & (gap[i, j] < level)):
+        k, end = offsets[i], offsets[i + 1]
+        if k == end:
+            continue
+        row, above = pressure[i], gap[i]
+        for j in range(row.size):
+            p = row[j]
+            if (p > 0) | ((p == 0) & (above[j] < level)):
                 columns[k] = j
                 k += 1
+                if k == end:
+                    break
 
 
 @_jit

@@ -2,8 +2,9 @@
 
 `relax` solves on one grid by a primal–dual active set (Hintermüller, Ito, Kunisch 2002,
 doi:10.1137/S1052623401383558): on a contact set the gap is made constant by conjugate gradients; then points in
-tension leave and points that overlap join.  Conjugate gradients run in single precision and only to a tenth of the
-residual; the gap between them is computed in single precision while that is good enough, then in double.
+tension leave and points that overlap join.  Conjugate gradients run in single precision, with a particle–mesh
+approximation of the compliance (`mesh`), and only to a twentieth of the residual; the gap between them is computed by
+full transforms, in single precision while that is good enough, then in double.
 
 The stop is a certificate that holds for any feasible p, with g = Gp − h:
 
@@ -29,9 +30,7 @@ from .contact_set import ContactSet
 from .mesh import MeshCompliance
 from .preconditioner import TwoLevelStiffness
 
-INNER_REDUCTION = (
-    0.1  # of the residual by conjugate gradients; less wastes outer steps, more is lost when the set changes
-)
+INNER_REDUCTION = 0.05  # of the residual; less wastes outer steps, more is lost when the set changes
 FIRST_REDUCTION = 0.2  # in the first step the set still changes most
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
 MOST_INNER, MOST_OUTER = 300, 200

@@ -23,7 +23,7 @@ from .stencil import RADIUS, Stencil, lattice_kernel
 BLOCK = 4  # pixels: what the near part can bridge
 FEWEST = 32  # blocks per side below which the near part reaches far enough
 NEUTRAL = 0.9  # share of the row sum of the near part taken off its diagonal; below 1 it stays positive definite
-SOFTENING = 4.0  # pixels: compliance of the contact points within a block, over that of a wave of wave number 1/pixel
+SOFTENING = 2.0  # pixels: compliance of the contact points within a block, over that of a wave of wave number 1/pixel
 
 
 class TwoLevelStiffness:
