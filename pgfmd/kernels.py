@@ -56,6 +56,19 @@ def divide_by_q(block, qx_squared, qy_squared, factor):
 
 
 @_jit
+def multiply_by_q(block, qx_squared, qy_squared, factor):
+    """block[j, i] *= factor · sqrt(qx²[i] + qy²[j]); the last axis of `block` holds (real, imaginary)."""
+    scale = np.empty_like(qx_squared)
+    for j in range(qy_squared.size):
+        for i in range(scale.size):
+            scale[i] = factor * math.sqrt(qx_squared[i] + qy_squared[j])
+        row = block[j]
+        for i in range(scale.size):
+            row[i, 0] *= scale[i]
+            row[i, 1] *= scale[i]
+
+
+@_jit
 def fill_rows(values, columns, offsets, first, rows):
     """rows[:] = 0; rows[i, columns[k]] = values[k] for the points k of row first + i."""
     for i in range(rows.shape[0]):
@@ -254,6 +267,26 @@ def contact_sums(pressure, gap, heights, first, stop):
                 load += p
                 count += 1
     return work, energy, load, count, lowest
+
+
+@_jit
+def open_gap(pressure, gap, level, first, stop):
+    """gap = 0 where p > 0, max(gap − level, 0) elsewhere, in rows first … stop−1."""
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            gap[i, j] = 0.0 if pressure[i, j] > 0 else max(gap[i, j] - level, 0.0)
+
+
+@_jit
+def close_pressure(pressure, gap, first, stop):
+    """p = 0 where the gap is not 0, max(p, 0) elsewhere, in rows first … stop−1; returns Σ p."""
+    total = 0.0
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            p = 0.0 if gap[i, j] != 0 else max(pressure[i, j], 0.0)
+            pressure[i, j] = p
+            total += p
+    return total
 
 
 @_jit

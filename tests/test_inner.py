@@ -7,7 +7,7 @@ from mpi4py import MPI
 from pgfmd.elasticity import Elasticity
 from pgfmd.grid import SlabGrid
 from pgfmd.solvers.contact_set import HALO, ContactSet
-from pgfmd.solvers.mesh import MeshCompliance
+from pgfmd.solvers.mesh import MeshResponse
 from pgfmd.solvers.preconditioner import TwoLevelStiffness
 from pgfmd.window import RowWindow
 
@@ -65,7 +65,7 @@ def test_mesh_compliance(shape, density):
     values = field[grid.rows][mask[grid.rows]]
     exact, found = np.empty_like(values), np.empty_like(values)
     half_space = Elasticity(1.3).compliance
-    MeshCompliance(grid, lambda q: 2 / (1.3 * q), half_space).apply(points, values, found)
+    MeshResponse(grid, lambda q: 2 / (1.3 * q), half_space).apply(points, values, found)
     points.convolve(values, elasticity.apply_compliance(grid, np.float32, 1 / grid.size), exact)
     exact, found = (everywhere(grid, points, part)[mask] for part in (exact, found))
     off = found - exact
@@ -77,7 +77,7 @@ def test_mesh_compliance_is_where_it_serves():
     grid = SlabGrid(comm, (128, 128))
 
     def serves(grid, thickness=np.inf):
-        return MeshCompliance.serves(grid, lambda q: 2 / q, Elasticity(1.0, thickness).compliance)
+        return MeshResponse.serves(grid, lambda q: 2 / q, Elasticity(1.0, thickness).compliance)
 
     assert serves(grid)
     assert serves(grid, 20.0)

@@ -13,15 +13,18 @@ from collections.abc import Callable
 import numpy as np
 
 from .. import kernels
-from ..elasticity import Elasticity, multiply
+from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from ..hierarchy import Interpolation, restrict
 from . import scale
-from .hard_wall import Relaxation, State
+from .gap_steps import GapSteps
+from .hard_wall import State
+from .pressure_steps import PressureSteps
 from .solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
+MOSTLY = 0.45  # share of points in contact above which the others are the better unknowns
 COARSE_TOLERANCE = 1e-3  # certified error of coarse grids: long waves that they leave cost most on the finest one
 
 
@@ -62,7 +65,8 @@ def solve_hard_wall(
         state = State(start / unit, np.empty(grid.local_shape))
         np.maximum(state.pressure, 0, out=state.pressure)
         state.pressure *= load * grid.size / reduce.sum(state.pressure)
-        state = _relax(grid, centred, scaled, load, state, tolerance, monitor)
+        contact = reduce.sum(np.count_nonzero(state.pressure)) / grid.size
+        state = _relax(grid, centred, scaled, load, state, tolerance, monitor, contact)
     elif state is None:
         state, extra = _cascade(grid, centred, scaled, load, tolerance, monitor)
     violation = _violation(grid, state)
@@ -95,6 +99,9 @@ class _Scaled:
     def apply_compliance(self, grid: SlabGrid, dtype, factor: float):
         return self.elasticity.apply_compliance(grid, dtype, factor * self.factor)
 
+    def apply_stiffness(self, grid: SlabGrid, dtype, factor: float):
+        return self.elasticity.apply_stiffness(grid, dtype, factor / self.factor)
+
     def stiffness(self, q: np.ndarray) -> np.ndarray:
         return self.elasticity.stiffness(q) / self.factor
 
@@ -117,7 +124,7 @@ def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: fl
     if load < _least_deviation(grid, heights, scaled):
         return None
     squares = []
-    action = multiply(grid, np.float64, scaled.stiffness)
+    action = scaled.apply_stiffness(grid, np.float64, 1.0)
 
     def measure(block: np.ndarray, first: int, stop: int):
         action(block, first, stop)
@@ -157,8 +164,10 @@ def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> fl
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
 
 
-def _relax(grid, heights, scaled, load, state, tolerance, monitor) -> State:
-    solver = Relaxation(grid, heights, scaled, load * grid.size)
+def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: float = 0.0) -> State:
+    """Relax a state of which about the share `contact` of all points touch.  Collective."""
+    steps = GapSteps if contact > MOSTLY else PressureSteps
+    solver = steps(grid, heights, scaled, load * grid.size)
     state = solver.relax(state, tolerance, None if monitor is None else lambda state: monitor(grid, state))
     solver.free()
     return state
@@ -180,9 +189,9 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, fl
     state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
     extra = (extra + coarse.transforms) * coarse.size / grid.size
     coarse.free()
-    iterations = found.iterations
+    iterations, contact = found.iterations, found.contact / coarse.size
     del found, coarse_heights
-    state = _relax(grid, heights, scaled, load, state, tolerance, monitor)
+    state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact)
     state.iterations += iterations
     return state, extra
 

@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients on a contact set, for changes of pressure that sum to zero."""
+"""Preconditioned conjugate gradients on a set of points."""
 
 from __future__ import annotations
 
@@ -6,35 +6,36 @@ import numpy as np
 
 from ..parallel import Reduction
 from .contact_set import ContactSet
-from .preconditioner import TwoLevelStiffness
 
 
 def solve_on_set(
     points: ContactSet,
     residual: np.ndarray,
-    compliance,
-    preconditioner: TwoLevelStiffness,
+    operator,
+    preconditioner,
     reduction_wanted: float,
     most: int,
+    neutral: bool = True,
 ) -> tuple[np.ndarray, int]:
-    """Change x of the pressure on the set with S G Sᵀ x = residual up to a constant, Σ x = 0.  Collective.
+    """x (count,) on the set with S A Sᵀ x = residual; if `neutral`, up to a constant and with Σ x = 0.  Collective.
 
+    `operator` applies A and `preconditioner` something like its inverse, both by apply(points, values, out).
     Overwrites `residual` (count,), which ends as the remaining one.  Stops at the wanted reduction of its norm (in
     the metric of the preconditioner) or after `most` iterations.  Returns x (count,) and the number of iterations,
     each of one convolution.
     """
     reduction = Reduction(points.grid.comm)
-    total = reduction.sum(points.count)
+    share = 1 / reduction.sum(points.count) if neutral else 0.0  # of the mean that a point takes off
     r = residual
     x, z, product = np.zeros_like(r), np.empty_like(r), np.empty_like(r)
     direction = None
-    (mean_r,) = reduction.sums(_sum(r)) / total
-    r -= r.dtype.type(mean_r)
+    (sum_r,) = reduction.sums(_sum(r))
+    r -= r.dtype.type(sum_r * share)
     start = rz_old = None
     for iteration in range(most + 1):
         preconditioner.apply(points, r, z)
         rz, sum_z, sum_r = reduction.sums(_dot(r, z), _sum(z), _sum(r))
-        mean_z = sum_z / total
+        mean_z = sum_z * share
         rz -= mean_z * sum_r  # z is made to sum to zero
         start = rz if start is None else start
         if rz <= reduction_wanted**2 * start or iteration == most or rz <= 0:
@@ -46,13 +47,13 @@ def solve_on_set(
             direction += z
             direction -= r.dtype.type(mean_z)
         rz_old = rz
-        compliance.apply(points, direction, product)
+        operator.apply(points, direction, product)
         curvature, sum_product = reduction.sums(_dot(direction, product), _sum(product))
         if not curvature > 0:
             return x, iteration
         step = r.dtype.type(rz / curvature)
         x += step * direction
-        product -= r.dtype.type(sum_product / total)
+        product -= r.dtype.type(sum_product * share)
         product *= step
         r -= product
     return x, most

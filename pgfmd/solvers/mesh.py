@@ -1,12 +1,12 @@
-"""The compliance between the points of a contact set at a fraction of a transform: particle–mesh, as in Ewald sums.
+"""The elastic response between the points of a set at a fraction of a transform: particle–mesh, as in Ewald sums.
 
-Near: with the factor erf(q/2α) the compliance 2/(E'q) falls off in real space like erfc(αr)/r; cut to a few pixels it
-is summed between contact points only.  Far: the rest, smooth on the scale of two pixels, acts on a mesh of half the
-side.  Values are spread to it by cubic B-splines, transformed, and interpolated back by the same splines, with the
+Near: with the factor erf(q/2α) the compliance 2/(E'q) falls off in real space like erfc(αr)/r, and the stiffness E'q/2
+as fast; cut to a few pixels it is summed between points of the set only.  Far: the rest, smooth on the scale of two
+pixels, acts on a mesh of half the side.  Values are spread to it by cubic B-splines, transformed, and interpolated back by the same splines, with the
 influence function that is best for them (Hockney and Eastwood, Computer Simulation Using Particles, 1988, section 8).
 
-Both parts are symmetric, and their sum differs from the compliance by less than a per cent, which is as good as exact
-for the inner iterations of a solver whose residuals are computed by full transforms.
+Both parts are symmetric, and their sum differs from the compliance by about a per cent, from the stiffness by a few:
+as good as exact for the inner iterations of a solver whose residuals are computed by full transforms.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.special import erf
 
 from .. import kernels
 from ..grid import SlabGrid
+from ..transforms import Columns
 from ..window import RowWindow
 from .contact_set import HALO, ContactSet
 from .stencil import RADIUS, Stencil, lattice_kernel
@@ -27,11 +28,11 @@ ROUNDEST = 1.25  # ratio of the two grid spacings up to which a round stencil se
 SMALLEST = 128  # points of the shorter side below which transforms cost nothing
 
 
-class MeshCompliance:
-    """u = S G Sᵀ p, approximately: S restricts to a contact set, G is the compliance."""
+class MeshResponse:
+    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness."""
 
-    def __init__(self, grid: SlabGrid, half_space, compliance):
-        """half_space(|q|), compliance(|q|): of a half-space, which the near part takes, and of the solid itself."""
+    def __init__(self, grid: SlabGrid, half_space, response):
+        """half_space(|q|), response(|q|): of a half-space, which the near part takes, and of the solid itself."""
         self.grid = grid
         shape = tuple(-(-n // 2) for n in grid.shape)
         self.mesh = mesh = SlabGrid(grid.comm, shape, grid.lengths, grid.asked_threads)
@@ -43,14 +44,14 @@ class MeshCompliance:
 
         kernel = lattice_kernel(grid, near)
         self.stencil = Stencil(grid, kernel)
-        self.influence = self._influence(kernel, compliance)
+        self.influence = self._influence(kernel, response)
         rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO)
         self.x_first, self.x_weights = _splines(rows * (shape[0] / grid.shape[0]))
         self.y_first, self.y_weights = _splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
         self.window = RowWindow(mesh, int(self.x_first[HALO]), int(self.x_first[-1 - HALO]) + 4)
 
     @staticmethod
-    def serves(grid: SlabGrid, half_space, compliance) -> bool:
+    def serves(grid: SlabGrid, half_space, response) -> bool:
         """Whether the split is a good one: for a grid that is large enough, of nearly square pixels, and a solid whose
         base is not felt at the mesh's wave numbers.
         """
@@ -58,7 +59,7 @@ class MeshCompliance:
         if not large or max(grid.spacing) > ROUNDEST * min(grid.spacing):
             return False
         q = np.array(0.25 * np.pi / max(grid.spacing))
-        return bool(abs(compliance(q) / half_space(q) - 1) < 1e-2)
+        return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
     def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray, targets: ContactSet | None = None) -> None:
         """out = the response to `values` (count,) on the set, there or on `targets`; both float32.  Collective."""
@@ -97,18 +98,18 @@ class MeshCompliance:
     def _splines(self, first: int) -> tuple[np.ndarray, ...]:
         return self.x_first[first:], self.x_weights[first:], self.y_first, self.y_weights
 
-    def _influence(self, kernel: np.ndarray, compliance) -> np.ndarray:
+    def _influence(self, kernel: np.ndarray, response) -> np.ndarray:
         """What the mesh's modes (nky_local, nx) are multiplied by: all that the near part, as it was cut, leaves."""
         mesh, offsets = self.mesh, np.arange(-RADIUS, RADIUS + 1)
         cos_x, cos_y = (
             np.cos(np.outer(q, step * offsets))
             for q, step in zip((mesh.qx[0], mesh.qy[:, 0]), self.grid.spacing, strict=True)
         )
-        rest = compliance(np.hypot(mesh.qx, mesh.qy)) - cos_y @ kernel.T @ cos_x.T
+        rest = response(np.hypot(mesh.qx, mesh.qy)) - cos_y @ kernel.T @ cos_x.T
         weights = [
             _spline_response(q * step / (2 * np.pi)) for q, step in zip((mesh.qx, mesh.qy), mesh.spacing, strict=True)
         ]
-        return (np.maximum(rest, 0) * (weights[0] * weights[1] / self.grid.size)).astype(np.float32)
+        return (rest * (weights[0] * weights[1] / self.grid.size)).astype(np.float32)
 
 
 def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -123,3 +124,24 @@ def _spline_response(x: np.ndarray) -> np.ndarray:
     """Ŵ²/(Σ Ŵ²)² at the frequency x in cycles per node, the sum over its aliases: Ŵ = sinc⁴ is the cubic B-spline's."""
     s = np.sin(np.pi * x) ** 2
     return np.sinc(x) ** 8 / (1 - 4 / 3 * s + 2 / 5 * s**2 - 4 / 315 * s**3) ** 2
+
+
+class FullResponse:
+    """S A Sᵀ v by full transforms."""
+
+    def __init__(self, action: Columns):
+        self.action = action
+
+    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out = the response to `values` (count,) on the set, there or on `targets`.  Collective."""
+        points.convolve(values, self.action, out, targets)
+
+    def free(self) -> None:
+        """Nothing to give back."""
+
+
+def inner_response(grid: SlabGrid, half_space, response, action: Columns) -> MeshResponse | FullResponse:
+    """The cheapest that serves; `action` is what full transforms are multiplied by.  Collective."""
+    if MeshResponse.serves(grid, half_space, response):
+        return MeshResponse(grid, half_space, response)
+    return FullResponse(action)

@@ -1,0 +1,152 @@
+"""The hard wall by the gaps of the points that are not in contact: minimise ½⟨g, Kg⟩ + ⟨p̄ + Kh, g⟩ over g ≥ 0.
+
+This is the dual programme; its gradient p = p̄ + K(h + g) is the pressure.  K, the stiffness, falls off as r⁻³, so that
+on the open set, whose points are few where contact is the rule, a handful of conjugate gradients suffice: they make
+the pressure vanish there.  Then points that overlap leave the set and points in tension join it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import kernels
+from ..elasticity import Elasticity
+from ..grid import SlabGrid
+from .conjugate_gradients import solve_on_set
+from .contact_set import ContactSet
+from .hard_wall import MOST_INNER, SINGLE_LIMIT, Relaxation, State
+from .mesh import inner_response
+from .stencil import RADIUS, Stencil, lattice_kernel
+
+MOST_SWEEPS = 8  # between two certificates
+SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes compliance for constant
+LEAST = 0.1  # of the stencil's centre: the smallest response to a wave, so that it is positive definite
+RATE = 0.1  # of the error that the first sweep leaves, until there are two to tell
+
+
+class GapSteps(Relaxation):
+    """Relaxation that costs least where most points are in contact.
+
+    Attributes: points, the open set (None at first); values (count,), the gap on it after the last sweep.
+    """
+
+    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float):
+        super().__init__(grid, heights, elasticity, load)
+        self.stiffness = {
+            kind: elasticity.apply_stiffness(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
+        }
+        self.inner = inner_response(
+            grid, elasticity.half_space_stiffness, elasticity.stiffness, self.stiffness[np.float32]
+        )
+        self.preconditioner = NearCompliance(grid, elasticity.half_space_compliance)
+        self.points = self.values = None
+
+    def free(self) -> None:
+        """Give the memory of coarser transforms back.  Collective."""
+        self.inner.free()
+
+    def look(self, state: State, tolerance: float) -> None:
+        """Certify the state.  Collective."""
+        self.certify(state)
+
+    def improve(self, state: State, wanted: float, tolerance: float, precision) -> None:
+        """Sweep until the last changes of the gap tell that the error is within the tolerance.  Collective.
+
+        A gap that is wrong by δ anywhere lets the certificate grow by δ Σp, while the energy is wrong by δ² only.
+        """
+        if precision is np.float32:
+            tolerance = max(tolerance, SINGLE_LIMIT / 2)
+        self.restore_gap(state)
+        before, left = None, np.inf
+        for sweep in range(MOST_SWEEPS + 1):
+            self.compute_pressure(state, precision)
+            if left <= tolerance or sweep == MOST_SWEEPS:
+                break
+            residual = self.next_set(state)
+            error = self.correct(state, residual, wanted) * self.load / (2 * state.energy)
+            rate = RATE if before is None else min(1.0, max(error / before, wanted))
+            before, left = error, rate * error
+        self.values = self.points.take(state.gap)
+        self.make_feasible(state)
+
+    def restore_gap(self, state: State) -> None:
+        """The gap, of either sign on the open set and 0 off it, that the last sweep left; at first, from the state."""
+        if self.points is None:
+            self.split(lambda a, b: kernels.open_gap(state.pressure, state.gap, state.level, a, b))
+        else:
+            state.gap[...] = 0
+            self.points.put(state.gap, self.values)
+
+    def split(self, work) -> None:
+        """work(first, stop) on parts of the rows, by all threads."""
+        self.grid.threads.split(work, self.grid.local_shape[0])
+
+    def compute_pressure(self, state: State, precision) -> None:
+        """p = p̄ + K(h + g) for the state's gap, of either sign.  Collective."""
+        mean = self.load / self.grid.size
+
+        def fill(first: int, stop: int, rows: np.ndarray):
+            np.add(self.heights[first:stop], state.gap[first:stop], out=rows, casting="same_kind")
+
+        def drain(first: int, stop: int, rows: np.ndarray):
+            np.add(rows, mean, out=state.pressure[first:stop])
+
+        self.grid.convolve(fill, self.stiffness[precision], drain, precision)
+
+    def next_set(self, state: State) -> np.ndarray:
+        """Overlapping points leave the open set and points in tension join it; makes the gap feasible and returns the
+        residual (count,) on the set.  Collective.
+
+        The set is chosen from the gap with its overlaps; the pressure's reaction to cutting them off is computed on
+        the set alone, approximately.
+        """
+        old, new = self.points, ContactSet(self.grid, state.gap, state.pressure, 0.0)
+        residual = -new.take(state.pressure).astype(np.float32)
+        self.points = new
+        if old is None:
+            return residual
+        gap = old.take(state.gap)
+        change = np.maximum(-gap, 0)
+        (overlaps,) = self.grid.reduction.sums(np.count_nonzero(change))
+        if overlaps:
+            old.put(state.gap, gap + change)
+            response = np.empty(new.count, np.float32)
+            self.inner.apply(old, change.astype(np.float32), response, new)
+            residual -= response
+        return residual
+
+    def correct(self, state: State, residual: np.ndarray, wanted: float) -> float:
+        """Change the gap on the set by conjugate gradients, so that the pressure there, minus the residual (count,),
+        falls by the factor `wanted`.  Returns the largest change.  Collective.
+        """
+        change, steps = solve_on_set(self.points, residual, self.inner, self.preconditioner, wanted, MOST_INNER, False)
+        self.points.add(state.gap, change)
+        state.iterations += steps
+        return self.grid.reduction.max(np.abs(change))
+
+    def make_feasible(self, state: State) -> None:
+        """Pressure only where the gap is closed, nowhere tensile, of the right sum.  Collective."""
+        parts = []
+        self.split(lambda a, b: parts.append(kernels.close_pressure(state.pressure, state.gap, a, b)))
+        state.pressure *= self.load / self.grid.reduction.sum(parts)
+
+
+class NearCompliance:
+    """An approximate inverse of the stiffness on a set: the compliance with long waves screened, cut to a few
+    pixels.
+    """
+
+    def __init__(self, grid: SlabGrid, half_space):
+        """half_space(|q|): compliance of a half-space."""
+        screen = SCREENING / np.sqrt(grid.pixel_area)
+        kernel = lattice_kernel(grid, lambda q: half_space(np.hypot(q, screen)))
+        padded = np.zeros((64, 64))
+        padded[: len(kernel), : len(kernel)] = kernel
+        waves = np.fft.fft2(np.roll(padded, (-RADIUS, -RADIUS), (0, 1))).real
+        centre = kernel[RADIUS, RADIUS]
+        kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # oblong pixels need it
+        self.stencil = Stencil(grid, kernel)
+
+    def apply(self, points: ContactSet, residual: np.ndarray, out: np.ndarray) -> None:
+        """out = M · residual on the set; both (count,).  Collective."""
+        self.stencil.apply(points, points.extend(residual), out)

@@ -1,0 +1,96 @@
+"""The hard wall by the pressures of the points in contact: on the contact set the gap is made constant by conjugate
+gradients; then points in tension leave it and points that overlap join.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..elasticity import Elasticity
+from ..grid import SlabGrid
+from .conjugate_gradients import solve_on_set
+from .contact_set import ContactSet
+from .hard_wall import MOST_INNER, Relaxation, State
+from .mesh import inner_response
+from .preconditioner import TwoLevelStiffness
+
+CLOSE = 3.0  # times the tolerance: errors below are worth an exact look
+
+
+class PressureSteps(Relaxation):
+    """Relaxation that costs least where few points are in contact.
+
+    Attributes: points, the set to solve on next (None before the first look); residual (count,), how far the gap there
+    lies below the level of contact.
+    """
+
+    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float):
+        super().__init__(grid, heights, elasticity, load)
+        self.inner = inner_response(
+            grid, elasticity.half_space_compliance, elasticity.compliance, self.compliance[np.float32]
+        )
+        self.preconditioner = TwoLevelStiffness(grid, elasticity.half_space_stiffness, elasticity.stiffness)
+        self.points = self.residual = None
+
+    def free(self) -> None:
+        """Give the memory of coarser transforms back.  Collective."""
+        self.inner.free()
+        self.preconditioner.free()
+
+    def look(self, state: State, tolerance: float) -> None:
+        """Points in tension leave the set and overlapping points join it; makes the state feasible and certifies it.
+        Collective.
+
+        The set is chosen from the pressure
+        with its tensions: once these are cut off, the gap reacts everywhere, and a set chosen from it would oscillate.
+        That reaction is computed on the set alone, approximately, while the error is far from the tolerance; a state
+        within it has an exact one.
+        """
+        old = self.points or ContactSet(self.grid, state.pressure, state.gap, -np.inf)
+        inside, count = self.grid.reduction.sums(old.take(state.gap).sum(), old.count)
+        new = ContactSet(self.grid, state.pressure, state.gap, inside / count)
+        change = None if self.points is None else self.cut_tension(state, old)
+        self.points = new
+        if change is None:
+            self.certify(state)
+            self.residual = self.overlap(state, new)
+            return
+        response = np.empty(new.count, np.float32)
+        self.inner.apply(old, change, response, new)
+        self.certify(state, float(np.dot(new.take(state.pressure), response)))
+        if state.error > CLOSE * tolerance:
+            self.residual = self.overlap(state, new) - response
+            return
+        self.shift_gap(state, old, change)
+        self.certify(state)
+        self.residual = self.overlap(state, new)
+
+    def overlap(self, state: State, points: ContactSet) -> np.ndarray:
+        """How far the gap (count,) lies below the level of contact on a set, in single precision."""
+        return (state.level - points.take(state.gap)).astype(np.float32)
+
+    def cut_tension(self, state: State, points: ContactSet) -> np.ndarray | None:
+        """Make the pressure, which is tensile in places of the set, feasible.  Returns its change (count,), or None if
+        there was no tension.  Collective.
+        """
+        pressure = points.take(state.pressure)
+        cut = np.maximum(pressure, 0)
+        kept, lost = self.grid.reduction.sums(cut.sum(), np.count_nonzero(pressure < 0))
+        cut *= self.load / kept
+        points.put(state.pressure, cut)
+        cut -= pressure
+        return cut.astype(np.float32) if lost else None
+
+    def shift_gap(self, state: State, points: ContactSet, change: np.ndarray) -> None:
+        """gap += G · change of the pressure on a set.  Collective."""
+
+        def drain(first: int, stop: int, rows: np.ndarray):
+            state.gap[first:stop] += rows
+
+        self.grid.convolve(points.fill(change), self.compliance[np.float32], drain, np.float32)
+
+    def improve(self, state: State, wanted: float, tolerance: float, precision) -> None:
+        """Make the gap flatter on the set by the factor `wanted`; pressures there may become negative.  Collective."""
+        change, steps = solve_on_set(self.points, self.residual, self.inner, self.preconditioner, wanted, MOST_INNER)
+        self.points.add(state.pressure, change)
+        state.iterations += steps
