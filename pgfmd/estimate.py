@@ -16,9 +16,11 @@ ARRAYS = {
     "strips of the transforms": 8,
     "means over blocks and their spectrum, rows of the coarse grid": 6,
 }
-# Per contact point: its column (4), direction, image, residual, preconditioned one, change (20), copies with a halo and
-# without the means of blocks (8), values taken from a field in double precision (8), products in passing (4).
-PER_CONTACT = 44
+# Per unknown of the hard wall, which is the pressure of a point in contact or, where these are the majority, the gap of
+# one that is not: its column (4), direction, image, residual, preconditioned one, change (20), copies with a halo and
+# values taken from a field in double precision (12), and for pressures those without the means of blocks (8).
+PER_PRESSURE, PER_GAP = 44, 36
+MOSTLY = 0.45  # contact area above which gaps are the unknowns
 HARD = {"mesh of half the side: strips, field, influence": 4}
 # Newton's vectors for the exponential wall, single precision where that serves.
 EXPONENTIAL = {"pressure's root, residual, direction, image, change, response": 24, "targets and their sums": 34}
@@ -60,17 +62,21 @@ def bytes_per_point(config: Config) -> float:
     """Bytes per grid point at the peak, over all ranks."""
     if config.wall.kind == "exponential":
         return sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
-    return sum(ARRAYS.values()) + sum(HARD.values()) + PER_CONTACT * largest_area(config)
+    sets = (PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area) for area in contact_areas(config))
+    return sum(ARRAYS.values()) + sum(HARD.values()) + max(sets)
 
 
-def largest_area(config: Config) -> float:
-    """The relative contact area of the highest load: that asked for, or by Persson's theory, or 1 if neither helps."""
-    highest = max(config.load.targets)
+def contact_areas(config: Config) -> list[float]:
+    """The relative contact area of each load: that asked for, or by Persson's theory, or the dearest if neither
+    helps.
+    """
+    targets = config.load.targets
     if config.load.control == "contact_area":
-        return highest
+        return list(targets)
     if config.load.control != "pressure" or not config.surface.rms_slope:
-        return 1.0
-    return math.erf(math.sqrt(2) * highest / (config.solid.contact_modulus * config.surface.rms_slope))
+        return [MOSTLY]
+    full = config.solid.contact_modulus * config.surface.rms_slope / math.sqrt(2)
+    return [math.erf(target / full) for target in targets]
 
 
 def report(config: Config, ranks: int) -> str:

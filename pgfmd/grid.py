@@ -106,14 +106,14 @@ class SlabGrid:
         self.make_field(copy, _sink(out), real)
         return out
 
-    def read_spectrum(self, fill: Rows, action: Columns, dtype=np.float64) -> None:
-        """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block.
-        Collective.
+    def read_spectrum(self, fill: Rows, action: Columns, dtype=np.float64, count: int | None = None) -> None:
+        """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block; if a
+        `count` is given, only the first ky of this rank.  Collective.
         """
         transform = self.transform(dtype)
         self.transforms += transform.cost / 2
         transform.rows_forward(fill)
-        transform.columns(action, backward=False)
+        transform.columns(action, backward=False, count=count)
 
     def make_field(self, action: Columns, drain: Rows, dtype=np.float64) -> None:
         """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.

@@ -9,33 +9,32 @@ from .grid import SlabGrid
 from .parallel import fetch_rows, slab_starts
 
 
-def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray) -> np.ndarray:
+def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float64) -> np.ndarray:
     """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
     Collective.
 
-    The coarse grid may be distributed over the same ranks or held whole by each.
+    The coarse grid may be distributed over the same ranks or held whole by each.  dtype: precision of the transforms.
     """
     nx, ny = coarse.shape
+    kind = np.result_type(dtype, np.complex64)
     rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
-    mine = np.zeros((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), np.complex128)
+    mine = np.zeros((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
 
     def fill(first: int, stop: int, block: np.ndarray):
         block[...] = field[first:stop]
 
     def keep(block: np.ndarray, first: int, stop: int):
-        stop = min(stop, len(mine))
-        if first < stop:
-            mine[first:stop, : rows + 1] = block[: stop - first, : rows + 1]
-            if rows:
-                mine[first:stop, -rows:] = block[: stop - first, -rows:]
+        mine[first:stop, : rows + 1] = block[:, : rows + 1]
+        if rows:
+            mine[first:stop, -rows:] = block[:, -rows:]
 
-    fine.read_spectrum(fill, keep)
+    fine.read_spectrum(fill, keep, dtype, len(mine))
     low, high = (min(k, kept) for k in (coarse.columns.start, coarse.columns.stop))
-    spectrum = np.zeros(coarse.spectral_shape, np.complex128)
+    spectrum = np.zeros(coarse.spectral_shape, kind)
     spectrum[: high - low] = fetch_rows(fine.comm, mine, starts, low, high)
     spectrum *= coarse.size / fine.size
-    return coarse.backward(spectrum)
+    return coarse.backward(spectrum, np.empty(coarse.local_shape))
 
 
 class Interpolation:

@@ -40,3 +40,10 @@ class Threads:
         """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
         if total > 0:
             self.share(lambda _, first, stop: work(first, stop), total, -(-total // self.count))
+
+    def deal(self, work: Callable[[int, int], None], total: int, block: int = 64) -> None:
+        """`work(first, stop)` for blocks dealt out in turn: like `split`, where some rows are dearer than others."""
+        if self.count == 1:
+            self.split(work, total)
+        else:
+            self.share(lambda _, first, stop: work(first, stop), total, block)

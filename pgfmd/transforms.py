@@ -82,8 +82,8 @@ class Transform:
         self.threads.share(one, self.strips.rows, self.row_block)
         self.strips.to_columns(self.complex)
 
-    def columns(self, action: Columns, forward: bool = True, backward: bool = True) -> None:
-        """`action(block, first, stop)` on the spectrum in the strips, block by block.
+    def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
+        """`action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, block by block.
 
         With `forward=False` the action makes the spectrum, with `backward=False` it only reads it.
         """
@@ -99,7 +99,7 @@ class Transform:
                 worker.columns_backward()
                 kernels.scatter_columns(worker.whole_block, first, stop - first, self.whole_strip)
 
-        self.threads.share(one, self.strip.shape[1], self.column_block)
+        self.threads.share(one, self.strip.shape[1] if count is None else count, self.column_block)
 
     def rows_backward(self, drain: Rows) -> None:
         """Strips to real rows, each block handed to `drain(first, stop, block)`.  Collective."""

@@ -7,8 +7,9 @@ import sys
 
 import pytest
 
-from pgfmd import config
+from pgfmd import config, estimate
 from pgfmd.estimate import PER_RANK, bytes_per_point
+from pgfmd.solvers import cascade
 
 N = 1536
 
@@ -54,7 +55,13 @@ with tempfile.TemporaryDirectory() as folder:
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the peak of the memory from /proc")
 @pytest.mark.parametrize(
     ("wall", "pressure"),
-    [('kind = "hard"', 0.0032), ('kind = "hard"', 0.03), ('kind = "exponential"\nzeta = 0.25', 0.0032)],
+    [
+        ('kind = "hard"', 0.0032),
+        ('kind = "hard"', 0.012),
+        ('kind = "hard"', 0.024),
+        ('kind = "hard"', 0.04),
+        ('kind = "exponential"\nzeta = 0.25', 0.0032),
+    ],
 )
 def test_memory_is_predicted(wall, pressure, monkeypatch):
     """The peak of a whole run (surface, solve, write) is within 10 % of what `check` says, at any contact area."""
@@ -65,3 +72,8 @@ def test_memory_is_predicted(wall, pressure, monkeypatch):
     ).stdout
     expected = bytes_per_point(config.parse(jobs[1])) * N**2 + PER_RANK
     assert float(out.split()[-1]) == pytest.approx(expected, rel=0.1)
+
+
+def test_gaps_are_the_unknowns_from_the_same_area():
+    """What `check` takes for the share of contact above which gaps are the unknowns is what the solver takes."""
+    assert estimate.MOSTLY == cascade.MOSTLY

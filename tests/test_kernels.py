@@ -39,6 +39,28 @@ def test_divide_by_q(dtype, close):
     assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
 
 
+@pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
+def test_multiply_by_q(dtype, close):
+    """block · factor |q|, to rounding of a square root and two products."""
+    qx, qy = rng.random(8).astype(dtype), rng.random(3).astype(dtype)
+    block = rng.random((3, 8)).astype(dtype) + 1j * rng.random((3, 8)).astype(dtype)
+    expected = block * (2.5 * np.hypot(qx[None, :], qy[:, None]))
+    kernels.multiply_by_q(block.view(dtype).reshape(3, 8, 2), qx**2, qy**2, dtype(2.5))
+    assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
+
+
+def test_open_gap_and_close_pressure():
+    """A gap where there is no pressure, above a level; and pressure where there is no gap, and its sum."""
+    pressure, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
+    opened, closed = gap.copy(), rng.standard_normal((9, 7))
+    kernels.open_gap(pressure, opened, 0.3, 2, 8)
+    assert np.array_equal(opened[2:8], np.where(pressure > 0, 0, np.maximum(gap - 0.3, 0))[2:8])
+    assert np.array_equal(opened[:2], gap[:2])
+    expected = np.where(opened != 0, 0, np.maximum(closed, 0))[2:8]
+    assert np.isclose(kernels.close_pressure(closed, opened, 2, 8), expected.sum(), rtol=1e-14)
+    assert np.array_equal(closed[2:8], expected)
+
+
 def test_fill_and_drain_rows(points):
     """rows[mask] = values, and values = rows[mask]."""
     mask, offsets, columns = points

@@ -24,6 +24,7 @@ from .solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
+PRESSED = 6.0  # times a bound of the rms pressure at full contact: loads that may well bring it about
 MOSTLY = 0.45  # share of points in contact above which the others are the better unknowns
 COARSE_TOLERANCE = 1e-3  # certified error of coarse grids: long waves that they leave cost most on the finest one
 
@@ -60,25 +61,29 @@ def solve_hard_wall(
         )
     centred /= height
     load = mean_pressure / unit
-    state, extra = _full_contact(grid, centred, scaled, load), 0.0
-    if state is None and start is not None:
+    extra = 0.0
+    if start is None:
+        state, extra = _cascade(grid, centred, scaled, load, tolerance, monitor)
+    elif (state := _full_contact(grid, centred, scaled, load)) is None:
         state = State(start / unit, np.empty(grid.local_shape))
         np.maximum(state.pressure, 0, out=state.pressure)
         state.pressure *= load * grid.size / reduce.sum(state.pressure)
         contact = reduce.sum(np.count_nonzero(state.pressure)) / grid.size
         state = _relax(grid, centred, scaled, load, state, tolerance, monitor, contact)
-    elif state is None:
-        state, extra = _cascade(grid, centred, scaled, load, tolerance, monitor)
     violation = _violation(grid, state)
-    pressure, gap = state.pressure, state.gap
-    pressure *= unit
-    np.subtract(gap, state.level, out=gap)
-    np.maximum(gap, 0, out=gap)
-    gap[pressure > 0] = 0
-    gap *= height
+
+    def physical(_: int, first: int, stop: int):
+        pressure, gap = state.pressure[first:stop], state.gap[first:stop]
+        gap -= state.level
+        np.maximum(gap, 0, out=gap)
+        gap[pressure > 0] = 0
+        gap *= height
+        pressure *= unit
+
+    grid.threads.share(physical, grid.local_shape[0], 64)
     return ContactSolution(
-        pressure=pressure,
-        gap=gap,
+        pressure=state.pressure,
+        gap=state.gap,
         mean_pressure=mean_pressure,
         mean_gap=-state.level * height,
         elastic_energy=state.energy / grid.size * unit * height,
@@ -115,13 +120,15 @@ class _Scaled:
         return 0.5 * self.elasticity.contact_modulus * q / self.factor
 
 
-def _full_contact(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float) -> State | None:
+def _full_contact(
+    grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float, margin: float = 1.0
+) -> State | None:
     """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.
 
     The rms value of Kh takes half a transform, and only a load above it is worth the other half; differences along y,
-    which are free, bound it from below.
+    which are free, bound it from below.  A load less than `margin` times that bound is not looked at.
     """
-    if load < _least_deviation(grid, heights, scaled):
+    if load < margin * _least_deviation(grid, heights, scaled):
         return None
     squares = []
     action = scaled.apply_stiffness(grid, np.float64, 1.0)
@@ -164,36 +171,49 @@ def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> fl
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
 
 
-def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: float = 0.0) -> State:
+def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: float, exact: bool = True) -> State:
     """Relax a state of which about the share `contact` of all points touch.  Collective."""
     steps = GapSteps if contact > MOSTLY else PressureSteps
-    solver = steps(grid, heights, scaled, load * grid.size)
+    solver = steps(grid, heights, scaled, load * grid.size, exact)
     state = solver.relax(state, tolerance, None if monitor is None else lambda state: monitor(grid, state))
     solver.free()
     return state
 
 
-def _cascade(grid, heights, scaled, load, tolerance, monitor) -> tuple[State, float]:
+def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True) -> tuple[State, float]:
     """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser grids,
     weighted by size.
     """
-    if min(grid.shape) <= COARSEST:
-        state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
-        return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
-    coarse = grid.coarse()
-    coarse_heights = restrict(grid, coarse, heights)
-    if coarse.reduction.dot(coarse_heights, coarse_heights) < FLAT**2 * coarse.size:
-        state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
-        return _relax(grid, heights, scaled, load, state, tolerance, monitor), 0.0
-    found, extra = _cascade(coarse, coarse_heights, scaled, load, COARSE_TOLERANCE, monitor)
-    state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
+    if (state := _full_contact(grid, heights, scaled, load, PRESSED)) is not None:
+        return state, 0.0
+    coarse, coarse_heights = _coarser(grid, heights)
+    if coarse is None:
+        if (state := _full_contact(grid, heights, scaled, load)) is None:
+            state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
+            state = _relax(grid, heights, scaled, load, state, tolerance, monitor, 0.0, exact)
+        return state, 0.0
+    found, extra = _cascade(coarse, coarse_heights, scaled, load, COARSE_TOLERANCE, monitor, False)
+    contact, iterations = found.contact / coarse.size, found.iterations
+    full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
+    state = full or _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
     extra = (extra + coarse.transforms) * coarse.size / grid.size
     coarse.free()
-    iterations, contact = found.iterations, found.contact / coarse.size
     del found, coarse_heights
-    state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact)
+    if full is None:
+        state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact, exact)
     state.iterations += iterations
     return state, extra
+
+
+def _coarser(grid: SlabGrid, heights: np.ndarray) -> tuple[SlabGrid | None, np.ndarray | None]:
+    """The next coarser grid and its heights, if it has something to say.  Collective."""
+    if min(grid.shape) <= COARSEST:
+        return None, None
+    coarse = grid.coarse()
+    coarse_heights = restrict(grid, coarse, heights, np.float32)
+    if coarse.reduction.dot(coarse_heights, coarse_heights) < FLAT**2 * coarse.size:
+        return None, None
+    return coarse, coarse_heights
 
 
 def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load: float, scaled: _Scaled) -> State:
@@ -202,7 +222,9 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
 
     So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.
     """
-    displacement = found.gap - found.level + coarse_heights
+    displacement = found.gap  # whose memory is not needed any more
+    displacement += coarse_heights
+    displacement -= found.level
     interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2])
     reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
     pressure, parts = np.empty(grid.local_shape), []

@@ -25,11 +25,11 @@ class ContactSet:
         self.grid, self.dtype = grid, np.dtype(dtype)
         rows = grid.local_shape[0]
         counts = np.empty(rows, np.int64)
-        grid.threads.split(lambda a, b: kernels.count_contact(pressure, gap, level, a, b, counts), rows)
+        grid.threads.deal(lambda a, b: kernels.count_contact(pressure, gap, level, a, b, counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
         self.columns = np.empty(self.count, np.int32)
-        grid.threads.split(
+        grid.threads.deal(
             lambda a, b: kernels.list_contact(pressure, gap, level, a, b, self.offsets, self.columns), rows
         )
         self._make_halo()
@@ -42,20 +42,20 @@ class ContactSet:
     def take(self, field: np.ndarray) -> np.ndarray:
         """The values (count,) of a field (nx_local, ny) on the set."""
         values = np.empty(self.count, field.dtype)
-        self.grid.threads.split(
+        self.grid.threads.deal(
             lambda a, b: kernels.take_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
         return values
 
     def put(self, field: np.ndarray, values: np.ndarray) -> None:
         """Overwrites a field (nx_local, ny) on the set."""
-        self.grid.threads.split(
+        self.grid.threads.deal(
             lambda a, b: kernels.put_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
-        self.grid.threads.split(
+        self.grid.threads.deal(
             lambda a, b: kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
 
@@ -89,7 +89,8 @@ class ContactSet:
         if self._thin:
             return np.concatenate(self.grid.comm.allgather(values))[self._taken]
         out = np.empty(self._before + self.count + self._after, values.dtype)
-        before, own, after = np.split(out, [self._before, self._before + self.count])
+        before, after = out[: self._before], out[self._before + self.count :]
+        own = out[self._before : self._before + self.count]
         own[:] = values
         self._pass_on(own[self._bottom :], before, own[: self._top], after)
         return out

@@ -30,8 +30,8 @@ class GapSteps(Relaxation):
     Attributes: points, the open set (None at first); values (count,), the gap on it after the last sweep.
     """
 
-    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float):
-        super().__init__(grid, heights, elasticity, load)
+    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float, exact: bool = True):
+        super().__init__(grid, heights, elasticity, load, exact)
         self.stiffness = {
             kind: elasticity.apply_stiffness(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
         }
@@ -79,7 +79,7 @@ class GapSteps(Relaxation):
 
     def split(self, work) -> None:
         """work(first, stop) on parts of the rows, by all threads."""
-        self.grid.threads.split(work, self.grid.local_shape[0])
+        self.grid.threads.deal(work, self.grid.local_shape[0])
 
     def compute_pressure(self, state: State, precision) -> None:
         """p = p̄ + K(h + g) for the state's gap, of either sign.  Collective."""

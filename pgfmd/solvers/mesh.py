@@ -2,8 +2,9 @@
 
 Near: with the factor erf(q/2α) the compliance 2/(E'q) falls off in real space like erfc(αr)/r, and the stiffness E'q/2
 as fast; cut to a few pixels it is summed between points of the set only.  Far: the rest, smooth on the scale of two
-pixels, acts on a mesh of half the side.  Values are spread to it by cubic B-splines, transformed, and interpolated back by the same splines, with the
-influence function that is best for them (Hockney and Eastwood, Computer Simulation Using Particles, 1988, section 8).
+pixels, acts on a mesh of half the side.  Values are spread to it by cubic B-splines, transformed, and interpolated back
+by the same splines, with the influence function that is best for them (Hockney and Eastwood, Computer Simulation Using
+Particles, 1988, section 8).
 
 Both parts are symmetric, and their sum differs from the compliance by about a per cent, from the stiffness by a few:
 as good as exact for the inner iterations of a solver whose residuals are computed by full transforms.
@@ -25,7 +26,7 @@ from .stencil import RADIUS, Stencil, lattice_kernel
 
 SPLIT = 0.55  # α in 1/pixel: errors of the cut and of the mesh are then about equal
 ROUNDEST = 1.25  # ratio of the two grid spacings up to which a round stencil serves
-SMALLEST = 128  # points of the shorter side below which transforms cost nothing
+SMALLEST = 256  # points of the shorter side below which transforms cost nothing
 
 
 class MeshResponse:
@@ -88,7 +89,7 @@ class MeshResponse:
 
         mesh.convolve(fill, act, drain, np.float32)
         self.window.exchange()
-        self.grid.threads.split(add, self.grid.local_shape[0])
+        self.grid.threads.deal(add, self.grid.local_shape[0])
         self.grid.transforms += 0.5 * mesh.size / self.grid.size
 
     def free(self) -> None:

@@ -21,7 +21,7 @@ from .contact_set import HALO, ContactSet
 from .stencil import RADIUS, Stencil, lattice_kernel
 
 BLOCK = 4  # pixels: what the near part can bridge
-FEWEST = 32  # blocks per side below which the near part reaches far enough
+FEWEST = 96  # blocks per side below which the near part reaches far enough
 NEUTRAL = 0.9  # share of the row sum of the near part taken off its diagonal; below 1 it stays positive definite
 SOFTENING = 2.0  # pixels: compliance of the contact points within a block, over that of a wave of wave number 1/pixel
 
@@ -69,55 +69,60 @@ class BlockStiffness:
         self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
         self.column_block = np.arange(grid.shape[1]) // BLOCK
         self.points = self.shares = None
-        self.response = np.empty(blocks.local_shape, np.float32)
+        self.means, self.response = np.empty((2, *blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: np.ndarray) -> np.ndarray:
         """The residual (count,) less its means over blocks, whose response is kept for `join`.  Collective."""
+        means, response = self.means, self.response
         if points is not self.points:  # one over the number of points of each block
-            counts = self._sums(points, np.ones(points.count, np.float32))
-            self.points, self.shares = points, 1 / np.maximum(counts, 1)
-        mean = self._sums(points, residual) * self.shares
+            self._sum(points, np.ones(points.count, np.float32), means)
+            self.points, self.shares = points, 1 / np.maximum(means, 1)
+        self._sum(points, residual, means)
+        means *= self.shares
 
         def fill(first: int, stop: int, rows: np.ndarray):
-            rows[...] = mean[first:stop]
+            rows[...] = means[first:stop]
 
         def act(block: np.ndarray, first: int, stop: int):
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.stiffness[first:stop])
 
         def drain(first: int, stop: int, rows: np.ndarray):
-            self.response[first:stop] = rows
+            response[first:stop] = rows
 
         self.blocks.convolve(fill, act, drain, np.float32)
+        np.negative(means, out=self.window.own)
         rest = np.empty_like(residual)
-        self._add(points, residual, -mean, rest)
+        self._add(points, residual, rest)
         return rest
 
     def join(self, points: ContactSet, values: np.ndarray) -> None:
         """`values` (count,) get the kept response for their means over blocks.  Collective."""
-        table = (self.response - self._sums(points, values)) * self.shares
-        self._add(points, values, table, values)
+        means = self.means
+        self._sum(points, values, means)
+        np.subtract(self.response, means, out=means)
+        np.multiply(means, self.shares, out=self.window.own)
+        self._add(points, values, values)
 
-    def _sums(self, points: ContactSet, values: np.ndarray) -> np.ndarray:
+    def _sum(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
         """Sums of `values` (count,) over this rank's blocks.  Collective."""
         extended = points.extend(values)
         start, rows = self.grid.rows.start, self.blocks.rows
-        sums = np.zeros(self.blocks.local_shape, np.float32)
 
         def part(first: int, stop: int):
             low = (rows.start + first) * BLOCK - start + HALO
             high = min((rows.start + stop) * BLOCK, self.grid.shape[0]) - start + HALO
-            kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums[first:stop])
+            sums = out[first:stop]
+            sums[...] = 0
+            kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
 
-        self.grid.threads.split(part, len(sums))
-        return sums
+        self.grid.threads.deal(part, len(out), 16)
 
-    def _add(self, points: ContactSet, values: np.ndarray, table: np.ndarray, out: np.ndarray) -> None:
-        """out = values + table of this rank's blocks; points may lie in a neighbour's block.  Collective."""
-        self.window.own[...] = table
+    def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
+        """out = values + the window's entry for their block, which may be a neighbour's.  Collective."""
         self.window.exchange()
         rows, lists = self.window.rows, points.lists
 
         def part(first: int, stop: int):
             kernels.add_blocks(values, rows, *lists, first, stop, self.row_block, self.column_block, out)
 
-        self.grid.threads.split(part, self.grid.local_shape[0])
+        self.grid.threads.deal(part, self.grid.local_shape[0])

@@ -20,8 +20,15 @@ def centred(
 
     Raises InputError, saying what is out of range, for a surface that is not flat, or a pressure, beyond `LARGEST`.
     """
-    reduce = grid.reduction
-    low, high = reduce.min(heights), reduce.max(heights)
+    reduce, rows = grid.reduction, grid.local_shape[0]
+    lows, highs, sums, squares = [], [], [], []
+
+    def extremes(_: int, first: int, stop: int):
+        lows.append(heights[first:stop].min())
+        highs.append(heights[first:stop].max())
+
+    grid.threads.share(extremes, rows, 64)
+    low, high = reduce.min(lows), reduce.max(highs)
     limits = (
         ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing)),
         ("mean pressure / contact modulus", mean_pressure, elasticity.contact_modulus),
@@ -31,6 +38,17 @@ def centred(
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / LARGEST:g} and {LARGEST:g}")
     if low == high:
         return np.zeros(grid.local_shape), 0.0
-    heights = np.subtract(heights, low, out=heights if overwrite else None)
-    heights -= reduce.sum(heights) / grid.size
-    return heights, math.sqrt(reduce.dot(heights, heights) / grid.size)
+    out = heights if overwrite else np.empty(grid.local_shape)
+
+    def shift(_: int, first: int, stop: int):
+        sums.append(np.subtract(heights[first:stop], low, out=out[first:stop]).sum())
+
+    def centre(_: int, first: int, stop: int):
+        part = out[first:stop]
+        part -= mean
+        squares.append(np.einsum("ij,ij->", part, part))
+
+    grid.threads.share(shift, rows, 64)
+    mean = reduce.sum(sums) / grid.size
+    grid.threads.share(centre, rows, 64)
+    return out, math.sqrt(reduce.sum(squares) / grid.size)

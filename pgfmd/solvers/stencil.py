@@ -46,4 +46,4 @@ class Stencil:
                 kernels.fill_wrapped(extended, *points.extended, low + HALO - RADIUS, count + 2 * RADIUS, RADIUS, work)
                 kernels.apply_stencil(work, self.weights, *lists, low, count, out)
 
-        self.grid.threads.split(part, rows)
+        self.grid.threads.deal(part, rows)
