@@ -20,10 +20,10 @@ run() { .venv/bin/python tools/benchmark.py "$1" "$folder" "${@:2}"; }
 
 run transforms
 run resolution
-# Everyone: a smooth surface on one core and on two, a rough one and one near full contact on one core.
+# Everyone: a smooth surface on one core and on two, a rough one and two near full contact on one core.
 run run --n 1024 --lambda-s 16 --hurst 0.8 --repeat 2
 run run --n 1024 --lambda-s 1 --hurst 0.3 --threads 1 --repeat 1
-run run --n 1024 --lambda-s 16 --hurst 0.8 --area 0.9 --threads 1 --repeat 1
+run run --n 1024 --lambda-s 16 --hurst 0.8 --area 0.9 0.99 --threads 1 --repeat 1
 # This solver alone from small to large: growth in transforms, and what a second core gains.
 run run --n 512 1024 --methods pgfmd --lambda-s n/64 --hurst 0.8
 run run --n 512 1024 --methods pgfmd --lambda-s 1 --hurst 0.3

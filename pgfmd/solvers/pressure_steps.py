@@ -15,7 +15,6 @@ from .mesh import inner_response
 from .preconditioner import TwoLevelStiffness
 
 CLOSE = 3.0  # times the tolerance: errors below are worth an exact look
-SUSPECT = 0.1  # times the tolerance: lesser ones, which may be negative, are not trusted without
 
 
 class PressureSteps(Relaxation):
@@ -57,8 +56,11 @@ class PressureSteps(Relaxation):
             return
         response = np.empty(new.count, np.float32)
         self.inner.apply(old, change, response, new)
-        self.certify(state, float(np.dot(new.take(state.pressure), response)))
-        if state.error > (CLOSE if self.exact else SUSPECT) * tolerance:
+        reaction = float(np.dot(new.take(state.pressure), response))
+        self.certify(state, reaction)
+        (reaction,) = self.grid.reduction.sums(reaction)
+        state.error = max(state.error, abs(reaction) / (2 * abs(state.energy)))  # a large reaction is not to be trusted
+        if not self.exact or state.error > CLOSE * tolerance:
             self.residual = self.overlap(state, new) - response
             return
         self.shift_gap(state, old, change)
