@@ -26,9 +26,10 @@ HARD = {"mesh of half the side: strips, field, influence": 4}
 EXPONENTIAL = {"pressure's root, residual, direction, image, change, response": 24, "targets and their sums": 34}
 PER_RANK = 6e6  # bytes: blocks of the transforms
 
-# Forward + backward transforms, double precision, to the default tolerance; and seconds per grid point of one of them
-# on one core of a 2020s machine (FFTW, 4096 × 4096).
-TRANSFORMS = {"hard": 30, "exponential": 15}
+# What a solve to the default tolerance takes, in forward + backward transforms of double precision (the hard wall does
+# about 10 and other work worth 30; up to three times that on surfaces rough down to the grid); and seconds per grid
+# point of one of them on one core of a 2020s machine (FFTW, 4096 × 4096).
+TRANSFORMS = {"hard": 40, "exponential": 15}
 SECONDS_PER_POINT = 1.4e-8
 SOLVES_PER_AREA = 4  # loads tried until one contact area is met
 
