@@ -177,16 +177,17 @@ class _Steps:
         """The monitor of a solver at that load.  Collective, on grids that are distributed like the finest one."""
         self.progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
         if level is self.grid:
-            self.watch.look(partial(self._save, mean_pressure, state.pressure))
+            self.watch.look(partial(self._save, mean_pressure, state))
         elif level.comm is self.grid.comm:
             self.watch.look()
 
     def solved(self, solution: ContactSolution) -> None:
         """The load is solved, not yet written.  Collective."""
-        self.watch.look(partial(self._save, solution.mean_pressure, solution.pressure))
+        self.watch.look(partial(self._save, solution.mean_pressure, solution))
 
-    def _save(self, mean_pressure: float, pressure: np.ndarray) -> None:
-        """A checkpoint; solvers have units of their own.  Collective."""
+    def _save(self, mean_pressure: float, found) -> None:
+        """A checkpoint of a state's or solution's pressure; solvers have units of their own.  Collective."""
+        pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
         self.checkpoints.save(self.index, unit * pressure)
 

@@ -6,8 +6,11 @@ from mpi4py import MPI
 
 from pgfmd.elasticity import Elasticity
 from pgfmd.grid import SlabGrid
+from pgfmd.solvers.balance import RolledBack, best_shift, roll
+from pgfmd.solvers.cascade import solve_hard_wall
 from pgfmd.solvers.contact_set import HALO, ContactSet
 from pgfmd.solvers.gap_steps import NearCompliance
+from pgfmd.solvers.hard_wall import State
 from pgfmd.solvers.mesh import MeshResponse
 from pgfmd.solvers.preconditioner import TwoLevelStiffness
 from pgfmd.window import RowWindow
@@ -154,3 +157,49 @@ def test_preconditioner_is_symmetric_and_positive(shape):
     mask = random_set(one, 0.4)[1]
     assert abs(np.vdot(a * mask, images[1]) - np.vdot(b * mask, images[0])) < 1e-4 * np.vdot(a * mask, images[0])
     assert np.vdot(a * mask, images[0]) > 0
+
+
+@pytest.mark.parametrize("nx", [256, 300])
+def test_rows_are_rolled_to_share_the_contact(nx):
+    """Where one slab has most of the points, another beginning gives each rank its part; rolled back, all is as it
+    was.
+    """
+    grid = SlabGrid(comm, (nx, 8))
+    rows = np.arange(grid.rows.start, grid.rows.stop)
+    pressure = np.where((rows > 5) & (rows < nx // grid.comm.size), 1.0 + rows, 0.0)[:, None] * np.ones(8)
+    shift = best_shift(grid, pressure)
+    rolled = pressure.copy()
+    roll(grid, rolled, shift)
+    counts = comm.allgather(np.count_nonzero(rolled))
+    assert (shift != 0) == (comm.size > 1)
+    assert max(counts) < (1.2 if comm.size == 2 else 0.9 * comm.size) * sum(counts) / comm.size or comm.size == 1
+    state = RolledBack(grid, State(rolled, rolled.copy(), level=3.0), shift)
+    assert np.array_equal(state.pressure, pressure)
+    assert np.array_equal(state.gap, pressure)
+    assert state.level == 3.0
+    roll(grid, rolled, -shift)
+    assert np.array_equal(rolled, pressure)
+
+
+def test_even_contact_is_left_where_it_is():
+    """No rows move for a few per cent."""
+    grid = SlabGrid(comm, (256, 8))
+    assert best_shift(grid, np.ones(grid.local_shape)) == 0
+
+
+def test_a_mountain_in_one_slab():
+    """Rolled or not, the same pressure as on one rank; the monitor sees it where it belongs."""
+    n, seen = 256, []
+    x, y = (np.arange(n) - 40)[:, None], (np.arange(n) - 128)[None, :]
+    heights = -((x / 30.0) ** 2 + (y / 30.0) ** 2) * np.ones((n, n))
+    grid, one = SlabGrid(comm, (n, n)), SlabGrid(MPI.COMM_SELF, (n, n))
+
+    def monitor(level, state):
+        if level is grid:
+            seen.append(np.concatenate(comm.allgather(state.pressure)))
+
+    mine = solve_hard_wall(grid, heights[grid.rows], 1e-3, Elasticity(1.0), 1e-9, monitor=monitor)
+    alone = solve_hard_wall(one, heights, 1e-3, Elasticity(1.0), 1e-9)
+    found = np.concatenate(comm.allgather(mine.pressure))
+    assert np.abs(found - alone.pressure).max() < 1e-3 * alone.pressure.max()
+    assert np.array_equal(seen[-1] > 0, found > 0)

@@ -17,6 +17,7 @@ from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from ..hierarchy import Interpolation, restrict
 from . import scale
+from .balance import RolledBack, best_shift, roll
 from .gap_steps import GapSteps
 from .hard_wall import State
 from .pressure_steps import PressureSteps
@@ -174,9 +175,15 @@ def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> fl
 def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: float, exact: bool = True) -> State:
     """Relax a state of which about the share `contact` of all points touch.  Collective."""
     steps = GapSteps if contact > MOSTLY else PressureSteps
+    shift = best_shift(grid, state.pressure)
+    for field in (heights, state.pressure):
+        roll(grid, field, shift)
     solver = steps(grid, heights, scaled, load * grid.size, exact)
-    state = solver.relax(state, tolerance, None if monitor is None else lambda state: monitor(grid, state))
+    seen = None if monitor is None else lambda state: monitor(grid, RolledBack(grid, state, shift))
+    state = solver.relax(state, tolerance, seen)
     solver.free()
+    for field in (heights, state.pressure, state.gap):
+        roll(grid, field, -shift)
     return state
 
 
