@@ -14,14 +14,14 @@ from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet
-from .hard_wall import MOST_INNER, SINGLE_LIMIT, Relaxation, State
+from .hard_wall import INNER_REDUCTION, MOST_INNER, SINGLE_LIMIT, Relaxation, State
 from .mesh import inner_response
 from .stencil import RADIUS, Stencil, lattice_kernel
 
 MOST_SWEEPS = 8  # between two certificates
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes compliance for constant
 LEAST = 0.1  # of the stencil's centre: the smallest response to a wave, so that it is positive definite
-RATE = 0.1  # of the error that the first sweep leaves, until there are two to tell
+RATE = 0.6  # of the error that the first sweep leaves, until there are two to tell
 
 
 class GapSteps(Relaxation):
@@ -63,9 +63,9 @@ class GapSteps(Relaxation):
             if left <= tolerance or sweep == MOST_SWEEPS:
                 break
             residual = self.next_set(state)
-            error = self.correct(state, residual, wanted) * self.load / (2 * state.energy)
-            rate = RATE if before is None else min(1.0, max(error / before, wanted))
-            before, left = error, rate * error
+            error = self.correct(state, residual, min(wanted, INNER_REDUCTION)) * self.load / (2 * state.energy)
+            rate = RATE if before is None else min(1.0, max(error / before, INNER_REDUCTION))
+            before, left = error, rate * error / 2  # half: sweeps converge faster and faster
         self.values = self.points.take(state.gap)
         self.make_feasible(state)
 
