@@ -48,15 +48,21 @@ def draw(folder: Path, cases: dict) -> None:
 
 
 def overview(folder: Path, cases: dict) -> None:
-    """`DIR/benchmark.png`, for the README: a smooth and a rough surface on the peers' largest grid, and resolution."""
+    """`DIR/benchmark.png`, for the README: a smooth and a rough surface, each on the largest grid that most methods
+    were run on, and resolution.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
     measured = [case for case, curves in cases.items() if case[3] == 0.08 and any(key[0] == "tamaas" for key in curves)]
-    smooth = max((case for case in measured if case[2] == 16), default=None)
-    rough = max((case for case in measured if case[2] == 1), default=None)
+
+    def methods_and_size(case: tuple):
+        return len({key[0] for key in cases[case]}), case
+
+    smooth = max((case for case in measured if case[2] == 16), key=methods_and_size, default=None)
+    rough = max((case for case in measured if case[2] == 1), key=methods_and_size, default=None)
     panels = [(case, cost) for case, cost in ((smooth, "seconds"), (rough, "seconds"), (smooth, "transforms")) if case]
     table = folder / "resolution.csv"
     if not panels:
@@ -73,8 +79,11 @@ def overview(folder: Path, cases: dict) -> None:
         _resolution(axes.flat[len(panels)], table)
     for at in list(axes.flat)[count:]:
         at.remove()
-    handles, labels = axes.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
+    shown = {}
+    for at in axes.flat[: len(panels)]:
+        lines, labels = at.get_legend_handles_labels()
+        shown |= dict(zip(labels, lines, strict=True))
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=4, fontsize=8)
     figure.savefig(folder / "benchmark.png", dpi=130)
     plt.close(figure)
 
@@ -141,6 +150,7 @@ def panel(axes, curves: dict, cost: str, error: str) -> None:
         )
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.xaxis.set_minor_formatter("")
     axes.grid(True, alpha=0.3)
 
 
