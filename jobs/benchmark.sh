@@ -3,9 +3,9 @@
 #
 #   bash jobs/benchmark.sh [DIR] [--all]
 #
-# Tables and pictures go to DIR (default results/benchmark), after each part of what is there by then; those in
-# jobs/benchmark are from such runs.  It takes one to two
-# hours on two cores, which should have nothing else to do; --all adds every grid, surface and load, for a night.
+# Tables and pictures go to DIR (default results/benchmark), after each part of what is there by then; jobs/benchmark
+# keeps some.  It takes two hours on two cores, which should have nothing else to do; --all adds every grid, surface and
+# load, for a night.
 # Interrupted, it goes on where it was.
 set -euo pipefail
 
