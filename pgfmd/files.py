@@ -54,16 +54,28 @@ def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False)
     content = io.BytesIO(unsealed(path.read_bytes()) if path.exists() else b"")
     change(content)
     try:
-        temporary(path).write_bytes(sealed(content.getbuffer()))
-        commit(path, keep)
+        with named(path):
+            temporary(path).write_bytes(sealed(content.getbuffer()))
+            commit(path, keep)
     except BaseException:
         temporary(path).unlink(missing_ok=True)
         raise
 
 
+@contextlib.contextmanager
+def named(path: Path):
+    """An OSError in the block that names no file (full disks do not) names this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
 def append(path: Path, data: bytes):
     """Add bytes to the end of a file; raises OSError."""
-    with open(path, "ab") as file:
+    with named(path), open(path, "ab") as file:
         file.write(data)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pgfmd import files
 from pgfmd.results import Results
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -50,6 +51,13 @@ def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> s
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT,
         start_new_session=True, env=dict(os.environ) | (environment or {}),
     )  # fmt: skip
+
+
+def wait_for_folder(run: subprocess.Popen, folder: Path) -> float:
+    """Waits until the run has its output folder, or ends; the moment of that, by time.monotonic."""
+    while run.poll() is None and "process" not in (files.holder(folder) or ""):
+        time.sleep(0.01)
+    return time.monotonic()
 
 
 def descendants(pid: int) -> list[int]:

@@ -117,14 +117,16 @@ def fill_disks(tmp_path, n: int, times: int, ranks: int):
     """Runs on small disks that something else fills at random moments; then space is made, and they go on."""
     chance = random.Random(time.time_ns())
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, pressures=LOADS, interval=0.2)
-    began = time.monotonic()
-    code, stderr = launching.wait(launching.start(ranks, "run", job, "--output", tmp_path / "reference"), 900)
+    run = launching.start(ranks, "run", job, "--output", tmp_path / "reference")
+    began = launching.wait_for_folder(run, tmp_path / "reference")
+    code, stderr = launching.wait(run, 900)
     assert code == 0, stderr
     length, done = time.monotonic() - began, 0
     while done < times:
         with small_disk(tmp_path / f"disk {done} {time.time_ns()}", 12 * 8 * n * n) as disk:
             run = launching.start(ranks, "run", job, "--output", disk / "out")
-            time.sleep(chance.uniform(0.3 * length, 0.9 * length))
+            launching.wait_for_folder(run, disk / "out")
+            time.sleep(chance.uniform(0, 0.8 * length))
             subprocess.run(["dd", "if=/dev/zero", f"of={disk}/filler", "bs=4k"], capture_output=True, check=False)
             code, stderr = launching.wait(run, 300)
             if code == 0:  # it needed no more space
@@ -132,6 +134,7 @@ def fill_disks(tmp_path, n: int, times: int, ranks: int):
             done += 1
             said = [line for line in stderr.splitlines() if line.startswith("pgfmd: error:")]
             assert code == 1 and len(said) == 1 and "Traceback" not in stderr, stderr
+            assert f"'{disk}/out" in said[0]
             there, found = launching.distance(disk / "out", tmp_path / "reference", complete=False)
             assert found < 1e-10
             saved = (disk / "out" / "checkpoint.h5").exists()
