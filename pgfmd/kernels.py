@@ -340,6 +340,49 @@ def take_rows(field, columns, offsets, first, stop, values):
 
 
 @_jit
+def take_below(field, columns, offsets, first, stop, level, values):
+    """values[k] = level − field[i, columns[k]] for the listed points of rows first … stop−1."""
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            values[k] = level - field[i, columns[k]]
+
+
+@_jit
+def dot_rows(field, columns, offsets, first, stop, values):
+    """Σ field[i, columns[k]] values[k] over the listed points of rows first … stop−1."""
+    total = 0.0
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            total += field[i, columns[k]] * values[k]
+    return total
+
+
+@_jit
+def signed_sums(field, columns, offsets, first, stop):
+    """(Σ f, Σ max(f, 0), #{f < 0}) over the listed points of rows first … stop−1."""
+    total = positive = 0.0
+    negatives = 0
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            value = field[i, columns[k]]
+            total += value
+            positive += max(value, 0.0)
+            negatives += value < 0
+    return total, positive, negatives
+
+
+@_jit
+def cut_negative(field, columns, offsets, first, stop, factor, change):
+    """f = factor · max(f, 0) and change[k] = what that added, for the listed points of rows first … stop−1."""
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            old = field[i, columns[k]]
+            new = factor * max(old, 0.0)
+            field[i, columns[k]] = new
+            change[k] = new - old
+
+
+@_jit
 def put_rows(field, columns, offsets, first, stop, values):
     """field[i, columns[k]] = values[k] for the listed points of rows first … stop−1."""
     for i in range(first, stop):
@@ -353,6 +396,33 @@ def add_to_rows(field, columns, offsets, first, stop, values):
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             field[i, columns[k]] += values[k]
+
+
+@_jit
+def dot_and_sums(a, b, first, stop):
+    """(Σ a b, Σ a, Σ b) over the entries first … stop−1, in double precision."""
+    dot = sum_a = sum_b = 0.0
+    for k in range(first, stop):
+        x, y = np.float64(a[k]), np.float64(b[k])
+        dot += x * y
+        sum_a += x
+        sum_b += y
+    return dot, sum_a, sum_b
+
+
+@_jit
+def turn(direction, z, factor, mean, first, stop):
+    """direction = factor · direction + z − mean in the entries first … stop−1."""
+    for k in range(first, stop):
+        direction[k] = factor * direction[k] + (z[k] - mean)
+
+
+@_jit
+def advance(x, residual, direction, product, step, mean, first, stop):
+    """x += step · direction and residual −= step · (product − mean) in the entries first … stop−1."""
+    for k in range(first, stop):
+        x[k] += step * direction[k]
+        residual[k] -= step * (product[k] - mean)
 
 
 @_jit

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
+
 
 def threads_per_rank() -> int:
     """OMP_NUM_THREADS if set, else the number of cores that this process is bound to."""
@@ -33,6 +35,8 @@ class Threads:
 
         if self._pool is None:
             part(0)
+        elif total <= block:  # spares the hand-over
+            part(0)
         else:
             list(self._pool.map(part, range(self.count)))
 
@@ -40,6 +44,20 @@ class Threads:
         """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
         if total > 0:
             self.share(lambda _, first, stop: work(first, stop), total, -(-total // self.count))
+
+    def collect(self, work: Callable[[int, int], object], total: int, block: int = 64) -> list:
+        """What `work(first, stop)` returns for each block of 0 … total−1, in their order whatever thread made them."""
+        results: list = [None] * -(-total // block)
+
+        def part(_: int, first: int, stop: int) -> None:
+            results[first // block] = work(first, stop)
+
+        self.share(part, total, block)
+        return results
+
+    def scale(self, field: np.ndarray, factor: float) -> None:
+        """field *= factor"""
+        self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
 
     def deal(self, work: Callable[[int, int], None], total: int, block: int = 64) -> None:
         """`work(first, stop)` for blocks dealt out in turn: like `split`, where some rows are dearer than others."""

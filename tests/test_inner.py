@@ -8,7 +8,7 @@ from pgfmd.elasticity import Elasticity
 from pgfmd.grid import SlabGrid
 from pgfmd.solvers.balance import RolledBack, best_shift, roll
 from pgfmd.solvers.cascade import solve_hard_wall
-from pgfmd.solvers.contact_set import HALO, ContactSet
+from pgfmd.solvers.contact_set import HALO, ContactSet, SetVector
 from pgfmd.solvers.gap_steps import NearCompliance
 from pgfmd.solvers.hard_wall import State
 from pgfmd.solvers.mesh import MeshResponse
@@ -29,6 +29,14 @@ def random_set(grid: SlabGrid, density: float):
     return points, mask, field
 
 
+def on(points: ContactSet, values: np.ndarray | None = None) -> SetVector:
+    """A vector on the set, with those values."""
+    vector = SetVector(points)
+    if values is not None:
+        vector.own[:] = values
+    return vector
+
+
 def everywhere(grid: SlabGrid, points: ContactSet, values: np.ndarray) -> np.ndarray:
     """Values on the set as a field on the whole grid, on every rank."""
     field = np.zeros(grid.local_shape)
@@ -45,7 +53,7 @@ def test_halo_of_a_set(shape):
     columns, offsets = points.extended
     assert np.array_equal(np.diff(offsets), mask[rows].sum(axis=1))
     assert np.array_equal(columns, np.nonzero(mask[rows])[1])
-    assert np.array_equal(points.extend(field[grid.rows][mask[grid.rows]]), field[rows][mask[rows]])
+    assert np.array_equal(on(points, field[grid.rows][mask[grid.rows]]).exchange(), field[rows][mask[rows]])
 
 
 @pytest.mark.parametrize("beyond", [(0, 0), (-3, 2), (-40, 35)])
@@ -90,7 +98,7 @@ def test_mesh_is_exact_for_long_waves(wave):
     q = 2 * np.pi / 128 * np.hypot(*wave)
     for response in (elasticity.stiffness, elasticity.compliance):
         near = elasticity.stiffness if response == elasticity.stiffness else lambda q: 2 / (1.3 * q)
-        MeshResponse(grid, near, response).apply(everything, values, found)
+        MeshResponse(grid, near, response).apply(everything, on(everything, values), found)
         assert np.allclose(found, response(q) * values, rtol=0, atol=0.02 * response(q))
 
 
@@ -99,7 +107,7 @@ def deviation(grid: SlabGrid, density: float, mesh: MeshResponse, action) -> tup
     points, mask, field = random_set(grid, density)
     values = field[grid.rows][mask[grid.rows]]
     exact, found = np.empty_like(values), np.empty_like(values)
-    mesh.apply(points, values, found)
+    mesh.apply(points, on(points, values), found)
     points.convolve(values, action, exact)
     exact, found = (everywhere(grid, points, part)[mask] for part in (exact, found))
     return found - exact, exact
@@ -127,9 +135,9 @@ def test_near_compliance_is_positive(lengths):
     near = NearCompliance(grid, lambda q: 2 / q)
     for wave in ((1, 0), (0, 1), (32, 0), (0, 32), (32, 32), (16, 32), (16, 0), (0, 16), (32, 11), (11, 32)):
         phase = 2 * np.pi / 64 * (wave[0] * np.arange(64)[grid.rows, None] + wave[1] * np.arange(64))
-        values, out = np.cos(phase).ravel().astype(np.float32), np.empty(phase.size, np.float32)
+        values, out = on(everything, np.cos(phase).ravel()), on(everything)
         near.apply(everything, values, out)
-        assert comm.allreduce(float(values @ out)) > 0
+        assert comm.allreduce(float(values.own @ out.own)) > 0
 
 
 @pytest.mark.parametrize("shape", [(512, 384), (387, 386), (20, 20)])
@@ -140,9 +148,9 @@ def test_preconditioner_is_symmetric_and_positive(shape):
 
     def applied(grid, field):
         points, mask, _ = random_set(grid, 0.4)
-        values, out = field[grid.rows][mask[grid.rows]].astype(np.float32), np.empty(points.count, np.float32)
-        TwoLevelStiffness(grid, *kernels).apply(points, values, out)
-        return points, out
+        out = on(points)
+        TwoLevelStiffness(grid, *kernels).apply(points, on(points, field[grid.rows][mask[grid.rows]]), out)
+        return points, out.own
 
     a, b = np.random.default_rng(1).standard_normal((2, *shape))
     images = []

@@ -185,3 +185,44 @@ def test_interpolate_rows(order):
     kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
     picked = coarse[(index[:, None] + np.arange(order))[:, :, None, None], columns[None, None]]
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13)
+
+
+def test_sums_over_listed_points(points):
+    """Σ f v, Σ f, Σ max(f, 0), #{f < 0} over the points of some rows."""
+    mask, offsets, columns = points
+    field, values = rng.standard_normal(mask.shape), rng.standard_normal(offsets[-1]).astype(np.float32)
+    inside, part = field[2:8][mask[2:8]], slice(offsets[2], offsets[8])
+    assert np.isclose(kernels.dot_rows(field, columns, offsets, 2, 8, values), inside @ values[part], rtol=1e-14)
+    expected = inside.sum(), np.maximum(inside, 0).sum(), np.count_nonzero(inside < 0)
+    assert np.allclose(kernels.signed_sums(field, columns, offsets, 2, 8), expected, rtol=1e-14)
+
+
+def test_cut_negative_and_take_below(points):
+    """f = factor · max(f, 0) with its change, and level − f, at the points of some rows; nothing elsewhere."""
+    mask, offsets, columns = points
+    field, part = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8])
+    old, values = field.copy(), np.zeros(offsets[-1], np.float32)
+    kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
+    assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
+    kernels.cut_negative(field, columns, offsets, 2, 8, 1.5, values)
+    chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
+    assert np.array_equal(field, np.where(chosen, 1.5 * np.maximum(old, 0), old))
+    assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
+
+
+def test_vectors_of_conjugate_gradients():
+    """(Σ a b, Σ a, Σ b) in double precision; d = f d + z − m; x += s d and r −= s (p − m), in single."""
+    a, b, direction, z, x = rng.standard_normal((5, 1000)).astype(np.float32)
+    part, real = slice(10, 900), np.float32
+    double = a.astype(float), b.astype(float)
+    expected = double[0][part] @ double[1][part], double[0][part].sum(), double[1][part].sum()
+    assert np.allclose(kernels.dot_and_sums(a, b, 10, 900), expected, rtol=1e-12, atol=1e-12)
+    expected = direction.copy()
+    expected[part] = (0.3 * direction + (z - 0.1))[part]
+    kernels.turn(direction, z, real(0.3), real(0.1), 10, 900)
+    assert np.allclose(direction, expected, rtol=0, atol=1e-6)
+    expected = x.copy(), a.copy()
+    expected[0][part] += 0.2 * direction[part]
+    expected[1][part] -= 0.2 * (b[part] - 0.4)
+    kernels.advance(x, a, direction, b, real(0.2), real(0.4), 10, 900)
+    assert np.allclose([x, a], expected, rtol=0, atol=1e-6)

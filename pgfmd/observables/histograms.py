@@ -72,8 +72,7 @@ def contact_moments(grid: SlabGrid, pressure: np.ndarray) -> tuple[int, np.ndarr
 
 def value_range(grid: SlabGrid, field: np.ndarray) -> tuple[float, float, float]:
     """Least positive value (inf if none), least and largest value of a distributed field.  Collective."""
-    parts = []
-    grid.threads.split(lambda a, b: parts.append(positive_range(field, a, b)), len(field))
+    parts = grid.threads.collect(lambda a, b: positive_range(field, a, b), len(field))
     positive, least, largest = zip(*parts, strict=True)
     return grid.reduction.min(positive), grid.reduction.min(least), grid.reduction.max(largest)
 

@@ -34,8 +34,7 @@ def contact_area(grid: SlabGrid, pressure: np.ndarray) -> Area:
     the spacing across it: then the relative area is unchanged by stretching the cell.
     """
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
-    parts = []
-    grid.threads.split(lambda a, b: parts.append(count_edges(pressure, above, a, b)), grid.local_shape[0])
+    parts = grid.threads.collect(lambda a, b: count_edges(pressure, above, a, b), grid.local_shape[0])
     pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
     ax, ay = grid.spacing
     fraction = pixels / grid.size

@@ -60,7 +60,7 @@ def solve_hard_wall(
         return ContactSolution(
             pressure, gap, mean_pressure, highest, 0.0, 0.0, 0.0, 0, 0.0, time.perf_counter() - began
         )
-    centred /= height
+    grid.threads.scale(centred, 1 / height)
     load = mean_pressure / unit
     extra = 0.0
     if start is None:
@@ -160,13 +160,12 @@ def _full_contact(
 
 def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> float:
     """A lower bound of the rms value of Kh, as |q| ≥ 2 sin(q_y a/2)/a.  Collective."""
-    parts = []
 
-    def part(_: int, first: int, stop: int):
+    def squares(first: int, stop: int) -> float:
         steps = np.diff(heights[first:stop], axis=1)
-        parts.append(float(np.einsum("ij,ij->", steps, steps)))
+        return float(np.einsum("ij,ij->", steps, steps))
 
-    grid.threads.share(part, grid.local_shape[0], 64)
+    parts = grid.threads.collect(squares, grid.local_shape[0])
     q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
     factor = np.min(scaled.stiffness(q) / q)
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
@@ -234,25 +233,22 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     displacement -= found.level
     interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2])
     reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
-    pressure, parts = np.empty(grid.local_shape), []
+    pressure = np.empty(grid.local_shape)
 
-    def part(_: int, first: int, stop: int):
+    def begin(first: int, stop: int) -> tuple[float, int]:
         rows = interpolation.rows(1, first, stop), interpolation.rows(0, first, stop)
-        parts.append(kernels.start_rows(*rows, heights[first:stop], reach, pressure[first:stop]))
+        return kernels.start_rows(*rows, heights[first:stop], reach, pressure[first:stop])
 
-    grid.threads.share(part, grid.local_shape[0], 16)
-    total, count = grid.reduction.sums(*np.sum(parts, axis=0))
+    total, count = grid.reduction.sums(*np.sum(grid.threads.collect(begin, grid.local_shape[0], 16), axis=0))
     if total > 1e-200 * count and count:
-        pressure *= load * grid.size / total
+        grid.threads.scale(pressure, load * grid.size / total)
     else:  # the coarse grid says nothing about this one
         pressure[...] = load
     return State(pressure, np.empty(grid.local_shape))
 
 
 def _violation(grid: SlabGrid, state: State) -> float:
-    parts = []
-    grid.threads.split(
-        lambda a, b: parts.append(kernels.largest_violation(state.pressure, state.gap, state.level, a, b)),
-        grid.local_shape[0],
+    parts = grid.threads.collect(
+        lambda a, b: kernels.largest_violation(state.pressure, state.gap, state.level, a, b), grid.local_shape[0]
     )
     return grid.reduction.max(parts)

@@ -4,6 +4,8 @@ grid is needed.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from mpi4py import MPI
 
@@ -17,8 +19,9 @@ HALO = 8  # rows of neighbours: enough for stencils, and for coarser grids whose
 class ContactSet:
     """Points of this rank with p > 0, or with p = 0 and a gap below `level`.
 
-    Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it; vectors on the set are
-    (count,).  `lists` and `extended` are (columns, offsets) as the kernels take them, without and with a halo.
+    Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it.  `lists` and `extended` are
+    (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set are arrays (count,), or
+    `SetVector`s where neighbours need them.
     """
 
     def __init__(self, grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, level: float, dtype=np.float32):
@@ -28,11 +31,13 @@ class ContactSet:
         grid.threads.deal(lambda a, b: kernels.count_contact(pressure, gap, level, a, b, counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
-        self.columns = np.empty(self.count, np.int32)
+        offsets = self._plan_halo(counts)
+        columns = SetVector(self, np.int32)
+        self.columns = columns.own
         grid.threads.deal(
             lambda a, b: kernels.list_contact(pressure, gap, level, a, b, self.offsets, self.columns), rows
         )
-        self._make_halo()
+        self.extended = columns.exchange(), offsets
 
     @property
     def lists(self) -> tuple[np.ndarray, np.ndarray]:
@@ -47,6 +52,36 @@ class ContactSet:
         )
         return values
 
+    def below(self, level: float, field: np.ndarray) -> SetVector:
+        """level − field (nx_local, ny) on the set, in single precision."""
+        out = SetVector(self)
+        self.grid.threads.deal(
+            lambda a, b: kernels.take_below(field, self.columns, self.offsets, a, b, level, out.own), len(field)
+        )
+        return out
+
+    def dot(self, field: np.ndarray, values: np.ndarray) -> float:
+        """Σ field (nx_local, ny) · values (count,) over this rank's points."""
+        parts = self.grid.threads.collect(
+            lambda a, b: kernels.dot_rows(field, self.columns, self.offsets, a, b, values), len(field)
+        )
+        return math.fsum(parts)
+
+    def signed_sums(self, field: np.ndarray) -> tuple[float, float, int]:
+        """(Σ f, Σ max(f, 0), #{f < 0}) of a field (nx_local, ny) over this rank's points."""
+        parts = self.grid.threads.collect(
+            lambda a, b: kernels.signed_sums(field, self.columns, self.offsets, a, b), len(field)
+        )
+        return tuple(np.sum(parts, axis=0))
+
+    def cut_negative(self, field: np.ndarray, factor: float = 1.0) -> SetVector:
+        """field (nx_local, ny) = factor · max(field, 0) on the set; its change."""
+        change = SetVector(self)
+        self.grid.threads.deal(
+            lambda a, b: kernels.cut_negative(field, self.columns, self.offsets, a, b, factor, change.own), len(field)
+        )
+        return change
+
     def put(self, field: np.ndarray, values: np.ndarray) -> None:
         """Overwrites a field (nx_local, ny) on the set."""
         self.grid.threads.deal(
@@ -59,54 +94,26 @@ class ContactSet:
             lambda a, b: kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
 
-    def _make_halo(self) -> None:
-        """Learn which points lie in the `HALO` rows before and after those of this rank, around the ring.
-        Collective.
+    def _plan_halo(self, counts: np.ndarray) -> np.ndarray:
+        """Learn which points lie in the `HALO` rows before and after those of this rank, around the ring, from the
+        `counts` in its rows.  Returns offsets into those rows, its own, and those.  Collective.
         """
         grid, comm = self.grid, self.grid.comm
-        counts = np.diff(self.offsets)
-        self._thin = min(np.diff(grid.starts)) < HALO
-        if self._thin:
+        self.thin = min(np.diff(grid.starts)) < HALO
+        if self.thin:
             every = np.concatenate(comm.allgather(counts))
             rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO) % grid.shape[0]
             offsets = np.concatenate([[0], np.cumsum(every)])
-            self._taken = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in rows])
+            self.taken = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in rows])
             counts = every[rows]
         else:
             ring = np.concatenate([counts[:HALO], counts[-HALO:]])
             previous, following = (np.empty_like(ring) for _ in range(2))
-            self._pass_on(ring, previous, ring, following)
+            pass_on(comm, ring, previous, ring, following)
             counts = np.concatenate([previous[HALO:], counts, following[:HALO]])
-            self._top, self._bottom = int(self.offsets[HALO]), int(self.offsets[-1 - HALO])
-            self._before, self._after = int(previous[HALO:].sum()), int(following[:HALO].sum())
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        self.extended = self.extend(self.columns), offsets
-        if not self._thin:  # the same memory once
-            self.columns = self.extended[0][self._before : self._before + self.count]
-
-    def extend(self, values: np.ndarray) -> np.ndarray:
-        """`values` (count,) with those of the halo before and after them, as `extended` lists them.  Collective."""
-        if self._thin:
-            return np.concatenate(self.grid.comm.allgather(values))[self._taken]
-        out = np.empty(self._before + self.count + self._after, values.dtype)
-        before, after = out[: self._before], out[self._before + self.count :]
-        own = out[self._before : self._before + self.count]
-        own[:] = values
-        self._pass_on(own[self._bottom :], before, own[: self._top], after)
-        return out
-
-    def _pass_on(self, bottom: np.ndarray, before: np.ndarray, top: np.ndarray, after: np.ndarray) -> None:
-        """`bottom` to the next rank, which receives it as `before`; `top` to the previous one, as `after`.
-        Collective.
-        """
-        comm = self.grid.comm
-        if comm.size == 1:
-            before[...], after[...] = bottom, top
-            return
-        kind = MPI._typedict[top.dtype.char]
-        previous, following = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
-        comm.Sendrecv([bottom, kind], following, recvbuf=[before, kind], source=previous)
-        comm.Sendrecv([top, kind], previous, recvbuf=[after, kind], source=following)
+            self.top, self.bottom = int(self.offsets[HALO]), int(self.offsets[-1 - HALO])
+            self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
+        return np.concatenate([[0], np.cumsum(counts)])
 
     def fill(self, values: np.ndarray):
         """Rows that hold `values` on the set and zero elsewhere (a source for `SlabGrid.convolve`)."""
@@ -127,3 +134,38 @@ class ContactSet:
     def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray, targets: ContactSet | None = None) -> None:
         """out = (kernel ∗ values) on the set, or on `targets`.  Collective."""
         self.grid.convolve(self.fill(values), action, (targets or self).drain(out), self.dtype)
+
+
+class SetVector:
+    """A vector (count,) on a set, `own`, in one array with the values of the rows before and after those of this rank.
+
+    Slabs thinner than the halo need values of several ranks, and keep none.
+    """
+
+    def __init__(self, points: ContactSet, dtype=np.float32):
+        self.points = points
+        if points.thin:
+            self.own = np.empty(points.count, dtype)
+        else:
+            self._all = np.empty(points.before + points.count + points.after, dtype)
+            self.own = self._all[points.before : points.before + points.count]
+
+    def exchange(self) -> np.ndarray:
+        """The vector with its halo as it is now, as `ContactSet.extended` lists its points.  Collective."""
+        points, comm = self.points, self.points.grid.comm
+        if points.thin:
+            return np.concatenate(comm.allgather(self.own))[points.taken]
+        before, after = self._all[: points.before], self._all[points.before + points.count :]
+        pass_on(comm, self.own[points.bottom :], before, self.own[: points.top], after)
+        return self._all
+
+
+def pass_on(comm: MPI.Comm, bottom: np.ndarray, before: np.ndarray, top: np.ndarray, after: np.ndarray) -> None:
+    """`bottom` to the next rank, which receives it as `before`; `top` to the previous one, as `after`.  Collective."""
+    if comm.size == 1:
+        before[...], after[...] = bottom, top
+        return
+    kind = MPI._typedict[top.dtype.char]
+    previous, following = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
+    comm.Sendrecv([bottom, kind], following, recvbuf=[before, kind], source=previous)
+    comm.Sendrecv([top, kind], previous, recvbuf=[after, kind], source=following)

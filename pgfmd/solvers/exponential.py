@@ -58,15 +58,15 @@ def solve_exponential_wall(
         np.subtract(from_mean, heights, out=heights)
         seconds = time.perf_counter() - began
         return ContactSolution(uniform, heights, mean_pressure, from_mean, 0.0, 0.0, 0.0, 0, 0.0, seconds)
-    heights /= height
+    grid.threads.scale(heights, 1 / height)
     problem = _Problem(elasticity, mean_pressure / height, zeta / height, tolerance, monitor)
     if start is None:
         state, extra = problem.cascade(grid, heights, tolerance)
     else:
         state, extra = problem.relax(grid, heights, problem.feasible(grid, start), tolerance), 0.0
-    pressure, gap, parts = state.pressure, state.gap, []
-    grid.threads.split(
-        lambda a, b: parts.append(entropy.largest_deviation(pressure, gap, problem.zeta, state.level, a, b)), len(gap)
+    pressure, gap = state.pressure, state.gap
+    parts = grid.threads.collect(
+        lambda a, b: entropy.largest_deviation(pressure, gap, problem.zeta, state.level, a, b), len(gap)
     )
     pressure *= mean_pressure
     gap -= state.level

@@ -13,7 +13,7 @@ from .. import kernels
 from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from .conjugate_gradients import solve_on_set
-from .contact_set import ContactSet
+from .contact_set import ContactSet, SetVector
 from .hard_wall import INNER_REDUCTION, MOST_INNER, SINGLE_LIMIT, Relaxation, State
 from .mesh import inner_response
 from .stencil import RADIUS, Stencil, lattice_kernel
@@ -93,42 +93,39 @@ class GapSteps(Relaxation):
 
         self.grid.convolve(fill, self.stiffness[precision], drain, precision)
 
-    def next_set(self, state: State) -> np.ndarray:
+    def next_set(self, state: State) -> SetVector:
         """Overlapping points leave the open set and points in tension join it; makes the gap feasible and returns the
-        residual (count,) on the set.  Collective.
+        residual on the set.  Collective.
 
         The set is chosen from the gap with its overlaps; the pressure's reaction to cutting them off is computed on
         the set alone, approximately.
         """
         old, new = self.points, ContactSet(self.grid, state.gap, state.pressure, 0.0)
-        residual = -new.take(state.pressure).astype(np.float32)
+        residual = new.below(0.0, state.pressure)
         self.points = new
         if old is None:
             return residual
-        gap = old.take(state.gap)
-        change = np.maximum(-gap, 0)
-        (overlaps,) = self.grid.reduction.sums(np.count_nonzero(change))
-        if overlaps:
-            old.put(state.gap, gap + change)
+        _, _, overlaps = old.signed_sums(state.gap)
+        if self.grid.reduction.any(overlaps):
             response = np.empty(new.count, np.float32)
-            self.inner.apply(old, change.astype(np.float32), response, new)
-            residual -= response
+            self.inner.apply(old, old.cut_negative(state.gap), response, new)
+            residual.own -= response
         return residual
 
-    def correct(self, state: State, residual: np.ndarray, wanted: float) -> float:
-        """Change the gap on the set by conjugate gradients, so that the pressure there, minus the residual (count,),
-        falls by the factor `wanted`.  Returns the largest change.  Collective.
+    def correct(self, state: State, residual: SetVector, wanted: float) -> float:
+        """Change the gap on the set by conjugate gradients, so that the pressure there, minus the residual, falls by
+        the factor `wanted`.  Returns the largest change.  Collective.
         """
         change, steps = solve_on_set(self.points, residual, self.inner, self.preconditioner, wanted, MOST_INNER, False)
         self.points.add(state.gap, change)
         state.iterations += steps
-        return self.grid.reduction.max(np.abs(change))
+        return self.grid.reduction.max([change.max(initial=0), -change.min(initial=0)])
 
     def make_feasible(self, state: State) -> None:
         """Pressure only where the gap is closed, nowhere tensile, of the right sum.  Collective."""
-        parts = []
-        self.split(lambda a, b: parts.append(kernels.close_pressure(state.pressure, state.gap, a, b)))
-        state.pressure *= self.load / self.grid.reduction.sum(parts)
+        threads, rows = self.grid.threads, self.grid.local_shape[0]
+        parts = threads.collect(lambda a, b: kernels.close_pressure(state.pressure, state.gap, a, b), rows)
+        threads.scale(state.pressure, self.load / self.grid.reduction.sum(parts))
 
 
 class NearCompliance:
@@ -147,6 +144,6 @@ class NearCompliance:
         kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # oblong pixels need it
         self.stencil = Stencil(grid, kernel)
 
-    def apply(self, points: ContactSet, residual: np.ndarray, out: np.ndarray) -> None:
-        """out = M · residual on the set; both (count,).  Collective."""
-        self.stencil.apply(points, points.extend(residual), out)
+    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
+        """out = M · residual on the set.  Collective."""
+        self.stencil.apply(points, residual.exchange(), out.own)

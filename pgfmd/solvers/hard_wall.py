@@ -120,10 +120,8 @@ class Relaxation:
 
         `extra`: of ⟨p, g⟩ over this rank's points, by a change of the gap that `state.gap` does not hold.
         """
-        parts = []
-        self.grid.threads.deal(
-            lambda a, b: parts.append(kernels.contact_sums(state.pressure, state.gap, self.heights, a, b)),
-            self.grid.local_shape[0],
+        parts = self.grid.threads.collect(
+            lambda a, b: kernels.contact_sums(state.pressure, state.gap, self.heights, a, b), self.grid.local_shape[0]
         )
         work, energy, load, count, lowest = zip(*parts, strict=True)
         work, energy, load, count = self.grid.reduction.sums(

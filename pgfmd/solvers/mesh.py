@@ -21,7 +21,7 @@ from .. import kernels
 from ..grid import SlabGrid
 from ..transforms import Columns
 from ..window import RowWindow
-from .contact_set import HALO, ContactSet
+from .contact_set import HALO, ContactSet, SetVector
 from .stencil import RADIUS, Stencil, lattice_kernel
 
 SPLIT = 0.55  # α in 1/pixel: errors of the cut and of the mesh are then about equal
@@ -62,11 +62,11 @@ class MeshResponse:
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
-    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out = the response to `values` (count,) on the set, there or on `targets`; both float32.  Collective."""
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out (count,) = the response to `values` on the set, there or on `targets`; both float32.  Collective."""
         targets = targets or points
         mesh, own = self.mesh, self.mesh.rows.start
-        extended = points.extend(values)
+        extended = values.exchange()
         self.stencil.apply(points, extended, out, targets)
 
         def fill(first: int, stop: int, block: np.ndarray):
@@ -133,9 +133,9 @@ class FullResponse:
     def __init__(self, action: Columns):
         self.action = action
 
-    def apply(self, points: ContactSet, values: np.ndarray, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out = the response to `values` (count,) on the set, there or on `targets`.  Collective."""
-        points.convolve(values, self.action, out, targets)
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out (count,) = the response to `values` on the set, there or on `targets`.  Collective."""
+        points.convolve(values.own, self.action, out, targets)
 
     def free(self) -> None:
         """Nothing to give back."""

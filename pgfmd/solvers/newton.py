@@ -106,10 +106,10 @@ class WallRelaxation:
 
     def total(self, kernel, *arguments) -> np.ndarray:
         """The sums over all rows of all ranks of what a kernel returns for some rows.  Collective."""
-        parts = []
-        rows = self.grid.local_shape[0]
-        self.grid.threads.split(lambda a, b: parts.append((a, kernel(*arguments, a, b))), rows)
-        return self.grid.reduction.sums(*np.sum([np.atleast_1d(part) for _, part in sorted(parts)], axis=0))
+        parts = self.grid.threads.collect(
+            lambda a, b: np.atleast_1d(kernel(*arguments, a, b)), self.grid.local_shape[0]
+        )
+        return self.grid.reduction.sums(*np.sum(parts, axis=0))
 
     def certify(self, state: WallState, zeta: float) -> None:
         """Objective, energy and certified error of a feasible state; ζ = 0 is the hard wall.  Collective."""

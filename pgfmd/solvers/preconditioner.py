@@ -17,7 +17,7 @@ import numpy as np
 from .. import kernels
 from ..grid import SlabGrid
 from ..window import RowWindow
-from .contact_set import HALO, ContactSet
+from .contact_set import HALO, ContactSet, SetVector
 from .stencil import RADIUS, Stencil, lattice_kernel
 
 BLOCK = 4  # pixels: what the near part can bridge
@@ -39,13 +39,13 @@ class TwoLevelStiffness:
         far_reaching = min(grid.shape) >= FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
         self.far = BlockStiffness(grid, stiffness) if far_reaching else None
 
-    def apply(self, points: ContactSet, residual: np.ndarray, out: np.ndarray) -> None:
-        """out = M · residual on the set; both (count,).  Collective."""
+    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
+        """out = M · residual on the set.  Collective."""
         if self.far is None:
-            self.near.apply(points, points.extend(residual), out)
+            self.near.apply(points, residual.exchange(), out.own)
             return
         rest = self.far.split(points, residual)
-        self.near.apply(points, points.extend(rest), out)
+        self.near.apply(points, rest.exchange(), out.own)
         self.far.join(points, out)
 
     def free(self) -> None:
@@ -71,11 +71,13 @@ class BlockStiffness:
         self.points = self.shares = None
         self.means, self.response = np.empty((2, *blocks.local_shape), np.float32)
 
-    def split(self, points: ContactSet, residual: np.ndarray) -> np.ndarray:
-        """The residual (count,) less its means over blocks, whose response is kept for `join`.  Collective."""
+    def split(self, points: ContactSet, residual: SetVector) -> SetVector:
+        """The residual less its means over blocks, whose response is kept for `join`.  Collective."""
         means, response = self.means, self.response
         if points is not self.points:  # one over the number of points of each block
-            self._sum(points, np.ones(points.count, np.float32), means)
+            ones = SetVector(points)
+            ones.own[:] = 1
+            self._sum(points, ones, means)
             self.points, self.shares = points, 1 / np.maximum(means, 1)
         self._sum(points, residual, means)
         means *= self.shares
@@ -91,21 +93,21 @@ class BlockStiffness:
 
         self.blocks.convolve(fill, act, drain, np.float32)
         np.negative(means, out=self.window.own)
-        rest = np.empty_like(residual)
-        self._add(points, residual, rest)
+        rest = SetVector(points)
+        self._add(points, residual.own, rest.own)
         return rest
 
-    def join(self, points: ContactSet, values: np.ndarray) -> None:
-        """`values` (count,) get the kept response for their means over blocks.  Collective."""
+    def join(self, points: ContactSet, values: SetVector) -> None:
+        """`values` get the kept response for their means over blocks.  Collective."""
         means = self.means
         self._sum(points, values, means)
         np.subtract(self.response, means, out=means)
         np.multiply(means, self.shares, out=self.window.own)
-        self._add(points, values, values)
+        self._add(points, values.own, values.own)
 
-    def _sum(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """Sums of `values` (count,) over this rank's blocks.  Collective."""
-        extended = points.extend(values)
+    def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
+        """Sums of `values` over this rank's blocks.  Collective."""
+        extended = values.exchange()
         start, rows = self.grid.rows.start, self.blocks.rows
 
         def part(first: int, stop: int):

@@ -9,7 +9,7 @@ import numpy as np
 from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from .conjugate_gradients import solve_on_set
-from .contact_set import ContactSet
+from .contact_set import ContactSet, SetVector
 from .hard_wall import MOST_INNER, Relaxation, State
 from .mesh import inner_response
 from .preconditioner import TwoLevelStiffness
@@ -20,7 +20,7 @@ CLOSE = 3.0  # times the tolerance: errors below are worth an exact look
 class PressureSteps(Relaxation):
     """Relaxation that costs least where few points are in contact.
 
-    Attributes: points, the set to solve on next (None before the first look); residual (count,), how far the gap there
+    Attributes: points, the set to solve on next (None before the first look); residual, how far the gap there
     lies below the level of contact.
     """
 
@@ -46,50 +46,43 @@ class PressureSteps(Relaxation):
         is far from the tolerance; a state within it has an exact one.
         """
         old = self.points or ContactSet(self.grid, state.pressure, state.gap, -np.inf)
-        inside, count = self.grid.reduction.sums(old.take(state.gap).sum(), old.count)
+        inside, count = self.grid.reduction.sums(old.signed_sums(state.gap)[0], old.count)
         new = ContactSet(self.grid, state.pressure, state.gap, inside / count)
         change = None if self.points is None else self.cut_tension(state, old)
         self.points = new
         if change is None:
             self.certify(state)
-            self.residual = self.overlap(state, new)
+            self.residual = new.below(state.level, state.gap)
             return
         response = np.empty(new.count, np.float32)
         self.inner.apply(old, change, response, new)
-        reaction = float(np.dot(new.take(state.pressure), response))
+        reaction = new.dot(state.pressure, response)
         self.certify(state, reaction)
         (reaction,) = self.grid.reduction.sums(reaction)
         state.error = max(state.error, abs(reaction) / (2 * abs(state.energy)))  # a large reaction is not to be trusted
         if not self.exact or state.error > CLOSE * tolerance:
-            self.residual = self.overlap(state, new) - response
+            self.residual = new.below(state.level, state.gap)
+            self.residual.own -= response
             return
         self.shift_gap(state, old, change)
         self.certify(state)
-        self.residual = self.overlap(state, new)
+        self.residual = new.below(state.level, state.gap)
 
-    def overlap(self, state: State, points: ContactSet) -> np.ndarray:
-        """How far the gap (count,) lies below the level of contact on a set, in single precision."""
-        return (state.level - points.take(state.gap)).astype(np.float32)
-
-    def cut_tension(self, state: State, points: ContactSet) -> np.ndarray | None:
-        """Make the pressure, which is tensile in places of the set, feasible.  Returns its change (count,), or None if
-        there was no tension.  Collective.
+    def cut_tension(self, state: State, points: ContactSet) -> SetVector | None:
+        """Make the pressure, which is tensile in places of the set, feasible.  Returns its change, or None if there was
+        no tension.  Collective.
         """
-        pressure = points.take(state.pressure)
-        cut = np.maximum(pressure, 0)
-        kept, lost = self.grid.reduction.sums(cut.sum(), np.count_nonzero(pressure < 0))
-        cut *= self.load / kept
-        points.put(state.pressure, cut)
-        cut -= pressure
-        return cut.astype(np.float32) if lost else None
+        _, kept, lost = self.grid.reduction.sums(*points.signed_sums(state.pressure))
+        change = points.cut_negative(state.pressure, self.load / kept)
+        return change if lost else None
 
-    def shift_gap(self, state: State, points: ContactSet, change: np.ndarray) -> None:
+    def shift_gap(self, state: State, points: ContactSet, change: SetVector) -> None:
         """gap += G · change of the pressure on a set.  Collective."""
 
         def drain(first: int, stop: int, rows: np.ndarray):
             state.gap[first:stop] += rows
 
-        self.grid.convolve(points.fill(change), self.compliance[np.float32], drain, np.float32)
+        self.grid.convolve(points.fill(change.own), self.compliance[np.float32], drain, np.float32)
 
     def improve(self, state: State, wanted: float, tolerance: float, precision) -> None:
         """Make the gap flatter on the set by the factor `wanted`; pressures there may become negative.  Collective."""

@@ -20,14 +20,12 @@ def centred(
 
     Raises InputError, saying what is out of range, for a surface that is not flat, or a pressure, beyond `LARGEST`.
     """
-    reduce, rows = grid.reduction, grid.local_shape[0]
-    lows, highs, sums, squares = [], [], [], []
+    reduce, threads, rows = grid.reduction, grid.threads, grid.local_shape[0]
 
-    def extremes(_: int, first: int, stop: int):
-        lows.append(heights[first:stop].min())
-        highs.append(heights[first:stop].max())
+    def extremes(first: int, stop: int) -> tuple[float, float]:
+        return heights[first:stop].min(), heights[first:stop].max()
 
-    grid.threads.share(extremes, rows, 64)
+    lows, highs = zip(*threads.collect(extremes, rows), strict=True)
     low, high = reduce.min(lows), reduce.max(highs)
     limits = (
         ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing)),
@@ -40,15 +38,14 @@ def centred(
         return np.zeros(grid.local_shape), 0.0
     out = heights if overwrite else np.empty(grid.local_shape)
 
-    def shift(_: int, first: int, stop: int):
-        sums.append(np.subtract(heights[first:stop], low, out=out[first:stop]).sum())
+    def shift(first: int, stop: int) -> float:
+        return np.subtract(heights[first:stop], low, out=out[first:stop]).sum()
 
-    def centre(_: int, first: int, stop: int):
+    def centre(first: int, stop: int) -> float:
         part = out[first:stop]
         part -= mean
-        squares.append(np.einsum("ij,ij->", part, part))
+        return np.einsum("ij,ij->", part, part)
 
-    grid.threads.share(shift, rows, 64)
-    mean = reduce.sum(sums) / grid.size
-    grid.threads.share(centre, rows, 64)
+    mean = reduce.sum(threads.collect(shift, rows)) / grid.size
+    squares = threads.collect(centre, rows)
     return out, math.sqrt(reduce.sum(squares) / grid.size)

@@ -35,7 +35,7 @@ class Stencil:
         self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(dtype)
 
     def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None):
-        """out = the kernel applied to values that `points.extend` has given a halo, on the same set or on `targets`."""
+        """out = the kernel applied to a `SetVector` with its halo, on the same set or on `targets`."""
         lists = (targets or points).lists
         rows, ny = self.grid.local_shape
 
