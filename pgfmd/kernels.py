@@ -358,27 +358,53 @@ def dot_rows(field, columns, offsets, first, stop, values):
 
 
 @_jit
-def signed_sums(field, columns, offsets, first, stop):
-    """(Σ f, Σ max(f, 0), #{f < 0}) over the listed points of rows first … stop−1."""
-    total = positive = 0.0
-    negatives = 0
+def sum_rows(field, columns, offsets, first, stop):
+    """Σ field[i, columns[k]] over the listed points of rows first … stop−1."""
+    total = 0.0
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
-            value = field[i, columns[k]]
-            total += value
-            positive += max(value, 0.0)
-            negatives += value < 0
-    return total, positive, negatives
+            total += field[i, columns[k]]
+    return total
 
 
 @_jit
-def cut_negative(field, columns, offsets, first, stop, factor, change):
-    """f = factor · max(f, 0) and change[k] = what that added, for the listed points of rows first … stop−1."""
+def cut_negative(field, columns, offsets, first, stop, change):
+    """f = max(f, 0) and change[k] = what that added, for the listed points of rows first … stop−1; returns #{f < 0}."""
+    count = 0
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
-            old = field[i, columns[k]]
-            new = factor * max(old, 0.0)
-            field[i, columns[k]] = new
+            value = field[i, columns[k]]
+            change[k] = max(-value, 0.0)
+            if value < 0:
+                field[i, columns[k]] = 0.0
+                count += 1
+    return count
+
+
+@_jit
+def signed_sums(field, columns, offsets, first, stop, shift, sums):
+    """sums[0, b] += f and sums[1, b] += max(f, 0), where b = columns[k] >> shift, for the listed points of rows first
+    … stop−1.
+    """
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            column = _u(columns[k])
+            value = field[i, column]
+            sums[0, column >> shift] += value
+            sums[1, column >> shift] += max(value, 0.0)
+
+
+@_jit
+def cut_and_scale(field, columns, offsets, first, stop, shift, factors, change):
+    """f = factors[columns[k] >> shift] · max(f, 0) and change[k] = what that added, for the listed points of rows first
+    … stop−1.
+    """
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            column = _u(columns[k])
+            old = field[i, column]
+            new = factors[column >> shift] * max(old, 0.0)
+            field[i, column] = new
             change[k] = new - old
 
 

@@ -8,6 +8,7 @@ from pgfmd.contact import solve
 from pgfmd.elasticity import Elasticity
 from pgfmd.errors import InputError
 from pgfmd.grid import SlabGrid
+from pgfmd.solvers import cascade
 from pgfmd.solvers.cascade import solve_hard_wall
 from pgfmd.theory import exact, hertz
 from pgfmd.topography import coordinates, paraboloid, self_affine, sinusoid
@@ -241,6 +242,22 @@ def test_energy_follows_the_gap(comm, rough):
     _, low = solved(comm, rough, 0.1 * (1 - 1e-4))
     _, high = solved(comm, rough, 0.1 * (1 + 1e-4))
     assert high.elastic_energy - low.elastic_energy == pytest.approx(-0.1 * (high.mean_gap - low.mean_gap), rel=1e-5)
+
+
+@pytest.mark.parametrize("lambda_s", [1.0, 8.0])
+def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
+    """Half in contact, solved for the pressures of these points or for the gaps of the others: the same answer."""
+    grid = SlabGrid(comm, (96, 80))
+    heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
+    found = []
+    for mostly in (0.0, 2.0):
+        monkeypatch.setattr(cascade, "MOSTLY", mostly)
+        found.append(cascade.solve_hard_wall(grid, heights, 0.0085 * MODULUS, Elasticity(MODULUS), 1e-12))
+    by_gaps, by_pressures = (solution.pressure for solution in found)
+    assert 0.35 < grid.reduction.sum(by_gaps > 0) / grid.size < 0.65
+    difference = grid.reduction.sum((by_gaps - by_pressures) ** 2) / grid.reduction.sum(by_gaps**2)
+    assert np.sqrt(difference) < 1e-6
+    assert found[0].mean_gap == pytest.approx(found[1].mean_gap, rel=1e-9)
 
 
 def test_offset_of_the_heights_does_not_matter(comm, rough):

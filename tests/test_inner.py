@@ -9,6 +9,7 @@ from pgfmd.grid import SlabGrid
 from pgfmd.solvers.balance import RolledBack, best_shift, roll
 from pgfmd.solvers.cascade import solve_hard_wall
 from pgfmd.solvers.contact_set import HALO, ContactSet, SetVector
+from pgfmd.solvers.cutting import cut_tension
 from pgfmd.solvers.gap_steps import NearCompliance
 from pgfmd.solvers.hard_wall import State
 from pgfmd.solvers.mesh import MeshResponse
@@ -165,6 +166,29 @@ def test_preconditioner_is_symmetric_and_positive(shape):
     mask = random_set(one, 0.4)[1]
     assert abs(np.vdot(a * mask, images[1]) - np.vdot(b * mask, images[0])) < 1e-4 * np.vdot(a * mask, images[0])
     assert np.vdot(a * mask, images[0]) > 0
+
+
+@pytest.mark.parametrize("shape", [(128, 96), (67, 41), (5, 40)])
+def test_tensions_are_cut_where_they_are(shape):
+    """No tension is left; the change is what was said; blocks of 32 × 32 pixels keep their load but for one factor;
+    the whole is as asked.
+    """
+    grid = SlabGrid(comm, shape)
+    points, mask, _ = random_set(grid, 0.4)
+    old = np.where(mask, np.random.default_rng(4).standard_normal(shape) + 0.8, 0)
+    pressure = old[grid.rows].copy()
+    load = 1.1 * old.sum()
+    change = cut_tension(points, pressure, load)
+    new = np.concatenate(comm.allgather(pressure))
+    assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12)
+    assert np.allclose(everywhere(grid, points, change.own), new - old, atol=1e-6)
+    sums = (
+        np.add.reduceat(np.add.reduceat(a, range(0, shape[0], 32), 0), range(0, shape[1], 32), 1) for a in (old, new)
+    )
+    before, after = sums
+    factor = load / np.maximum(before, 0).sum()
+    assert np.allclose(after, factor * np.maximum(before, 0), rtol=1e-12)
+    assert cut_tension(points, pressure, load) is None
 
 
 @pytest.mark.parametrize("nx", [256, 300])

@@ -188,25 +188,34 @@ def test_interpolate_rows(order):
 
 
 def test_sums_over_listed_points(points):
-    """Σ f v, Σ f, Σ max(f, 0), #{f < 0} over the points of some rows."""
+    """Σ f v and Σ f over the points of some rows; Σ f and Σ max(f, 0) by blocks of columns."""
     mask, offsets, columns = points
     field, values = rng.standard_normal(mask.shape), rng.standard_normal(offsets[-1]).astype(np.float32)
     inside, part = field[2:8][mask[2:8]], slice(offsets[2], offsets[8])
     assert np.isclose(kernels.dot_rows(field, columns, offsets, 2, 8, values), inside @ values[part], rtol=1e-14)
-    expected = inside.sum(), np.maximum(inside, 0).sum(), np.count_nonzero(inside < 0)
-    assert np.allclose(kernels.signed_sums(field, columns, offsets, 2, 8), expected, rtol=1e-14)
+    assert np.isclose(kernels.sum_rows(field, columns, offsets, 2, 8), inside.sum(), rtol=1e-14)
+    sums, masked = np.ones((2, 4)), np.where(mask, field, 0)[2:8]
+    kernels.signed_sums(field, columns, offsets, 2, 8, 1, sums)
+    for row, values in zip(sums, (masked, np.maximum(masked, 0)), strict=True):
+        assert np.allclose(row - 1, np.add.reduceat(values.sum(axis=0), (0, 2, 4, 6)), rtol=1e-14)
 
 
-def test_cut_negative_and_take_below(points):
-    """f = factor · max(f, 0) with its change, and level − f, at the points of some rows; nothing elsewhere."""
+def test_take_below_and_cut(points):
+    """level − f, and max(f, 0) with its change and how often, and the same times a factor by blocks of columns, at the
+    points of some rows; nothing elsewhere.
+    """
     mask, offsets, columns = points
     field, part = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8])
     old, values = field.copy(), np.zeros(offsets[-1], np.float32)
     kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
     assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
-    kernels.cut_negative(field, columns, offsets, 2, 8, 1.5, values)
     chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
-    assert np.array_equal(field, np.where(chosen, 1.5 * np.maximum(old, 0), old))
+    assert kernels.cut_negative(field, columns, offsets, 2, 8, values) == np.count_nonzero(old[chosen] < 0)
+    assert np.array_equal(field, np.where(chosen, np.maximum(old, 0), old))
+    assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
+    field, factors = old.copy(), np.array([1.5, 0.5, 2.0, 0.0])
+    kernels.cut_and_scale(field, columns, offsets, 2, 8, 1, factors, values)
+    assert np.array_equal(field, np.where(chosen, np.repeat(factors, 2)[:7] * np.maximum(old, 0), old))
     assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
 
 

@@ -67,20 +67,21 @@ class ContactSet:
         )
         return math.fsum(parts)
 
-    def signed_sums(self, field: np.ndarray) -> tuple[float, float, int]:
-        """(Σ f, Σ max(f, 0), #{f < 0}) of a field (nx_local, ny) over this rank's points."""
-        parts = self.grid.threads.collect(
-            lambda a, b: kernels.signed_sums(field, self.columns, self.offsets, a, b), len(field)
+    def sum(self, field: np.ndarray) -> float:
+        """Σ field (nx_local, ny) over this rank's points."""
+        return math.fsum(
+            self.grid.threads.collect(
+                lambda a, b: kernels.sum_rows(field, self.columns, self.offsets, a, b), len(field)
+            )
         )
-        return tuple(np.sum(parts, axis=0))
 
-    def cut_negative(self, field: np.ndarray, factor: float = 1.0) -> SetVector:
-        """field (nx_local, ny) = factor · max(field, 0) on the set; its change."""
+    def cut_negative(self, field: np.ndarray) -> tuple[SetVector, int]:
+        """field (nx_local, ny) = max(field, 0) on the set.  Returns its change, and of how many points."""
         change = SetVector(self)
-        self.grid.threads.deal(
-            lambda a, b: kernels.cut_negative(field, self.columns, self.offsets, a, b, factor, change.own), len(field)
+        counts = self.grid.threads.collect(
+            lambda a, b: kernels.cut_negative(field, self.columns, self.offsets, a, b, change.own), len(field)
         )
-        return change
+        return change, sum(counts)
 
     def put(self, field: np.ndarray, values: np.ndarray) -> None:
         """Overwrites a field (nx_local, ny) on the set."""

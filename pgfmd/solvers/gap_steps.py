@@ -105,10 +105,10 @@ class GapSteps(Relaxation):
         self.points = new
         if old is None:
             return residual
-        _, _, overlaps = old.signed_sums(state.gap)
+        change, overlaps = old.cut_negative(state.gap)
         if self.grid.reduction.any(overlaps):
             response = np.empty(new.count, np.float32)
-            self.inner.apply(old, old.cut_negative(state.gap), response, new)
+            self.inner.apply(old, change, response, new)
             residual.own -= response
         return residual
 

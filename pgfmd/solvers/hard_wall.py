@@ -3,7 +3,7 @@
 `relax` solves on one grid by a primal–dual active set (Hintermüller, Ito, Kunisch 2002,
 doi:10.1137/S1052623401383558), whose unknowns are either the pressures of the points in contact (`pressure_steps`) or,
 where contact is the rule, the gaps of the others (`gap_steps`).  Conjugate gradients on the set run in single
-precision, with a particle–mesh approximation of the response (`mesh`), and only to a twentieth of the residual; between
+precision, with a particle–mesh approximation of the response (`mesh`), and only to a tenth of the residual; between
 them the response is computed by full transforms, in single precision while that is good enough, then in double.
 
 The stop is a certificate that holds for any feasible p, with g = Gp − h:
@@ -25,7 +25,7 @@ from ..elasticity import Elasticity
 from ..errors import SolverError
 from ..grid import SlabGrid
 
-INNER_REDUCTION = 0.05  # of the residual; less wastes outer steps, more is lost when the set changes
+INNER_REDUCTION = 0.1  # of the residual; less wastes outer steps, more is lost when the set changes
 FIRST_REDUCTION = 0.2  # in the first step the set still changes most
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
 MOST_INNER, MOST_OUTER = 300, 200

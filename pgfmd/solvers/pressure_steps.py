@@ -10,6 +10,7 @@ from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet, SetVector
+from .cutting import cut_tension
 from .hard_wall import MOST_INNER, Relaxation, State
 from .mesh import inner_response
 from .preconditioner import TwoLevelStiffness
@@ -46,9 +47,9 @@ class PressureSteps(Relaxation):
         is far from the tolerance; a state within it has an exact one.
         """
         old = self.points or ContactSet(self.grid, state.pressure, state.gap, -np.inf)
-        inside, count = self.grid.reduction.sums(old.signed_sums(state.gap)[0], old.count)
+        inside, count = self.grid.reduction.sums(old.sum(state.gap), old.count)
         new = ContactSet(self.grid, state.pressure, state.gap, inside / count)
-        change = None if self.points is None else self.cut_tension(state, old)
+        change = None if self.points is None else cut_tension(old, state.pressure, self.load)
         self.points = new
         if change is None:
             self.certify(state)
@@ -67,14 +68,6 @@ class PressureSteps(Relaxation):
         self.shift_gap(state, old, change)
         self.certify(state)
         self.residual = new.below(state.level, state.gap)
-
-    def cut_tension(self, state: State, points: ContactSet) -> SetVector | None:
-        """Make the pressure, which is tensile in places of the set, feasible.  Returns its change, or None if there was
-        no tension.  Collective.
-        """
-        _, kept, lost = self.grid.reduction.sums(*points.signed_sums(state.pressure))
-        change = points.cut_negative(state.pressure, self.load / kept)
-        return change if lost else None
 
     def shift_gap(self, state: State, points: ContactSet, change: SetVector) -> None:
         """gap += G · change of the pressure on a set.  Collective."""
