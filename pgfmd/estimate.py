@@ -14,16 +14,19 @@ ARRAYS = {
     "pressure": 8,
     "gap": 8,
     "strips of the transforms": 8,
-    "means over blocks and their spectrum, rows of the coarse grid": 6,
 }
 # Per unknown of the hard wall, which is the pressure of a point in contact or, where these are the majority, the gap of
-# one that is not: its column (4), direction, image, residual, preconditioned one, change (20), copies with a halo and
-# values taken from a field in double precision (12), and for pressures those without the means of blocks (8).
-PER_PRESSURE, PER_GAP = 44, 36
+# one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and for
+# pressures the residual without means of blocks, tensions cut off and the response to that, with their halo (15).
+PER_PRESSURE, PER_GAP = 43, 28
 MOSTLY = 0.45  # contact area above which gaps are the unknowns
-HARD = {"mesh of half the side: strips, field, influence": 4}
+HARD = {"mesh of half the side: strips, field, influence": 4, "means over blocks, their response": 1}
 # Newton's vectors for the exponential wall, single precision where that serves.
-EXPONENTIAL = {"pressure's root, residual, direction, image, change, response": 24, "targets and their sums": 34}
+EXPONENTIAL = {
+    "pressure's root, residual, direction, image, change, response": 24,
+    "targets and their sums": 34,
+    "rows of the coarse grid": 6,
+}
 PER_RANK = 6e6  # bytes: blocks of the transforms
 
 # What a solve to the default tolerance takes, in forward + backward transforms of double precision (the hard wall does
