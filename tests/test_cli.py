@@ -171,5 +171,5 @@ def test_estimate_scales():
     from pgfmd.estimate import PER_RANK, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
-    assert estimate(job, 2).memory - PER_RANK == (estimate(job, 1).memory - PER_RANK) / 2
+    assert estimate(job, 2).memory - PER_RANK == pytest.approx((estimate(job, 1).memory - PER_RANK) / 2, rel=1e-9)
     assert estimate(job, 1).files == (1 + 2) * 48 * 4

@@ -6,8 +6,8 @@ Cut off, its rows have positive sums, so it is positive definite; but it takes l
 of that sum is taken off the diagonal.
 
 Far: the mean of the residual over blocks of 4 × 4 pixels is taken out before and after the near part, and treated by
-the stiffness of a grid of blocks instead, whose transform is negligible.  Both parts are symmetric and positive, and
-so is their sum.
+the stiffness of a grid of blocks instead, whose transform is negligible, weighted by how much of a block is in contact.
+Both parts are symmetric and positive, and so is their sum.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from .stencil import RADIUS, Stencil, lattice_kernel
 BLOCK = 4  # pixels: what the near part can bridge
 FEWEST = 96  # blocks per side below which the near part reaches far enough
 NEUTRAL = 0.9  # share of the row sum of the near part taken off its diagonal; below 1 it stays positive definite
-SOFTENING = 2.0  # pixels: compliance of the contact points within a block, over that of a wave of wave number 1/pixel
+SOFTENING = 1.0  # pixels: compliance of the contact points within a block, over that of a wave of wave number 1/pixel
+SPARSE = 0.3  # power of a block's share of contact by which it takes part in long waves: a few points yield more
 
 
 class TwoLevelStiffness:
@@ -68,7 +69,7 @@ class BlockStiffness:
         self.window = RowWindow(blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
         self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
         self.column_block = np.arange(grid.shape[1]) // BLOCK
-        self.points = self.shares = None
+        self.points = self.shares = self.weights = None
         self.means, self.response = np.empty((2, *blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
@@ -79,17 +80,18 @@ class BlockStiffness:
             ones.own[:] = 1
             self._sum(points, ones, means)
             self.points, self.shares = points, 1 / np.maximum(means, 1)
+            self.weights = (means / BLOCK**2) ** SPARSE
         self._sum(points, residual, means)
         means *= self.shares
 
         def fill(first: int, stop: int, rows: np.ndarray):
-            rows[...] = means[first:stop]
+            np.multiply(means[first:stop], self.weights[first:stop], out=rows)
 
         def act(block: np.ndarray, first: int, stop: int):
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.stiffness[first:stop])
 
         def drain(first: int, stop: int, rows: np.ndarray):
-            response[first:stop] = rows
+            np.multiply(rows, self.weights[first:stop], out=response[first:stop])
 
         self.blocks.convolve(fill, act, drain, np.float32)
         np.negative(means, out=self.window.own)
