@@ -115,19 +115,21 @@ class Relaxation:
 
         self.grid.convolve(fill, self.compliance[precision], drain, precision)
 
-    def certify(self, state: State, extra: float = 0.0) -> None:
+    def certify(self, state: State, reaction: float = 0.0) -> None:
         """Energy, number of contact points, and the bound on the error of a feasible state.  Collective.
 
-        `extra`: of ⟨p, g⟩ over this rank's points, by a change of the gap that `state.gap` does not hold.
+        `reaction`: of ⟨p, g⟩ over this rank's points to a change of the pressure that `state.gap` does not know of; the
+        bound then is that of `PressureSteps.look` without its second order.
         """
         parts = self.grid.threads.collect(
             lambda a, b: kernels.contact_sums(state.pressure, state.gap, self.heights, a, b), self.grid.local_shape[0]
         )
         work, energy, load, count, lowest = zip(*parts, strict=True)
-        work, energy, load, count = self.grid.reduction.sums(
-            sum(work) + extra, sum(energy) + extra, sum(load), sum(count)
+        work, energy, load, count, reaction = self.grid.reduction.sums(
+            sum(work), sum(energy), sum(load), sum(count), reaction
         )
         lowest = self.grid.reduction.min(lowest)
+        energy += reaction
         state.energy, state.contact = energy / 2, int(count)
         state.error = (work - lowest * load) / energy if energy > 0 else np.inf
-        state.level = work / load
+        state.level = (work + reaction) / load

@@ -15,8 +15,6 @@ from .hard_wall import MOST_INNER, Relaxation, State
 from .mesh import inner_response
 from .preconditioner import TwoLevelStiffness
 
-CLOSE = 3.0  # times the tolerance: errors below are worth an exact look
-
 
 class PressureSteps(Relaxation):
     """Relaxation that costs least where few points are in contact.
@@ -44,7 +42,10 @@ class PressureSteps(Relaxation):
 
         The set is chosen from the pressure with its tensions: once these are cut off, the gap reacts everywhere, and a
         set chosen from it would oscillate.  That reaction is computed on the set alone, approximately, while the error
-        is far from the tolerance; a state within it has an exact one.
+        is above the tolerance; a state within it has an exact one.
+
+        The certificate compares the feasible p with p' = p − c, as it was before the cut: for any p' of gap g',
+        J(p) − J(p*) ≤ ⟨p, g' − min g'⟩ + ½⟨c, Gc⟩, where the cut counts in second order only.
         """
         old = self.points or ContactSet(self.grid, state.pressure, state.gap, -np.inf)
         inside, count = self.grid.reduction.sums(old.sum(state.gap), old.count)
@@ -59,23 +60,28 @@ class PressureSteps(Relaxation):
         self.inner.apply(old, change, response, new)
         reaction = new.dot(state.pressure, response)
         self.certify(state, reaction)
+        bound = 2 * state.energy * state.error
         (reaction,) = self.grid.reduction.sums(reaction)
         state.error = max(state.error, abs(reaction) / (2 * abs(state.energy)))  # a large reaction is not to be trusted
-        if not self.exact or state.error > CLOSE * tolerance:
+        if not self.exact or state.error > tolerance:
             self.residual = new.below(state.level, state.gap)
             self.residual.own -= response
             return
-        self.shift_gap(state, old, change)
+        bound += self.shift_gap(state, old, change)
         self.certify(state)
+        state.error = min(state.error, bound / (2 * state.energy))
         self.residual = new.below(state.level, state.gap)
 
-    def shift_gap(self, state: State, points: ContactSet, change: SetVector) -> None:
-        """gap += G · change of the pressure on a set.  Collective."""
+    def shift_gap(self, state: State, points: ContactSet, change: SetVector) -> float:
+        """gap += G c for a change c of the pressure on a set.  Returns ½⟨c, Gc⟩.  Collective."""
 
         def drain(first: int, stop: int, rows: np.ndarray):
             state.gap[first:stop] += rows
 
+        before = points.dot(state.gap, change.own)
         self.grid.convolve(points.fill(change.own), self.compliance[np.float32], drain, np.float32)
+        (twice,) = self.grid.reduction.sums(points.dot(state.gap, change.own) - before)
+        return twice / 2
 
     def improve(self, state: State, wanted: float, tolerance: float, precision) -> None:
         """Make the gap flatter on the set by the factor `wanted`; pressures there may become negative.  Collective."""
