@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pgfmd import kernels
+from pgfmd import kernels, set_kernels
 
 rng = np.random.default_rng(5)
 
@@ -65,11 +65,11 @@ def test_fill_and_drain_rows(points):
     """rows[mask] = values, and values = rows[mask]."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((9, 7), np.nan)
-    kernels.fill_rows(values, columns, offsets, 0, rows)
+    set_kernels.fill_rows(values, columns, offsets, 0, rows)
     assert np.array_equal(rows[mask], values)
     assert not rows[~mask].any()
     back = np.zeros_like(values)
-    kernels.drain_rows(rows[2:], columns, offsets, 2, back)
+    set_kernels.drain_rows(rows[2:], columns, offsets, 2, back)
     assert np.array_equal(back[offsets[2] :], values[offsets[2] :])
 
 
@@ -77,7 +77,7 @@ def test_fill_wrapped(points):
     """The values on the set, zero elsewhere, and two columns from the other side on each side."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((6, 11), np.nan)
-    kernels.fill_wrapped(values, columns, offsets, 2, 5, 2, rows)
+    set_kernels.fill_wrapped(values, columns, offsets, 2, 5, 2, rows)
     dense = np.zeros((9, 7))
     dense[mask] = values
     assert np.array_equal(rows[:5], np.pad(dense, ((0, 0), (2, 2)), mode="wrap")[2:7])
@@ -92,7 +92,7 @@ def test_apply_stencil(density):
     stencil = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
     offsets = np.concatenate([[0], np.cumsum(mask.sum(axis=1))])
     out = np.zeros(offsets[-1])
-    kernels.apply_stencil(field, weights, np.nonzero(mask)[1].astype(np.int32), offsets, 0, 9, out)
+    set_kernels.apply_stencil(field, weights, np.nonzero(mask)[1].astype(np.int32), offsets, 0, 9, out)
     windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-13)
 
@@ -109,10 +109,10 @@ def test_spread_and_interpolate(points):
                 matrix[k, x_first[i] + s + 1, (y_first[j] + t) % 5] += x_weights[i, s] * y_weights[j, t]
     splines = x_first, x_weights, y_first, y_weights
     values, nodes = rng.random(len(columns)), np.zeros((5, 5))
-    kernels.spread_points(values, columns, offsets, 0, 9, *splines, 0, nodes)
+    set_kernels.spread_points(values, columns, offsets, 0, 9, *splines, 0, nodes)
     assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13)
     nodes, out = rng.random((7, 5)), np.ones(len(columns))
-    kernels.add_interpolated(nodes, -1, columns, offsets, 0, 9, *splines, out)
+    set_kernels.add_interpolated(nodes, -1, columns, offsets, 0, 9, *splines, out)
     assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13)
 
 
@@ -130,11 +130,11 @@ def test_blocks(points):
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
     row_block, column_block = np.arange(9) // 3, np.arange(7) // 3
     sums, expected = np.zeros((3, 3)), np.zeros((3, 3))
-    kernels.block_sums(values, columns, offsets, 0, 9, 3, column_block, sums)
+    set_kernels.block_sums(values, columns, offsets, 0, 9, 3, column_block, sums)
     np.add.at(expected, (rows // 3, columns // 3), values)
     assert np.allclose(sums, expected, rtol=1e-14)
     out = np.zeros_like(values)
-    kernels.add_blocks(values, sums, columns, offsets, 0, 9, row_block, column_block, out)
+    set_kernels.add_blocks(values, sums, columns, offsets, 0, 9, row_block, column_block, out)
     assert np.allclose(out, values + sums[rows // 3, columns // 3], rtol=1e-14)
 
 
@@ -145,17 +145,17 @@ def test_contact_lists_and_sums():
     gap, heights = rng.random((9, 7)) - 0.3, rng.random((9, 7))
     mask = (p > 0) | ((p == 0) & (gap < 0.1))
     counts = np.empty(9, np.int64)
-    kernels.count_contact(p, gap, 0.1, 0, 9, counts)
+    set_kernels.count_contact(p, gap, 0.1, 0, 9, counts)
     assert np.array_equal(counts, mask.sum(axis=1))
     offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
-    kernels.list_contact(p, gap, 0.1, 0, 9, offsets, columns)
+    set_kernels.list_contact(p, gap, 0.1, 0, 9, offsets, columns)
     assert np.array_equal(columns, np.nonzero(mask)[1])
     values = np.empty(mask.sum())
-    kernels.take_rows(gap, columns, offsets, 0, 9, values)
+    set_kernels.take_rows(gap, columns, offsets, 0, 9, values)
     assert np.array_equal(values, gap[mask])
-    kernels.put_rows(heights, columns, offsets, 0, 9, values)
+    set_kernels.put_rows(heights, columns, offsets, 0, 9, values)
     assert np.array_equal(heights[mask], gap[mask])
-    kernels.add_to_rows(heights, columns, offsets, 0, 9, values)
+    set_kernels.add_to_rows(heights, columns, offsets, 0, 9, values)
     assert np.array_equal(heights[mask], 2 * gap[mask])
     on = p > 0
     expected = (p * gap)[on].sum(), (p * (gap + heights))[on].sum(), p[on].sum(), on.sum(), gap.min()
@@ -192,10 +192,10 @@ def test_sums_over_listed_points(points):
     mask, offsets, columns = points
     field, values = rng.standard_normal(mask.shape), rng.standard_normal(offsets[-1]).astype(np.float32)
     inside, part = field[2:8][mask[2:8]], slice(offsets[2], offsets[8])
-    assert np.isclose(kernels.dot_rows(field, columns, offsets, 2, 8, values), inside @ values[part], rtol=1e-14)
-    assert np.isclose(kernels.sum_rows(field, columns, offsets, 2, 8), inside.sum(), rtol=1e-14)
+    assert np.isclose(set_kernels.dot_rows(field, columns, offsets, 2, 8, values), inside @ values[part], rtol=1e-14)
+    assert np.isclose(set_kernels.sum_rows(field, columns, offsets, 2, 8), inside.sum(), rtol=1e-14)
     sums, masked = np.ones((2, 4)), np.where(mask, field, 0)[2:8]
-    kernels.signed_sums(field, columns, offsets, 2, 8, 1, sums)
+    set_kernels.signed_sums(field, columns, offsets, 2, 8, 1, sums)
     for row, values in zip(sums, (masked, np.maximum(masked, 0)), strict=True):
         assert np.allclose(row - 1, np.add.reduceat(values.sum(axis=0), (0, 2, 4, 6)), rtol=1e-14)
 
@@ -207,14 +207,14 @@ def test_take_below_and_cut(points):
     mask, offsets, columns = points
     field, part = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8])
     old, values = field.copy(), np.zeros(offsets[-1], np.float32)
-    kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
+    set_kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
     assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
     chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
-    assert kernels.cut_negative(field, columns, offsets, 2, 8, values) == np.count_nonzero(old[chosen] < 0)
+    assert set_kernels.cut_negative(field, columns, offsets, 2, 8, values) == np.count_nonzero(old[chosen] < 0)
     assert np.array_equal(field, np.where(chosen, np.maximum(old, 0), old))
     assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
     field, factors = old.copy(), np.array([1.5, 0.5, 2.0, 0.0])
-    kernels.cut_and_scale(field, columns, offsets, 2, 8, 1, factors, values)
+    set_kernels.cut_and_scale(field, columns, offsets, 2, 8, 1, factors, values)
     assert np.array_equal(field, np.where(chosen, np.repeat(factors, 2)[:7] * np.maximum(old, 0), old))
     assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
 
@@ -225,13 +225,13 @@ def test_vectors_of_conjugate_gradients():
     part, real = slice(10, 900), np.float32
     double = a.astype(float), b.astype(float)
     expected = double[0][part] @ double[1][part], double[0][part].sum(), double[1][part].sum()
-    assert np.allclose(kernels.dot_and_sums(a, b, 10, 900), expected, rtol=1e-12, atol=1e-12)
+    assert np.allclose(set_kernels.dot_and_sums(a, b, 10, 900), expected, rtol=1e-12, atol=1e-12)
     expected = direction.copy()
     expected[part] = (0.3 * direction + (z - 0.1))[part]
-    kernels.turn(direction, z, real(0.3), real(0.1), 10, 900)
+    set_kernels.turn(direction, z, real(0.3), real(0.1), 10, 900)
     assert np.allclose(direction, expected, rtol=0, atol=1e-6)
     expected = x.copy(), a.copy()
     expected[0][part] += 0.2 * direction[part]
     expected[1][part] -= 0.2 * (b[part] - 0.4)
-    kernels.advance(x, a, direction, b, real(0.2), real(0.4), 10, 900)
+    set_kernels.advance(x, a, direction, b, real(0.2), real(0.4), 10, 900)
     assert np.allclose([x, a], expected, rtol=0, atol=1e-6)

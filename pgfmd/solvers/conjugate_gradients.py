@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import kernels
+from .. import set_kernels
 from ..parallel import Reduction
 from .contact_set import ContactSet, SetVector
 
@@ -32,7 +32,7 @@ def solve_on_set(
 
     def sums(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Σ a b, Σ a, Σ b over all ranks."""
-        parts = threads.collect(lambda i, j: kernels.dot_and_sums(a, b, i, j), len(a), PART)
+        parts = threads.collect(lambda i, j: set_kernels.dot_and_sums(a, b, i, j), len(a), PART)
         return reduction.sums(*np.sum([(0, 0, 0), *parts], axis=0))
 
     share = 1 / reduction.sum(points.count) if neutral else 0.0  # of the mean that a point takes off
@@ -51,12 +51,12 @@ def solve_on_set(
         if rz <= reduction_wanted**2 * start or iteration == most or rz <= 0:
             return x, iteration
         turn = real(rz / rz_old), real(mean_z)
-        threads.share(lambda _, i, j: kernels.turn(d, z.own, *turn, i, j), len(d), PART)  # noqa: B023 (run at once)
+        threads.share(lambda _, i, j: set_kernels.turn(d, z.own, *turn, i, j), len(d), PART)  # noqa: B023 (run at once)
         rz_old = rz
         operator.apply(points, direction, product)
         curvature, _, sum_product = sums(d, product)
         if not curvature > 0:
             return x, iteration
         step = real(rz / curvature), real(sum_product * share)
-        threads.share(lambda _, i, j: kernels.advance(x, r, d, product, *step, i, j), len(d), PART)  # noqa: B023
+        threads.share(lambda _, i, j: set_kernels.advance(x, r, d, product, *step, i, j), len(d), PART)  # noqa: B023
     return x, most

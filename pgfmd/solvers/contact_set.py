@@ -9,7 +9,7 @@ import math
 import numpy as np
 from mpi4py import MPI
 
-from .. import kernels
+from .. import set_kernels
 from ..grid import SlabGrid
 from ..transforms import Columns
 
@@ -28,14 +28,14 @@ class ContactSet:
         self.grid, self.dtype = grid, np.dtype(dtype)
         rows = grid.local_shape[0]
         counts = np.empty(rows, np.int64)
-        grid.threads.deal(lambda a, b: kernels.count_contact(pressure, gap, level, a, b, counts), rows)
+        grid.threads.deal(lambda a, b: set_kernels.count_contact(pressure, gap, level, a, b, counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
         offsets = self._plan_halo(counts)
         columns = SetVector(self, np.int32)
         self.columns = columns.own
         grid.threads.deal(
-            lambda a, b: kernels.list_contact(pressure, gap, level, a, b, self.offsets, self.columns), rows
+            lambda a, b: set_kernels.list_contact(pressure, gap, level, a, b, self.offsets, self.columns), rows
         )
         self.extended = columns.exchange(), offsets
 
@@ -48,7 +48,7 @@ class ContactSet:
         """The values (count,) of a field (nx_local, ny) on the set."""
         values = np.empty(self.count, field.dtype)
         self.grid.threads.deal(
-            lambda a, b: kernels.take_rows(field, self.columns, self.offsets, a, b, values), len(field)
+            lambda a, b: set_kernels.take_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
         return values
 
@@ -56,14 +56,14 @@ class ContactSet:
         """level − field (nx_local, ny) on the set, in single precision."""
         out = SetVector(self)
         self.grid.threads.deal(
-            lambda a, b: kernels.take_below(field, self.columns, self.offsets, a, b, level, out.own), len(field)
+            lambda a, b: set_kernels.take_below(field, self.columns, self.offsets, a, b, level, out.own), len(field)
         )
         return out
 
     def dot(self, field: np.ndarray, values: np.ndarray) -> float:
         """Σ field (nx_local, ny) · values (count,) over this rank's points."""
         parts = self.grid.threads.collect(
-            lambda a, b: kernels.dot_rows(field, self.columns, self.offsets, a, b, values), len(field)
+            lambda a, b: set_kernels.dot_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
         return math.fsum(parts)
 
@@ -71,7 +71,7 @@ class ContactSet:
         """Σ field (nx_local, ny) over this rank's points."""
         return math.fsum(
             self.grid.threads.collect(
-                lambda a, b: kernels.sum_rows(field, self.columns, self.offsets, a, b), len(field)
+                lambda a, b: set_kernels.sum_rows(field, self.columns, self.offsets, a, b), len(field)
             )
         )
 
@@ -79,20 +79,20 @@ class ContactSet:
         """field (nx_local, ny) = max(field, 0) on the set.  Returns its change, and of how many points."""
         change = SetVector(self)
         counts = self.grid.threads.collect(
-            lambda a, b: kernels.cut_negative(field, self.columns, self.offsets, a, b, change.own), len(field)
+            lambda a, b: set_kernels.cut_negative(field, self.columns, self.offsets, a, b, change.own), len(field)
         )
         return change, sum(counts)
 
     def put(self, field: np.ndarray, values: np.ndarray) -> None:
         """Overwrites a field (nx_local, ny) on the set."""
         self.grid.threads.deal(
-            lambda a, b: kernels.put_rows(field, self.columns, self.offsets, a, b, values), len(field)
+            lambda a, b: set_kernels.put_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
         self.grid.threads.deal(
-            lambda a, b: kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
+            lambda a, b: set_kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
 
     def _plan_halo(self, counts: np.ndarray) -> np.ndarray:
@@ -120,7 +120,7 @@ class ContactSet:
         """Rows that hold `values` on the set and zero elsewhere (a source for `SlabGrid.convolve`)."""
 
         def rows(first: int, stop: int, block: np.ndarray):
-            kernels.fill_rows(values, self.columns, self.offsets, first, block)
+            set_kernels.fill_rows(values, self.columns, self.offsets, first, block)
 
         return rows
 
@@ -128,7 +128,7 @@ class ContactSet:
         """Takes the values on the set out of rows (a sink for `SlabGrid.convolve`)."""
 
         def rows(first: int, stop: int, block: np.ndarray):
-            kernels.drain_rows(block, self.columns, self.offsets, first, values)
+            set_kernels.drain_rows(block, self.columns, self.offsets, first, values)
 
         return rows
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from .. import kernels
+from .. import set_kernels
 from .contact_set import ContactSet, SetVector
 
 SHIFT = 5  # blocks of 2⁵ pixels: more than the width of a rim, less than the waves that matter
@@ -32,11 +32,11 @@ def cut_tension(points: ContactSet, pressure: np.ndarray, load: float) -> SetVec
 
     def measure(_: int, first: int, last: int):
         for block in range(touched[0] + first, touched[0] + last):
-            kernels.signed_sums(pressure, *points.lists, *rows(block), SHIFT, sums[block])
+            set_kernels.signed_sums(pressure, *points.lists, *rows(block), SHIFT, sums[block])
 
     def cut(_: int, first: int, last: int):
         for block in range(touched[0] + first, touched[0] + last):
-            kernels.cut_and_scale(pressure, *points.lists, *rows(block), SHIFT, factors[block], change.own)
+            set_kernels.cut_and_scale(pressure, *points.lists, *rows(block), SHIFT, factors[block], change.own)
 
     touched = start >> SHIFT, (stop - 1 >> SHIFT) + 1
     threads.share(measure, touched[1] - touched[0], 1)

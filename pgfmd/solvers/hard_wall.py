@@ -10,6 +10,8 @@ The stop is a certificate that holds for any feasible p, with g = Gp − h:
 
     ½‖p − p*‖²_G ≤ J(p) − J(p*) ≤ D(p) = ⟨p, g − min g⟩                      (duality gap of the quadratic programme)
 
+or for a sharper one, where another p' of gap g' is known: ⟨p, g' − min g'⟩ + ½‖p − p'‖²_G (`PressureSteps.look`).
+
 Quantities here are dimensionless: heights over their rms value, lengths over the grid spacing, pressures accordingly.
 """
 

@@ -17,7 +17,7 @@ import math
 import numpy as np
 from scipy.special import erf
 
-from .. import kernels
+from .. import kernels, set_kernels
 from ..grid import SlabGrid
 from ..transforms import Columns
 from ..window import RowWindow
@@ -72,7 +72,7 @@ class MeshResponse:
         def fill(first: int, stop: int, block: np.ndarray):
             block[...] = 0
             low, high = np.searchsorted(self.x_first, (own + first - 3, own + stop))
-            kernels.spread_points(
+            set_kernels.spread_points(
                 extended, *points.extended, low, high, *self._splines(0), own + first, block
             )  # fmt: skip
 
@@ -83,7 +83,7 @@ class MeshResponse:
             self.window.own[first:stop] = block
 
         def add(first: int, stop: int):
-            kernels.add_interpolated(
+            set_kernels.add_interpolated(
                 self.window.rows, self.window.low, *targets.lists, first, stop, *self._splines(HALO), out
             )  # fmt: skip
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import kernels
+from .. import kernels, set_kernels
 from ..grid import SlabGrid
 from ..window import RowWindow
 from .contact_set import HALO, ContactSet, SetVector
@@ -117,7 +117,7 @@ class BlockStiffness:
             high = min((rows.start + stop) * BLOCK, self.grid.shape[0]) - start + HALO
             sums = out[first:stop]
             sums[...] = 0
-            kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
+            set_kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
 
         self.grid.threads.deal(part, len(out), 16)
 
@@ -127,6 +127,6 @@ class BlockStiffness:
         rows, lists = self.window.rows, points.lists
 
         def part(first: int, stop: int):
-            kernels.add_blocks(values, rows, *lists, first, stop, self.row_block, self.column_block, out)
+            set_kernels.add_blocks(values, rows, *lists, first, stop, self.row_block, self.column_block, out)
 
         self.grid.threads.deal(part, self.grid.local_shape[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import kernels
+from .. import set_kernels
 from ..grid import SlabGrid
 from .contact_set import HALO, ContactSet
 
@@ -43,7 +43,8 @@ class Stencil:
             work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), self.dtype)
             for low in range(first, stop, ROWS):
                 count = min(ROWS, stop - low)
-                kernels.fill_wrapped(extended, *points.extended, low + HALO - RADIUS, count + 2 * RADIUS, RADIUS, work)
-                kernels.apply_stencil(work, self.weights, *lists, low, count, out)
+                rows_read = low + HALO - RADIUS, count + 2 * RADIUS
+                set_kernels.fill_wrapped(extended, *points.extended, *rows_read, RADIUS, work)
+                set_kernels.apply_stencil(work, self.weights, *lists, low, count, out)
 
         self.grid.threads.deal(part, rows)
