@@ -173,3 +173,35 @@ def start_rows(coarse_pressure, displacement, heights, reach, pressure):
             pressure[i, j] = p
             total += p
     return total, count
+
+
+@jit
+def sum_over_blocks(field, start, size, sums):
+    """sums[(start + i) // size, j // size] += field[i, j]"""
+    for i in range(field.shape[0]):
+        line, row = sums[(start + i) // size], field[i]
+        for block in range(line.size):
+            for j in range(block * size, min((block + 1) * size, row.size)):
+                line[block] += row[u(j)]
+
+
+@jit
+def rest_in_blocks(sums, shares, weights, means, start, size, out):
+    """out[i, j] = weights[i, j] (sums[i, j] shares[i, j] − means[(start + i) // size, j // size])"""
+    for i in range(out.shape[0]):
+        line = means[(start + i) // size]
+        for block in range(line.size):
+            mean = line[block]
+            for j in range(block * size, min((block + 1) * size, out.shape[1])):
+                out[i, u(j)] = weights[i, u(j)] * (sums[i, u(j)] * shares[i, u(j)] - mean)
+
+
+@jit
+def add_from_blocks(means, counts, start, size, out):
+    """out[i, j] += counts[i, j] means[(start + i) // size, j // size]"""
+    for i in range(out.shape[0]):
+        line = means[(start + i) // size]
+        for block in range(line.size):
+            mean = line[block]
+            for j in range(block * size, min((block + 1) * size, out.shape[1])):
+                out[i, u(j)] += counts[i, u(j)] * mean

@@ -13,7 +13,7 @@ from pgfmd.solvers.cutting import cut_tension
 from pgfmd.solvers.gap_steps import NearCompliance
 from pgfmd.solvers.hard_wall import State
 from pgfmd.solvers.mesh import MeshResponse
-from pgfmd.solvers.preconditioner import TwoLevelStiffness
+from pgfmd.solvers.preconditioner import MultilevelStiffness
 from pgfmd.window import RowWindow
 
 pytestmark = pytest.mark.mpi
@@ -150,7 +150,7 @@ def test_preconditioner_is_symmetric_and_positive(shape):
     def applied(grid, field):
         points, mask, _ = random_set(grid, 0.4)
         out = on(points)
-        TwoLevelStiffness(grid, *kernels).apply(points, on(points, field[grid.rows][mask[grid.rows]]), out)
+        MultilevelStiffness(grid, *kernels).apply(points, on(points, field[grid.rows][mask[grid.rows]]), out)
         return points, out.own
 
     a, b = np.random.default_rng(1).standard_normal((2, *shape))

@@ -1,4 +1,4 @@
-"""An approximate inverse of the compliance on a contact set, in two levels.
+"""An approximate inverse of the compliance on a contact set, in levels.
 
 Near: the stiffness kernel cut to a few pixels, in real space.  The stiffness E'q/2 falls off as −E'/(4π r³), so a
 disc of radius 2 pixels holds most of it; summed over contact points alone it costs a few per cent of a transform.
@@ -6,28 +6,25 @@ Cut off, its rows have positive sums, so it is positive definite; but it takes l
 of that sum is taken off the diagonal.
 
 Far: the mean of the residual over blocks of 4 × 4 pixels is taken out before and after the near part, and treated by
-the stiffness of a grid of blocks instead, whose transform is negligible, weighted by how much of a block is in contact.
-Both parts are symmetric and positive, and so is their sum.
+the stiffness between blocks instead (`blocks`).  Both parts are symmetric and positive, and so is their sum.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .. import kernels, set_kernels
+from .. import set_kernels
 from ..grid import SlabGrid
 from ..window import RowWindow
+from .blocks import FEWEST, BlockStiffness
 from .contact_set import HALO, ContactSet, SetVector
 from .stencil import RADIUS, Stencil, lattice_kernel
 
 BLOCK = 4  # pixels: what the near part can bridge
-FEWEST = 96  # blocks per side below which the near part reaches far enough
 NEUTRAL = 0.9  # share of the row sum of the near part taken off its diagonal; below 1 it stays positive definite
-SOFTENING = 1.0  # pixels: compliance of the contact points within a block, over that of a wave of wave number 1/pixel
-SPARSE = 0.3  # power of a block's share of contact by which it takes part in long waves: a few points yield more
 
 
-class TwoLevelStiffness:
+class MultilevelStiffness:
     """z = (1 − Q) S K_cut Sᵀ (1 − Q) r + B K_blocks Bᵀ r: S restricts to a contact set, Q = B Bᵀ takes means over
     blocks.
     """
@@ -38,7 +35,7 @@ class TwoLevelStiffness:
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(grid, kernel, dtype)
         far_reaching = min(grid.shape) >= FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
-        self.far = BlockStiffness(grid, stiffness) if far_reaching else None
+        self.far = FarPart(grid, stiffness) if far_reaching else None
 
     def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
         """out = M · residual on the set.  Collective."""
@@ -52,59 +49,45 @@ class TwoLevelStiffness:
     def free(self) -> None:
         """Give the memory of its transforms back.  Collective."""
         if self.far is not None:
-            self.far.blocks.free()
+            self.far.stiffness.free()
 
 
-class BlockStiffness:
-    """The stiffness between means over blocks of pixels, those that lie in contact."""
+class FarPart:
+    """Between the points of a set and the blocks that they lie in."""
 
     def __init__(self, grid: SlabGrid, stiffness):
         self.grid = grid
         shape = tuple(-(-n // BLOCK) for n in grid.shape)
         lengths = tuple(n * BLOCK * step for n, step in zip(shape, grid.spacing, strict=True))
         self.blocks = blocks = SlabGrid(grid.comm, shape, lengths, grid.asked_threads)
-        stiff = stiffness(np.hypot(blocks.qx, blocks.qy))
-        soft = SOFTENING / stiffness(np.array(1 / min(grid.spacing)))
-        self.stiffness = (BLOCK**2 / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
+        self.stiffness = BlockStiffness(blocks, BLOCK, stiffness, min(grid.spacing))
         self.window = RowWindow(blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
         self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
         self.column_block = np.arange(grid.shape[1]) // BLOCK
-        self.points = self.shares = self.weights = None
-        self.means, self.response = np.empty((2, *blocks.local_shape), np.float32)
+        self.points = None
+        self.sums, self.loads = np.empty((2, *blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
         """The residual less its means over blocks, whose response is kept for `join`.  Collective."""
-        means, response = self.means, self.response
-        if points is not self.points:  # one over the number of points of each block
+        if points is not self.points:
             ones = SetVector(points)
             ones.own[:] = 1
-            self._sum(points, ones, means)
-            self.points, self.shares = points, 1 / np.maximum(means, 1)
-            self.weights = (means / BLOCK**2) ** SPARSE
-        self._sum(points, residual, means)
-        means *= self.shares
-
-        def fill(first: int, stop: int, rows: np.ndarray):
-            np.multiply(means[first:stop], self.weights[first:stop], out=rows)
-
-        def act(block: np.ndarray, first: int, stop: int):
-            kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.stiffness[first:stop])
-
-        def drain(first: int, stop: int, rows: np.ndarray):
-            np.multiply(rows, self.weights[first:stop], out=response[first:stop])
-
-        self.blocks.convolve(fill, act, drain, np.float32)
-        np.negative(means, out=self.window.own)
+            counts = np.empty_like(self.sums)
+            self._sum(points, ones, counts)
+            self.points = points
+            self.stiffness.begin(counts)
+        self._sum(points, residual, self.sums)
+        self.stiffness.respond(self.sums, self.loads)
+        self.grid.transforms += 0.5 * self.stiffness.size / self.grid.size
+        np.negative(self.sums, out=self.sums)
         rest = SetVector(points)
         self._add(points, residual.own, rest.own)
         return rest
 
     def join(self, points: ContactSet, values: SetVector) -> None:
-        """`values` get the kept response for their means over blocks.  Collective."""
-        means = self.means
-        self._sum(points, values, means)
-        np.subtract(self.response, means, out=means)
-        np.multiply(means, self.shares, out=self.window.own)
+        """`values` get the kept loads, shared out evenly, for their means over blocks.  Collective."""
+        self._sum(points, values, self.sums)
+        np.subtract(self.loads, self.sums, out=self.sums)
         self._add(points, values.own, values.own)
 
     def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
@@ -122,7 +105,10 @@ class BlockStiffness:
         self.grid.threads.deal(part, len(out), 16)
 
     def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """out = values + the window's entry for their block, which may be a neighbour's.  Collective."""
+        """out = values + the sum of their block, which may be a neighbour's, over the number of its points.
+        Collective.
+        """
+        np.multiply(self.sums, self.stiffness.shares, out=self.window.own)
         self.window.exchange()
         rows, lists = self.window.rows, points.lists
 

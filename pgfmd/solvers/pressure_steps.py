@@ -13,7 +13,7 @@ from .contact_set import ContactSet, SetVector
 from .cutting import cut_tension
 from .hard_wall import MOST_INNER, Relaxation, State
 from .mesh import inner_response
-from .preconditioner import TwoLevelStiffness
+from .preconditioner import MultilevelStiffness
 
 
 class PressureSteps(Relaxation):
@@ -28,7 +28,7 @@ class PressureSteps(Relaxation):
         self.inner = inner_response(
             grid, elasticity.half_space_compliance, elasticity.compliance, self.compliance[np.float32]
         )
-        self.preconditioner = TwoLevelStiffness(grid, elasticity.half_space_stiffness, elasticity.stiffness)
+        self.preconditioner = MultilevelStiffness(grid, elasticity.half_space_stiffness, elasticity.stiffness)
         self.points = self.residual = None
 
     def free(self) -> None:
