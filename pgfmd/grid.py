@@ -64,7 +64,7 @@ class SlabGrid:
         self.hermitian_weight = np.where((ky == 0) | (2 * ky == ny), 1.0, 2.0)[:, None]
         # Small blocks are not worth waking a thread for.
         threads = self.asked_threads = threads_per_rank() if threads is None else threads
-        self.threads = Threads(threads if self.local_shape[0] * ny >= 256 * 256 else 1)
+        self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
         self._shared, self._strips, self._made = shared, None, {}
 
@@ -150,7 +150,7 @@ class SlabGrid:
         """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
         Collective.
         """
-        return fetch_rows(self.comm, field, self.starts, first, stop)
+        return fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
 
     def free(self) -> None:
         """Give the transform memory back (it returns on next use).  Collective."""

@@ -77,6 +77,22 @@ def scale_modes(block, scale):
 
 
 @jit
+def add_rows(a, b, out):
+    """out = a + b, of any precisions: NumPy converts in passes of its own."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = a[i, j] + b[i, j]
+
+
+@jit
+def subtract_rows(a, b, out):
+    """out = a − b, of any precisions."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = a[i, j] - b[i, j]
+
+
+@jit
 def interpolate_rows(coarse, first_index, weights, columns_first, column_weights, out):
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
     interpolation by `order` = 2 or 4 points; columns from −1 on, wrapping.
@@ -173,6 +189,14 @@ def start_rows(coarse_pressure, displacement, heights, reach, pressure):
             pressure[i, j] = p
             total += p
     return total, count
+
+
+@jit
+def start_gap(pressure, displacement, heights, gap):
+    """gap = 0 where p > 0, max(u − h, 0) elsewhere."""
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            gap[i, j] = 0.0 if pressure[i, j] > 0 else max(displacement[i, j] - heights[i, j], 0.0)
 
 
 @jit

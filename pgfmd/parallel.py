@@ -6,11 +6,13 @@ Everything takes the communicator as its first argument; nothing here knows abou
 from __future__ import annotations
 
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 from mpi4py import MPI
 
 from .errors import InputError, SolverError
+from .threads import Threads
 
 
 def slab(count: int, size: int, rank: int) -> slice:
@@ -99,12 +101,14 @@ def from_root(comm: MPI.Comm, function, *arguments):
     return value
 
 
-def fetch_rows(comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int, stop: int) -> np.ndarray:
+def fetch_rows(
+    comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int, stop: int, threads: Threads | None = None
+) -> np.ndarray:
     """Rows first … stop−1 (global, periodic) of a field of which each rank holds rows starts[rank] …
     starts[rank+1]−1.  Collective.
 
     Each rank may ask for another range, also for rows that it holds itself, beyond the edges (they wrap), or for more
-    than one period.  Returns a new array of shape (stop − first, …).
+    than one period.  Returns a new array of shape (stop − first, …).  threads: share the copies of own rows.
     """
     total = int(starts[-1])
     out = np.empty((max(stop - first, 0), *local.shape[1:]), local.dtype)
@@ -124,9 +128,17 @@ def fetch_rows(comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int
                 else:
                     requests.append(comm.Irecv(_items(out[at : at + length]), source))
     for destination, source_rows in copies:
-        out[destination] = local[source_rows]
+        target, source = out[destination], local[source_rows]
+        if threads is None:
+            target[...] = source
+        else:
+            threads.split(partial(_copy, source, target), len(target))
     MPI.Request.Waitall(requests)
     return out
+
+
+def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None:
+    target[first:stop] = source[first:stop]
 
 
 def _items(rows: np.ndarray):

@@ -22,23 +22,25 @@ class Threads:
 
     def __init__(self, count: int):
         self.count = count
-        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
-        """`work(thread, first, stop)` for the blocks of 0 … total−1, dealt out in turn; an exception ends in the
-        caller.
+        """`work(thread, first, stop)` for the blocks of 0 … total−1, each by the thread that is free first; an
+        exception ends in the caller.
         """
+        blocks = iter(range(0, total, block))  # shared: the interpreter hands each of its numbers to one thread
 
         def part(thread: int) -> None:
-            for first in range(thread * block, total, block * self.count):
+            for first in blocks:
                 work(thread, first, min(first + block, total))
 
-        if self._pool is None:
+        helpers = min(self.count, -(-total // block)) - 1
+        helping = [self._pool.submit(part, 1 + helper) for helper in range(helpers)]
+        try:
             part(0)
-        elif total <= block:  # spares the hand-over
-            part(0)
-        else:
-            list(self._pool.map(part, range(self.count)))
+        finally:
+            for each in helping:
+                each.result()
 
     def split(self, work: Callable[[int, int], None], total: int) -> None:
         """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""

@@ -28,9 +28,14 @@ class BlockStiffness:
         Collective.
         """
         self.blocks, self.area = blocks, side**2
-        stiff = stiffness(np.hypot(blocks.qx, blocks.qy))
         soft = SOFTENING * side / stiffness(np.array(1 / pixel))
-        self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
+        self.stiffness = np.empty(blocks.spectral_shape, np.float32)
+
+        def soften(first: int, stop: int):
+            stiff = stiffness(np.hypot(blocks.qx, blocks.qy[first:stop]))
+            self.stiffness[first:stop] = self.area / blocks.size * stiff / (1 + soft * stiff)
+
+        blocks.threads.deal(soften, len(self.stiffness))
         self.factor = max(FACTOR, -(-max(blocks.shape) // LARGEST))
         shape = tuple(-(-n // self.factor) for n in blocks.shape)
         self.coarser = None

@@ -19,7 +19,7 @@ from ..hierarchy import Interpolation, restrict
 from . import scale
 from .balance import RolledBack, best_shift, roll
 from .gap_steps import GapSteps
-from .hard_wall import State
+from .hard_wall import FIRST_REDUCTION, State
 from .pressure_steps import PressureSteps
 from .solution import ContactSolution
 
@@ -27,7 +27,8 @@ COARSEST = 32  # points of the shorter side below which coarser grids bring noth
 FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
 PRESSED = 6.0  # times a bound of the rms pressure at full contact: loads that may well bring it about
 MOSTLY = 0.45  # share of points in contact above which the others are the better unknowns
-COARSE_TOLERANCE = 2e-3  # certified error of coarse grids: long waves that they leave cost most on the finest one
+COARSE_TOLERANCE = 2e-3  # certified error of the next coarser grid: long waves that it leaves cost most on this one
+COARSER, COARSEST_TOLERANCE = 2.0, 2e-2  # from grid to coarser grid this grows by that factor, up to so much
 
 
 def solve_hard_wall(
@@ -175,9 +176,11 @@ def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: floa
     """Relax a state of which about the share `contact` of all points touch.  Collective."""
     steps = GapSteps if contact > MOSTLY else PressureSteps
     shift = best_shift(grid, state.pressure)
-    for field in (heights, state.pressure):
+    for field in (heights, state.pressure, state.gap):
         roll(grid, field, shift)
     solver = steps(grid, heights, scaled, load * grid.size, exact)
+    if steps is GapSteps and state.energy > 0:  # the coarse grid's gap is better than any that its pressure makes
+        solver.improve(state, FIRST_REDUCTION, tolerance, np.float32)
     seen = None if monitor is None else lambda state: monitor(grid, RolledBack(grid, state, shift))
     state = solver.relax(state, tolerance, seen)
     solver.free()
@@ -198,7 +201,8 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True
             state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
             state = _relax(grid, heights, scaled, load, state, tolerance, monitor, 0.0, exact)
         return state, 0.0
-    found, extra = _cascade(coarse, coarse_heights, scaled, load, COARSE_TOLERANCE, monitor, False)
+    coarse_tolerance = COARSE_TOLERANCE if exact else min(COARSER * tolerance, COARSEST_TOLERANCE)
+    found, extra = _cascade(coarse, coarse_heights, scaled, load, coarse_tolerance, monitor, False)
     contact, iterations = found.contact / coarse.size, found.iterations
     full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
     state = full or _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
@@ -233,18 +237,22 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     displacement -= found.level
     interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2])
     reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
-    pressure = np.empty(grid.local_shape)
+    pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
+    gaps_matter = found.contact > MOSTLY * coarse.size
 
     def begin(first: int, stop: int) -> tuple[float, int]:
-        rows = interpolation.rows(1, first, stop), interpolation.rows(0, first, stop)
-        return kernels.start_rows(*rows, heights[first:stop], reach, pressure[first:stop])
+        u, rows = interpolation.rows(0, first, stop), slice(first, stop)
+        sums = kernels.start_rows(interpolation.rows(1, first, stop), u, heights[rows], reach, pressure[rows])
+        if gaps_matter:
+            kernels.start_gap(pressure[rows], u, heights[rows], gap[rows])
+        return sums
 
     total, count = grid.reduction.sums(*np.sum(grid.threads.collect(begin, grid.local_shape[0], 16), axis=0))
     if total > 1e-200 * count and count:
         grid.threads.scale(pressure, load * grid.size / total)
     else:  # the coarse grid says nothing about this one
         pressure[...] = load
-    return State(pressure, np.empty(grid.local_shape))
+    return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0)
 
 
 def _violation(grid: SlabGrid, state: State) -> float:

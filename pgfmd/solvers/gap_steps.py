@@ -86,7 +86,7 @@ class GapSteps(Relaxation):
         mean = self.load / self.grid.size
 
         def fill(first: int, stop: int, rows: np.ndarray):
-            np.add(self.heights[first:stop], state.gap[first:stop], out=rows, casting="same_kind")
+            kernels.add_rows(self.heights[first:stop], state.gap[first:stop], rows)
 
         def drain(first: int, stop: int, rows: np.ndarray):
             np.add(rows, mean, out=state.pressure[first:stop])

@@ -113,7 +113,7 @@ class Relaxation:
             rows[...] = state.pressure[first:stop]
 
         def drain(first: int, stop: int, rows: np.ndarray):
-            np.subtract(rows, self.heights[first:stop], out=state.gap[first:stop])
+            kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
 
         self.grid.convolve(fill, self.compliance[precision], drain, precision)
 

@@ -106,11 +106,18 @@ class MeshResponse:
             np.cos(np.outer(q, step * offsets))
             for q, step in zip((mesh.qx[0], mesh.qy[:, 0]), self.grid.spacing, strict=True)
         )
-        rest = response(np.hypot(mesh.qx, mesh.qy)) - cos_y @ kernel.T @ cos_x.T
         weights = [
             _spline_response(q * step / (2 * np.pi)) for q, step in zip((mesh.qx, mesh.qy), mesh.spacing, strict=True)
         ]
-        return (rest * (weights[0] * weights[1] / self.grid.size)).astype(np.float32)
+        across, along = kernel.T @ cos_x.T, weights[0] / self.grid.size
+        influence = np.empty(mesh.spectral_shape, np.float32)
+
+        def part(first: int, stop: int):
+            rest = response(np.hypot(mesh.qx, mesh.qy[first:stop])) - cos_y[first:stop] @ across
+            influence[first:stop] = rest * (weights[1][first:stop] * along)
+
+        self.grid.threads.deal(part, len(influence))
+        return influence
 
 
 def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

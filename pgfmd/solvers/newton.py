@@ -33,6 +33,7 @@ from functools import partial
 
 import numpy as np
 
+from .. import kernels
 from ..elasticity import Elasticity
 from ..errors import SolverError
 from ..grid import SlabGrid
@@ -100,7 +101,7 @@ class WallRelaxation:
             rows[...] = state.pressure[first:stop]
 
         def drain(first: int, stop: int, rows: np.ndarray):
-            np.subtract(rows, self.heights[first:stop], out=state.gap[first:stop])
+            kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
 
         self.grid.convolve(fill, self.compliance[np.float64], drain)
 

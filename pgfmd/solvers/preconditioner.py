@@ -11,6 +11,8 @@ the stiffness between blocks instead (`blocks`).  Both parts are symmetric and p
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .. import set_kernels
@@ -64,7 +66,7 @@ class FarPart:
         self.window = RowWindow(blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
         self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
         self.column_block = np.arange(grid.shape[1]) // BLOCK
-        self.points = None
+        self.points = self.rest = None
         self.sums, self.loads = np.empty((2, *blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
@@ -73,25 +75,32 @@ class FarPart:
             ones = SetVector(points)
             ones.own[:] = 1
             counts = np.empty_like(self.sums)
-            self._sum(points, ones, counts)
-            self.points = points
+            self._sum(points, ones, counts, lambda rows: None)
+            self.points, self.rest = points, SetVector(points)
             self.stiffness.begin(counts)
-        self._sum(points, residual, self.sums)
+
+        def means(rows: slice):
+            np.multiply(self.sums[rows], self.stiffness.shares[rows], out=self.window.own[rows])
+            np.negative(self.window.own[rows], out=self.window.own[rows])
+
+        self._sum(points, residual, self.sums, means)
         self.stiffness.respond(self.sums, self.loads)
         self.grid.transforms += 0.5 * self.stiffness.size / self.grid.size
-        np.negative(self.sums, out=self.sums)
-        rest = SetVector(points)
-        self._add(points, residual.own, rest.own)
-        return rest
+        self._add(points, residual.own, self.rest.own)
+        return self.rest
 
     def join(self, points: ContactSet, values: SetVector) -> None:
         """`values` get the kept loads, shared out evenly, for their means over blocks.  Collective."""
-        self._sum(points, values, self.sums)
-        np.subtract(self.loads, self.sums, out=self.sums)
+
+        def change(rows: slice):
+            np.subtract(self.loads[rows], self.sums[rows], out=self.window.own[rows])
+            self.window.own[rows] *= self.stiffness.shares[rows]
+
+        self._sum(points, values, self.sums, change)
         self._add(points, values.own, values.own)
 
-    def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
-        """Sums of `values` over this rank's blocks.  Collective."""
+    def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray, then: Callable[[slice], None]) -> None:
+        """Sums of `values` over this rank's blocks, and what then is to be done on a few rows of them.  Collective."""
         extended = values.exchange()
         start, rows = self.grid.rows.start, self.blocks.rows
 
@@ -101,14 +110,12 @@ class FarPart:
             sums = out[first:stop]
             sums[...] = 0
             set_kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
+            then(slice(first, stop))
 
         self.grid.threads.deal(part, len(out), 16)
 
     def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """out = values + the sum of their block, which may be a neighbour's, over the number of its points.
-        Collective.
-        """
-        np.multiply(self.sums, self.stiffness.shares, out=self.window.own)
+        """out = values + the window's entry for their block, which may be a neighbour's.  Collective."""
         self.window.exchange()
         rows, lists = self.window.rows, points.lists
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import kernels
 from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from .conjugate_gradients import solve_on_set
@@ -76,7 +77,8 @@ class PressureSteps(Relaxation):
         """gap += G c for a change c of the pressure on a set.  Returns ½⟨c, Gc⟩.  Collective."""
 
         def drain(first: int, stop: int, rows: np.ndarray):
-            state.gap[first:stop] += rows
+            gap = state.gap[first:stop]
+            kernels.add_rows(gap, rows, gap)
 
         before = points.dot(state.gap, change.own)
         self.grid.convolve(points.fill(change.own), self.compliance[np.float32], drain, np.float32)
