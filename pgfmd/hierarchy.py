@@ -44,9 +44,12 @@ class Interpolation:
     `rows(first, stop)` gives fine rows of each field, so that no fine array is needed.
     """
 
-    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], orders: list[int]):
+    def __init__(
+        self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], orders: list[int], shifts=(0, 0)
+    ):  # fmt: skip
+        """shifts: row i of the coarse and of the fine fields is row i + shift of that grid."""
         margin = 2
-        at = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
+        at = (np.arange(fine.rows.start, fine.rows.stop) + shifts[1]) * (coarse.shape[0] / fine.shape[0]) - shifts[0]
         low, high = int(np.floor(at[0])) - margin, int(np.floor(at[-1])) + margin + 2
         self._fields = [coarse.fetch(field, low, high) for field in fields]
         self._x = [_weights(at - low, order) for order in orders]

@@ -14,34 +14,43 @@ TRIALS = 64  # beginnings that are tried
 WORTH = 1.2  # largest share of a rank over what it could be, above which rows are rolled
 
 
-def best_shift(grid: SlabGrid, pressure: np.ndarray) -> int:
-    """By how many rows to roll, for the pressure (nx_local, ny) of a start; 0 if that gains little.  Collective."""
+def best_shift(grid: SlabGrid, other: SlabGrid, pressure: np.ndarray, opened: bool = False, shift: int = 0) -> int:
+    """By how many rows to roll fields of `grid`, for a pressure (nx_local, ny) on another grid of the same cell; 0 if
+    that gains little.  Collective.
+
+    Work is with the points in contact, or if `opened` with the others; row i of `pressure` is row i + shift there.
+    """
     nx = grid.shape[0]
     if grid.comm.size == 1 or nx < 4 * TRIALS:
         return 0
-    counts = np.concatenate(grid.comm.allgather(np.count_nonzero(pressure, axis=1)))
+    work = np.roll(np.concatenate(other.comm.allgather(np.count_nonzero(pressure, axis=1))), shift)
+    if opened:
+        work = other.shape[1] - work
     shifts = np.arange(0, nx, nx // TRIALS)
-    before = np.concatenate([[0], np.cumsum(np.tile(counts, 2))])  # points before each row of two periods
-    largest = np.diff(before[shifts[:, None] + np.asarray(grid.starts)], axis=1).max(axis=1)
+    before = np.concatenate([[0], np.cumsum(np.tile(work, 2))])  # before each row of two periods
+    edges = (shifts[:, None] + np.asarray(grid.starts)) * (len(work) / nx)
+    largest = np.diff(np.interp(edges, np.arange(len(before)), before), axis=1).max(axis=1)
     best = int(np.argmin(largest))
     return int(shifts[best]) if largest[0] > WORTH * largest[best] else 0
 
 
+def rolled(grid: SlabGrid, field: np.ndarray, shift: int) -> np.ndarray:
+    """The field (nx_local, ny) whose global row i is row i + shift of that one; itself if that is 0.  Collective."""
+    return grid.fetch(field, grid.rows.start + shift, grid.rows.stop + shift) if shift else field
+
+
 def roll(grid: SlabGrid, field: np.ndarray, shift: int) -> None:
-    """Overwrite a field (nx_local, ny) so that global row i becomes what row i + shift was.  Collective."""
+    """The same in place.  Collective."""
     if shift:
-        field[...] = grid.fetch(field, grid.rows.start + shift, grid.rows.stop + shift)
+        field[...] = rolled(grid, field, shift)
 
 
 class RolledBack:
     """A state of rolled rows as monitors may see it: its fields are where they belong.  Reading one is collective."""
 
-    def __init__(self, grid: SlabGrid, state: State, shift: int):
-        self._grid, self._state, self._shift = grid, state, shift
+    def __init__(self, grid: SlabGrid, state: State):
+        self._grid, self._state = grid, state
 
     def __getattr__(self, name: str):
         value = getattr(self._state, name)
-        if name not in ("pressure", "gap") or not self._shift:
-            return value
-        first, stop = self._grid.rows.start - self._shift, self._grid.rows.stop - self._shift
-        return self._grid.fetch(value, first, stop)
+        return rolled(self._grid, value, -self._state.shift) if name in ("pressure", "gap") else value

@@ -17,7 +17,7 @@ from ..elasticity import Elasticity
 from ..grid import SlabGrid
 from ..hierarchy import Interpolation, restrict
 from . import scale
-from .balance import RolledBack, best_shift, roll
+from .balance import RolledBack, best_shift, roll, rolled
 from .gap_steps import GapSteps
 from .hard_wall import FIRST_REDUCTION, State
 from .pressure_steps import PressureSteps
@@ -67,12 +67,16 @@ def solve_hard_wall(
     if start is None:
         state, extra = _cascade(grid, centred, scaled, load, tolerance, monitor)
     elif (state := _full_contact(grid, centred, scaled, load)) is None:
-        state = State(start / unit, np.empty(grid.local_shape))
+        contact = reduce.sum(np.count_nonzero(start)) / grid.size
+        shift = best_shift(grid, grid, start, contact > MOSTLY)
+        roll(grid, centred, shift)
+        state = State(rolled(grid, start, shift) / unit, np.empty(grid.local_shape), shift=shift)
         np.maximum(state.pressure, 0, out=state.pressure)
         state.pressure *= load * grid.size / reduce.sum(state.pressure)
-        contact = reduce.sum(np.count_nonzero(state.pressure)) / grid.size
         state = _relax(grid, centred, scaled, load, state, tolerance, monitor, contact)
     violation = _violation(grid, state)
+    state.pressure = rolled(grid, state.pressure, -state.shift)
+    state.gap = rolled(grid, state.gap, -state.shift)
 
     def physical(_: int, first: int, stop: int):
         pressure, gap = state.pressure[first:stop], state.gap[first:stop]
@@ -175,23 +179,18 @@ def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> fl
 def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: float, exact: bool = True) -> State:
     """Relax a state of which about the share `contact` of all points touch.  Collective."""
     steps = GapSteps if contact > MOSTLY else PressureSteps
-    shift = best_shift(grid, state.pressure)
-    for field in (heights, state.pressure, state.gap):
-        roll(grid, field, shift)
     solver = steps(grid, heights, scaled, load * grid.size, exact)
     if steps is GapSteps and state.energy > 0:  # the coarse grid's gap is better than any that its pressure makes
         solver.improve(state, FIRST_REDUCTION, tolerance, np.float32)
-    seen = None if monitor is None else lambda state: monitor(grid, RolledBack(grid, state, shift))
+    seen = None if monitor is None else lambda state: monitor(grid, RolledBack(grid, state))
     state = solver.relax(state, tolerance, seen)
     solver.free()
-    for field in (heights, state.pressure, state.gap):
-        roll(grid, field, -shift)
     return state
 
 
 def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True) -> tuple[State, float]:
-    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser grids,
-    weighted by size.
+    """Solve this grid from the next coarser one.  Returns the state, to whose rows the heights are rolled, and the
+    transforms spent on coarser grids, weighted by size.
     """
     if (state := _full_contact(grid, heights, scaled, load, PRESSED)) is not None:
         return state, 0.0
@@ -204,8 +203,11 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True
     coarse_tolerance = COARSE_TOLERANCE if exact else min(COARSER * tolerance, COARSEST_TOLERANCE)
     found, extra = _cascade(coarse, coarse_heights, scaled, load, coarse_tolerance, monitor, False)
     contact, iterations = found.contact / coarse.size, found.iterations
-    full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
-    state = full or _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
+    state = full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
+    if full is None:
+        shift = best_shift(grid, coarse, found.pressure, contact > MOSTLY, found.shift)
+        roll(grid, heights, shift)
+        state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled, shift)
     extra = (extra + coarse.transforms) * coarse.size / grid.size
     coarse.free()
     del found, coarse_heights
@@ -226,7 +228,7 @@ def _coarser(grid: SlabGrid, heights: np.ndarray) -> tuple[SlabGrid | None, np.n
     return coarse, coarse_heights
 
 
-def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load: float, scaled: _Scaled) -> State:
+def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load, scaled: _Scaled, shift: int) -> State:
     """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the
     interpolated gap.
 
@@ -235,7 +237,7 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     displacement = found.gap  # whose memory is not needed any more
     displacement += coarse_heights
     displacement -= found.level
-    interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2])
+    interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2], (found.shift, shift))
     reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
     gaps_matter = found.contact > MOSTLY * coarse.size
@@ -252,7 +254,7 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
         grid.threads.scale(pressure, load * grid.size / total)
     else:  # the coarse grid says nothing about this one
         pressure[...] = load
-    return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0)
+    return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0, shift=shift)
 
 
 def _violation(grid: SlabGrid, state: State) -> float:

@@ -38,7 +38,7 @@ PATIENCE = 12  # outer steps without halving the best error, before giving up
 @dataclass
 class State:
     """Pressure and gap (nx_local, ny) on one grid, with the level at which contact lies and the certified relative
-    error.
+    error.  Their global row i is row i + shift of the surface.
     """
 
     pressure: np.ndarray
@@ -48,6 +48,7 @@ class State:
     error: float = np.inf
     contact: int = 0
     iterations: int = 0
+    shift: int = 0
 
 
 class Relaxation:
