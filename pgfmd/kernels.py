@@ -201,31 +201,49 @@ def start_gap(pressure, displacement, heights, gap):
 
 @jit
 def sum_over_blocks(field, start, size, sums):
-    """sums[(start + i) // size, j // size] += field[i, j]"""
+    """sums[(start + i) // size, j // size] += field[i, j] — whole rows first, which compilers make fast."""
+    line = np.zeros(sums.shape[1] * size, sums.dtype)
     for i in range(field.shape[0]):
-        line, row = sums[(start + i) // size], field[i]
-        for block in range(line.size):
-            for j in range(block * size, min((block + 1) * size, row.size)):
-                line[block] += row[u(j)]
+        row = field[i]
+        for j in range(row.size):
+            line[j] += row[j]
+        if (start + i + 1) % size == 0 or i + 1 == field.shape[0]:
+            target = sums[(start + i) // size]
+            for block in range(target.size):
+                for j in range(block * size, (block + 1) * size):
+                    target[block] += line[u(j)]
+            line[:] = 0
+
+
+@jit
+def _repeat(means, size, line):
+    """line[j] = means[j // size]"""
+    for block in range(means.size):
+        for j in range(block * size, min((block + 1) * size, line.size)):
+            line[u(j)] = means[block]
 
 
 @jit
 def rest_in_blocks(sums, shares, weights, means, start, size, out):
     """out[i, j] = weights[i, j] (sums[i, j] shares[i, j] − means[(start + i) // size, j // size])"""
+    line, current = np.empty(out.shape[1], out.dtype), -1
     for i in range(out.shape[0]):
-        line = means[(start + i) // size]
-        for block in range(line.size):
-            mean = line[block]
-            for j in range(block * size, min((block + 1) * size, out.shape[1])):
-                out[i, u(j)] = weights[i, u(j)] * (sums[i, u(j)] * shares[i, u(j)] - mean)
+        if (start + i) // size != current:
+            current = (start + i) // size
+            _repeat(means[current], size, line)
+        target, a, b, c = out[i], sums[i], shares[i], weights[i]
+        for j in range(line.size):
+            target[j] = c[j] * (a[j] * b[j] - line[j])
 
 
 @jit
 def add_from_blocks(means, counts, start, size, out):
     """out[i, j] += counts[i, j] means[(start + i) // size, j // size]"""
+    line, current = np.empty(out.shape[1], out.dtype), -1
     for i in range(out.shape[0]):
-        line = means[(start + i) // size]
-        for block in range(line.size):
-            mean = line[block]
-            for j in range(block * size, min((block + 1) * size, out.shape[1])):
-                out[i, u(j)] += counts[i, u(j)] * mean
+        if (start + i) // size != current:
+            current = (start + i) // size
+            _repeat(means[current], size, line)
+        target, share = out[i], counts[i]
+        for j in range(line.size):
+            target[j] += share[j] * line[j]

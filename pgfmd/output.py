@@ -195,11 +195,7 @@ class ResultWriter:
     def _clear(self):
         path, folder = self.directory / OBSERVABLES_FILE, self.directory / FIELDS_FOLDER
         drafts = [*self.directory.glob(".*.h5.tmp"), *folder.glob(".*.h5.tmp")]
-        old = (
-            []
-            if self._restart
-            else [path, files.previous(path), self.directory / FIELDS_FILE, *folder.glob("*.h5")]
-        )
+        old = [] if self._restart else [path, files.previous(path), self.directory / FIELDS_FILE, *folder.glob("*.h5")]
         for path in (*old, *drafts):
             path.unlink(missing_ok=True)
         folder.mkdir(exist_ok=True)

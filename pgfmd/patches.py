@@ -35,9 +35,7 @@ class PatchTable:
     percolates_y: np.ndarray
 
 
-def patch_table(
-    labels: Labels, spacing: tuple[float, float], pressure: np.ndarray | None = None
-) -> PatchTable | None:
+def patch_table(labels: Labels, spacing: tuple[float, float], pressure: np.ndarray | None = None) -> PatchTable | None:
     """Measure all patches; the table on rank 0, None on the others.  Collective.
 
     `pressure`: (rows, columns) float32 or float64, the slab of this rank; `spacing` = (ax, ay).

@@ -23,7 +23,7 @@ import numpy as np
 
 from . import kernels
 from .plans import plan
-from .strips import Strips, aligned, with_padding
+from .strips import ALIGNMENT, Strips, aligned, with_padding
 from .threads import Threads
 
 Rows = Callable[[int, int, np.ndarray], None]
@@ -64,7 +64,8 @@ class Transform:
         self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
         self.whole_strip = with_padding(self.strip)
         self.row_block = _block(ROW_BLOCK, ny * self.real.itemsize, strips.rows, threads.count)
-        self.column_block = _block(COLUMN_BLOCK, nx * self.complex.itemsize, self.strip.shape[1], threads.count)
+        width, itemsize = self.strip.shape[1], self.complex.itemsize
+        self.column_block = _block(COLUMN_BLOCK, nx * itemsize, width, threads.count, ALIGNMENT // itemsize)
         self.threads = threads
         self.workers = [_Worker(self) for _ in range(threads.count)]
         self.cost = self.real.itemsize / 8
@@ -114,6 +115,10 @@ class Transform:
         self.threads.share(one, self.strips.rows, self.row_block)
 
 
-def _block(budget: int, row_bytes: int, count: int, threads: int) -> int:
-    """Rows of one block: as many as the budget of bytes allows, but no more than give each thread one."""
-    return max(1, min(budget // row_bytes, -(-count // threads)))
+def _block(budget: int, row_bytes: int, count: int, threads: int, multiple: int = 1) -> int:
+    """Rows of one block: as many as the budget of bytes allows, but blocks are equal, as many for each thread, since
+    also a part of one is transformed whole; and a `multiple`, so that no two write to one cache line.
+    """
+    blocks = -(-count // max(1, budget // row_bytes))
+    rows = -(-count // (-(-blocks // threads) * threads))
+    return max(1, -(-rows // multiple) * multiple)

@@ -6,6 +6,7 @@ from mpi4py import MPI
 
 from pgfmd.elasticity import Elasticity
 from pgfmd.grid import SlabGrid
+from pgfmd.solvers import blocks
 from pgfmd.solvers.balance import RolledBack, best_shift, roll
 from pgfmd.solvers.cascade import solve_hard_wall
 from pgfmd.solvers.contact_set import HALO, ContactSet, SetVector
@@ -142,8 +143,11 @@ def test_near_compliance_is_positive(lengths):
 
 
 @pytest.mark.parametrize("shape", [(512, 384), (387, 386), (20, 20)])
-def test_preconditioner_is_symmetric_and_positive(shape):
-    """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks."""
+@pytest.mark.parametrize(("fewest", "largest"), [(64, 512), (8, 512), (8, 20)])
+def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, largest):
+    """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks, for any number of levels."""
+    monkeypatch.setattr(blocks, "FEWEST", fewest)
+    monkeypatch.setattr(blocks, "LARGEST", largest)
     grid, one = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
     kernels = (lambda q: q / 2,) * 2
 
@@ -189,6 +193,27 @@ def test_tensions_are_cut_where_they_are(shape):
     factor = load / np.maximum(before, 0).sum()
     assert np.allclose(after, factor * np.maximum(before, 0), rtol=1e-12)
     assert cut_tension(points, pressure, load) is None
+
+
+def test_preconditioner_answers_long_waves_weakly(monkeypatch):
+    """On a sparse set, the load that a wave asks for falls with its wave number, as the stiffness does; blocks of one
+    size alone answer the longest as strongly as one eight times shorter.
+    """
+    grid = SlabGrid(comm, (512, 512))
+    clumps = np.random.default_rng(4).random((128, 128)) < 0.3
+    mask = np.repeat(np.repeat(clumps, 4, axis=0), 4, axis=1)[grid.rows]
+    points = ContactSet(grid, mask.astype(float), np.ones(grid.local_shape), -np.inf)
+
+    def answer(wave: int) -> float:
+        phase = 2 * np.pi / 512 * wave * np.arange(512)[grid.rows, None] + np.zeros(512)
+        values, out = on(points, np.cos(phase)[mask]), on(points)
+        MultilevelStiffness(grid, lambda q: q / 2, lambda q: q / 2).apply(points, values, out)
+        return comm.allreduce(float(values.own @ out.own))
+
+    monkeypatch.setattr(blocks, "FEWEST", 8)
+    assert 4 < answer(8) / answer(1) < 16
+    monkeypatch.setattr(blocks, "FEWEST", 64)
+    assert answer(8) / answer(1) < 2
 
 
 @pytest.mark.parametrize("nx", [256, 300])

@@ -138,6 +138,40 @@ def test_blocks(points):
     assert np.allclose(out, values + sums[rows // 3, columns // 3], rtol=1e-14)
 
 
+@pytest.mark.parametrize("start", [0, 5])
+def test_blocks_of_blocks(start):
+    """Sums over blocks of a slab that begins anywhere, what is left of values less their mean, and shares added."""
+    field, shares, weights, means = rng.random((9, 7)), rng.random((9, 7)), rng.random((9, 7)), rng.random((5, 3))
+    sums, expected = np.zeros((5, 3)), np.zeros((5, 3))
+    rows, columns = (start + np.arange(9)) // 3, np.arange(7) // 3
+    np.add.at(expected, (rows[:, None], columns[None, :]), field)
+    kernels.sum_over_blocks(field, start, 3, sums)
+    assert np.allclose(sums, expected, rtol=1e-14)
+    mean, out = means[rows[:, None], columns], np.empty((9, 7))
+    kernels.rest_in_blocks(field, shares, weights, means, start, 3, out)
+    assert np.allclose(out, weights * (field * shares - mean), rtol=1e-13, atol=1e-15)
+    expected = field + shares * mean
+    kernels.add_from_blocks(means, shares, start, 3, field)
+    assert np.allclose(field, expected, rtol=1e-14)
+
+
+def test_sums_and_differences_of_two_precisions():
+    """a + b and a − b, rounded once."""
+    a, b, out = rng.random((3, 8)).astype(np.float32), rng.random((3, 8)), np.empty((3, 8), np.float32)
+    kernels.add_rows(b, b, out)
+    assert np.array_equal(out, (b + b).astype(np.float32))
+    expected = a - b
+    kernels.subtract_rows(a, b, b)
+    assert np.array_equal(b, expected)
+
+
+def test_start_of_gaps():
+    """max(u − h, 0) where there is no pressure."""
+    p, u, h, gap = np.maximum(rng.random((9, 7)) - 0.5, 0), rng.random((9, 7)), rng.random((9, 7)), np.empty((9, 7))
+    kernels.start_gap(p, u, h, gap)
+    assert np.array_equal(gap, np.where(p > 0, 0, np.maximum(u - h, 0)))
+
+
 def test_contact_lists_and_sums():
     """The set {p > 0 or (p = 0 and gap < level)}, its values, and the sums of the certificate."""
     p = np.maximum(rng.random((9, 7)) - 0.5, 0)

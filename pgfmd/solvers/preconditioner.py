@@ -18,7 +18,7 @@ import numpy as np
 from .. import set_kernels
 from ..grid import SlabGrid
 from ..window import RowWindow
-from .blocks import FEWEST, BlockStiffness
+from . import blocks
 from .contact_set import HALO, ContactSet, SetVector
 from .stencil import RADIUS, Stencil, lattice_kernel
 
@@ -36,7 +36,7 @@ class MultilevelStiffness:
         kernel = lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(grid, kernel, dtype)
-        far_reaching = min(grid.shape) >= FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
+        far_reaching = min(grid.shape) >= blocks.FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
         self.far = FarPart(grid, stiffness) if far_reaching else None
 
     def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
@@ -61,13 +61,13 @@ class FarPart:
         self.grid = grid
         shape = tuple(-(-n // BLOCK) for n in grid.shape)
         lengths = tuple(n * BLOCK * step for n, step in zip(shape, grid.spacing, strict=True))
-        self.blocks = blocks = SlabGrid(grid.comm, shape, lengths, grid.asked_threads)
-        self.stiffness = BlockStiffness(blocks, BLOCK, stiffness, min(grid.spacing))
-        self.window = RowWindow(blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
+        self.blocks = SlabGrid(grid.comm, shape, lengths, grid.asked_threads)
+        self.stiffness = blocks.BlockStiffness(self.blocks, BLOCK, stiffness, min(grid.spacing))
+        self.window = RowWindow(self.blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
         self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
         self.column_block = np.arange(grid.shape[1]) // BLOCK
         self.points = self.rest = None
-        self.sums, self.loads = np.empty((2, *blocks.local_shape), np.float32)
+        self.sums, self.loads = np.empty((2, *self.blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
         """The residual less its means over blocks, whose response is kept for `join`.  Collective."""

@@ -80,8 +80,9 @@ def fit_std(edges, density, mean_pressure) -> float:
     guess = np.log(np.sqrt(np.sum(widths * density * ((edges[1:] + edges[:-1]) / 2) ** 2) / np.sum(widths * density)))
     grid = guess + np.linspace(-4, 4, 81)
     best = grid[np.argmin([misfit(at) for at in grid])]
-    return float(np.exp(minimize_scalar(misfit, bounds=(best - 0.1, best + 0.1), method="bounded",
-                                        options={"xatol": 1e-12}).x))
+    return float(
+        np.exp(minimize_scalar(misfit, bounds=(best - 0.1, best + 0.1), method="bounded", options={"xatol": 1e-12}).x)
+    )
 
 
 def cumulative_slope(q, power, count=1) -> np.ndarray:
