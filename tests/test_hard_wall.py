@@ -229,7 +229,7 @@ def solved(comm, heights, load, modulus=1.0, lengths=None, start=None):
 def test_work_does_not_grow_with_the_grid(comm):
     """Rough down to the pixel, four times as many points a side: no more than a quarter more transforms per point."""
     counts = []
-    for n in (256, 1024):
+    for n in (512, 2048):
         grid = SlabGrid(comm, (n, n))
         heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
         counts.append(solve_hard_wall(grid, heights, 0.0044, Elasticity(2.0), 1e-4).transforms)

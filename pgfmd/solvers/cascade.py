@@ -19,7 +19,7 @@ from ..hierarchy import Interpolation, restrict
 from . import scale
 from .balance import RolledBack, best_shift, roll, rolled
 from .gap_steps import GapSteps
-from .hard_wall import FIRST_REDUCTION, State
+from .hard_wall import INNER_REDUCTION, State
 from .pressure_steps import PressureSteps
 from .solution import ContactSolution
 
@@ -181,7 +181,7 @@ def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: floa
     steps = GapSteps if contact > MOSTLY else PressureSteps
     solver = steps(grid, heights, scaled, load * grid.size, exact)
     if steps is GapSteps and state.energy > 0:  # the coarse grid's gap is better than any that its pressure makes
-        solver.improve(state, FIRST_REDUCTION, tolerance, np.float32)
+        solver.improve(state, INNER_REDUCTION, tolerance, np.float32)
     seen = None if monitor is None else lambda state: monitor(grid, RolledBack(grid, state))
     state = solver.relax(state, tolerance, seen)
     solver.free()

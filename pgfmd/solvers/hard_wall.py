@@ -28,7 +28,6 @@ from ..errors import SolverError
 from ..grid import SlabGrid
 
 INNER_REDUCTION = 0.1  # of the residual; less wastes outer steps, more is lost when the set changes
-FIRST_REDUCTION = 0.2  # in the first step the set still changes most
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
 MOST_INNER, MOST_OUTER = 300, 200
 STUCK = 3  # outer steps without halving the best error, after which gaps in single precision may be why
@@ -69,7 +68,7 @@ class Relaxation:
         `state.pressure` must be feasible (p ≥ 0, sum = load) at the start.  Raises SolverError if the error stops
         falling above the tolerance.
         """
-        precision, wanted = np.float32, FIRST_REDUCTION
+        precision, wanted = np.float32, INNER_REDUCTION
         best, patience = np.inf, PATIENCE
         for _ in range(MOST_OUTER):
             self.compute_gap(state, precision)
