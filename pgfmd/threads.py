@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 
@@ -39,8 +39,9 @@ class Threads:
         try:
             part(0)
         finally:
-            for each in helping:
-                each.result()
+            wait(helping)
+        for each in helping:
+            each.result()
 
     def split(self, work: Callable[[int, int], None], total: int) -> None:
         """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""

@@ -249,11 +249,14 @@ def test_even_contact_is_left_where_it_is():
     assert best_shift(grid, grid, np.ones(grid.local_shape)) == 0
 
 
-def test_a_mountain_in_one_slab():
-    """Rolled or not, the same pressure as on one rank; the monitor sees it where it belongs."""
-    n, seen = 256, []
-    x, y = (np.arange(n) - 40)[:, None], (np.arange(n) - 128)[None, :]
-    heights = -((x / 30.0) ** 2 + (y / 30.0) ** 2) * np.ones((n, n))
+@pytest.mark.parametrize("n", [256, 640])
+def test_a_mountain_in_one_slab(n):
+    """Rolled or not, on this grid and on coarser ones that are distributed or not, the same pressure as on one rank,
+    also from a start; the monitor sees it where it belongs.
+    """
+    seen = []
+    x, y = (np.arange(n) / n - 0.16)[:, None], (np.arange(n) / n - 0.5)[None, :]
+    heights = -72.8 * n / 256 * (x**2 + y**2)
     grid, one = SlabGrid(comm, (n, n)), SlabGrid(MPI.COMM_SELF, (n, n))
 
     def monitor(level, state):
@@ -265,3 +268,6 @@ def test_a_mountain_in_one_slab():
     found = np.concatenate(comm.allgather(mine.pressure))
     assert np.abs(found - alone.pressure).max() < 1e-3 * alone.pressure.max()
     assert np.array_equal(seen[-1] > 0, found > 0)
+    again = solve_hard_wall(grid, heights[grid.rows], 1e-3, Elasticity(1.0), 1e-9, start=mine.pressure)
+    again = np.concatenate(comm.allgather(again.pressure))
+    assert np.abs(again - alone.pressure).max() < 1e-3 * alone.pressure.max()
