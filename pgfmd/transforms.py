@@ -119,6 +119,6 @@ def _block(budget: int, row_bytes: int, count: int, threads: int, multiple: int 
     """Rows of one block: as many as the budget of bytes allows, but blocks are equal, as many for each thread, since
     also a part of one is transformed whole; and a `multiple`, so that no two write to one cache line.
     """
-    blocks = -(-count // max(1, budget // row_bytes))
+    blocks = max(1, -(-count // max(1, budget // row_bytes)))  # also where a rank has nothing
     rows = -(-count // (-(-blocks // threads) * threads))
     return max(1, -(-rows // multiple) * multiple)
