@@ -150,6 +150,8 @@ class SlabGrid:
         """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
         Collective.
         """
+        if self.comm.size > 1 and self._strips is not None and self._strips.carries(field):
+            return self._strips.fetch(field, first, stop)
         return fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
 
     def free(self) -> None:

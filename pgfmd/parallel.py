@@ -119,7 +119,7 @@ def fetch_rows(
         for source in range(comm.size):
             if comm.rank not in (target, source):
                 continue
-            for at, length, row in _overlaps(low, high, int(starts[source]), int(starts[source + 1]), total):
+            for at, length, row in overlaps(low, high, int(starts[source]), int(starts[source + 1]), total):
                 mine = slice(row - int(starts[source]), row - int(starts[source]) + length)
                 if target == source:
                     copies.append((slice(at, at + length), mine))
@@ -146,7 +146,7 @@ def _items(rows: np.ndarray):
     return [rows, MPI._typedict[rows.dtype.char]]
 
 
-def _overlaps(low: int, high: int, start: int, stop: int, total: int):
+def overlaps(low: int, high: int, start: int, stop: int, total: int):
     """Pieces (offset in the request, length, first global row) of the periodic range low … high−1 inside start …
     stop−1.
     """

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from .parallel import slab_starts
+from .parallel import overlaps, slab_starts
 
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
 
@@ -67,6 +67,10 @@ class Strips:
         self.widths = np.diff(self.column_starts)
         self.rows = int(self.row_starts[comm.rank + 1] - self.row_starts[comm.rank])
 
+    def carries(self, field: np.ndarray) -> bool:
+        """Whether fields cross the ranks faster through the strips than in messages."""
+        return False
+
     def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
         """Bytes of so many rows of the strip of `rank`."""
         return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
@@ -107,6 +111,35 @@ class SharedStrips(Strips):
         at = int(self.row_starts[self.comm.rank]) + first
         for view, start in zip(views, self.column_starts, strict=False):
             half[:, start : start + view.shape[1]] = view[at : at + len(half)]
+
+    def carries(self, field: np.ndarray) -> bool:
+        """Whether the strips have room for a field (nx_local, ny) like this one, on every rank."""
+        row = field.shape[1] * field.itemsize
+        counts = np.diff(self.row_starts) * row
+        return all(count <= self.nbytes(rank, self.nx) for rank, count in enumerate(counts))
+
+    def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
+        """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry, as a new array:
+        a store and a load.  What the strips held is lost.  Collective.
+        """
+        rank, starts, ny = self.comm.rank, self.row_starts, field.shape[1]
+        shown = [
+            raw[: (stop - start) * ny * field.itemsize].view(field.dtype).reshape(-1, ny)
+            for raw, start, stop in zip(self.raw, starts, starts[1:], strict=False)
+        ]
+        out = np.empty((max(stop - first, 0), ny), field.dtype)
+        wanted = self.comm.allgather((first, stop))
+        self.meet()
+        for other, (low, high) in enumerate(wanted):
+            for _, length, row in overlaps(low, high, starts[rank], starts[rank + 1], self.nx) if other != rank else ():
+                mine = slice(row - starts[rank], row - starts[rank] + length)
+                shown[rank][mine] = field[mine]
+        shown[rank] = field
+        self.meet()
+        for owner, rows in enumerate(shown):
+            for at, length, row in overlaps(first, stop, starts[owner], starts[owner + 1], self.nx):
+                out[at : at + length] = rows[row - starts[owner] : row - starts[owner] + length]
+        return out
 
     def meet(self, dtype=None) -> None:
         """All ranks have done their part, and see that of the others.  Collective."""

@@ -112,6 +112,20 @@ def test_fetch_rows_wraps_and_repeats(comm):
         assert np.array_equal(fetch_rows(comm, mine, starts, first, stop), whole[np.arange(first, stop) % 11])
 
 
+@pytest.mark.parametrize("shared", [None, False])
+@pytest.mark.parametrize("shape", [(23, 6), (8, 40), (9, 1)])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_rows_cross_the_ranks(comm, shared, shape, dtype):
+    """In messages, or through the memory of transforms once that is there, as often as one likes."""
+    grid = SlabGrid(comm, shape, shared=shared)
+    whole = field(shape).astype(dtype)
+    for _ in range(3):
+        for first, stop in ((-3 - comm.rank, 5), (4, 4), (9, 9 + 25 + comm.rank), (-30, -2)):
+            found = grid.fetch(whole[grid.rows].copy(), first, stop)
+            assert np.array_equal(found, whole[np.arange(first, stop) % shape[0]])
+        assert np.allclose(grid.backward(grid.forward(whole[grid.rows])), whole[grid.rows], rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize(("fine", "coarse"), [((64, 48), (32, 24)), ((33, 30), (17, 15)), ((37, 41), (19, 21))])
 @pytest.mark.parametrize("replicated", [True, False])
 def test_restriction_keeps_the_long_waves(comm, fine, coarse, replicated):
