@@ -28,14 +28,17 @@ class Threads:
         """`work(thread, first, stop)` for the blocks of 0 … total−1, each by the thread that is free first; an
         exception ends in the caller.
         """
+        if self._pool is None or total <= block:
+            for first in range(0, total, block):
+                work(0, first, min(first + block, total))
+            return
         blocks = iter(range(0, total, block))  # shared: the interpreter hands each of its numbers to one thread
 
         def part(thread: int) -> None:
             for first in blocks:
                 work(thread, first, min(first + block, total))
 
-        helpers = min(self.count, -(-total // block)) - 1
-        helping = [self._pool.submit(part, 1 + helper) for helper in range(helpers)]
+        helping = [self._pool.submit(part, thread) for thread in range(1, min(self.count, -(-total // block)))]
         try:
             part(0)
         finally:

@@ -33,7 +33,7 @@ def solve_on_set(
     def sums(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Σ a b, Σ a, Σ b over all ranks."""
         parts = threads.collect(lambda i, j: set_kernels.dot_and_sums(a, b, i, j), len(a), PART)
-        return reduction.sums(*np.sum([(0, 0, 0), *parts], axis=0))
+        return reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)))
 
     share = 1 / reduction.sum(points.count) if neutral else 0.0  # of the mean that a point takes off
     z, direction = SetVector(points), SetVector(points)
