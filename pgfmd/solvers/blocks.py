@@ -56,8 +56,14 @@ class BlockStiffness:
 
     def begin(self, counts: np.ndarray) -> None:
         """A new set, of so many points in each of this rank's blocks.  Collective."""
-        self.counts, self.shares = counts, 1 / np.maximum(counts, 1)
-        self.weights = (counts / self.area) ** SPARSE
+        self.counts, self.shares, self.weights = counts, np.empty_like(counts), np.empty_like(counts)
+
+        def weigh(first: int, stop: int):
+            part = counts[first:stop]
+            np.divide(1, np.maximum(part, 1), out=self.shares[first:stop])
+            np.power(part / self.area, SPARSE, out=self.weights[first:stop])
+
+        self.blocks.threads.deal(weigh, len(counts))
         if self.coarser:
             self.coarser.begin(self._sums(counts))
 
