@@ -86,8 +86,11 @@ class Transform:
     def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
         """`action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, block by block.
 
-        With `forward=False` the action makes the spectrum, with `backward=False` it only reads it.
+        With `forward=False` the action makes the spectrum, for which others must have left the strips (collective
+        then); with `backward=False` it only reads it.
         """
+        if not forward:
+            self.strips.begin(self.complex)
 
         def one(thread: int, first: int, stop: int):
             worker = self.workers[thread]

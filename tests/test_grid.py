@@ -1,5 +1,7 @@
 """Slab transforms and the grid hierarchy, against NumPy on one process and mpi4py-fft on all."""
 
+import time
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -110,6 +112,27 @@ def test_fetch_rows_wraps_and_repeats(comm):
     mine = whole[starts[comm.rank] : starts[comm.rank + 1]].copy()
     for first, stop in ((-3 - comm.rank, 5), (4, 4), (9, 9 + 25 + comm.rank), (-30, -2)):
         assert np.array_equal(fetch_rows(comm, mine, starts, first, stop), whole[np.arange(first, stop) % 11])
+
+
+def test_a_slow_rank_gets_its_rows(comm):
+    """One rank may begin the next field, or the next fetch of rows, while another is not through with this one."""
+    grid = SlabGrid(comm, (600 * comm.size, 64))  # several blocks of rows for each rank
+    spectra = [grid.forward(factor * field(grid.shape)[grid.rows]) for factor in (1.0, 2.0)]
+    expected = [grid.backward(spectrum).copy() for spectrum in spectra]
+    found = []
+    for spectrum in spectra:
+        out = np.empty(grid.local_shape)
+
+        def drain(first, stop, rows, out=out):
+            out[first:stop] = rows / grid.size
+            time.sleep(0.05 * comm.rank)
+
+        def make(block, first, stop, spectrum=spectrum):
+            block[...] = spectrum[first:stop]
+
+        grid.make_field(make, drain)
+        found.append(out)
+    assert all(np.allclose(*pair, rtol=0, atol=1e-12) for pair in zip(found, expected, strict=True))
 
 
 @pytest.mark.parametrize("shared", [None, False])
