@@ -38,39 +38,31 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
 
 
 class Interpolation:
-    """Local polynomial interpolation of coarse fields to the rows of a fine grid: `order` 2 is linear, 4 cubic.
-    Collective to make.
+    """Local cubic interpolation of coarse fields to the rows of a fine grid.  Collective to make.
 
     `rows(first, stop)` gives fine rows of each field, so that no fine array is needed.
     """
 
-    def __init__(
-        self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], orders: list[int], shifts=(0, 0)
-    ):  # fmt: skip
+    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], shifts=(0, 0)):
         """shifts: row i of the coarse and of the fine fields is row i + shift of that grid."""
         margin = 2
         at = (np.arange(fine.rows.start, fine.rows.stop) + shifts[1]) * (coarse.shape[0] / fine.shape[0]) - shifts[0]
         low, high = int(np.floor(at[0])) - margin, int(np.floor(at[-1])) + margin + 2
         self._fields = [coarse.fetch(field, low, high) for field in fields]
-        self._x = [_weights(at - low, order) for order in orders]
-        across = np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1])
-        self._y = [_weights(across, order) for order in orders]
+        self._x = _weights(at - low)
+        self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
 
     def rows(self, which: int, first: int, stop: int) -> np.ndarray:
         """Rows first … stop−1 (local to the fine grid) of field number `which`, shape (stop − first, ny_fine)."""
-        (index, weights), (columns, column_weights) = self._x[which], self._y[which]
-        out = np.empty((stop - first, len(columns)))
-        kernels.interpolate_rows(
-            self._fields[which], index[first:stop], weights[first:stop], columns, column_weights, out
-        )
+        index, weights = self._x
+        out = np.empty((stop - first, len(self._y[0])))
+        kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
         return out
 
 
-def _weights(at: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """First index and Lagrange weights (len(at), order) of the `order` points around each position."""
+def _weights(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First index and Lagrange weights (len(at), 4) of the four points around each position."""
     base = np.floor(at).astype(np.int64)
     t = (at - base)[:, None]
-    if order == 2:
-        return base, np.hstack([1 - t, t])
     a, b, c, d = t + 1, t, t - 1, t - 2
     return base - 1, np.hstack([-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6])

@@ -95,29 +95,23 @@ def subtract_rows(a, b, out):
 @jit
 def interpolate_rows(coarse, first_index, weights, columns_first, column_weights, out):
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
-    interpolation by `order` = 2 or 4 points; columns from −1 on, wrapping.
+    interpolation by four points; columns from −1 on, wrapping.
     """
-    order, width = weights.shape[1], coarse.shape[1]
+    width = coarse.shape[1]
     line = np.empty(width + 4, coarse.dtype)
     for i in range(out.shape[0]):
-        line[:] = 0
-        for s in range(order):
-            weight, row = weights[i, s], coarse[first_index[i] + s]
-            for j in range(width):
-                line[u(j + 1)] += weight * row[j]
+        at = first_index[i]
+        a, b, c, d = weights[i]
+        for j in range(width):
+            line[u(j + 1)] = a * coarse[at, j] + b * coarse[at + 1, j] + c * coarse[at + 2, j] + d * coarse[at + 3, j]
         line[0] = line[width]
         for t in range(3):
             line[width + 1 + t] = line[1 + t]
         target = out[i]
-        if order == 2:
-            for j in range(target.size):
-                at = columns_first[j] + 1
-                target[j] = column_weights[j, 0] * line[u(at)] + column_weights[j, 1] * line[u(at + 1)]
-        else:
-            for j in range(target.size):
-                at = columns_first[j] + 1
-                inner = column_weights[j, 1] * line[u(at + 1)] + column_weights[j, 2] * line[u(at + 2)]
-                target[j] = inner + column_weights[j, 0] * line[u(at)] + column_weights[j, 3] * line[u(at + 3)]
+        for j in range(target.size):
+            at = columns_first[j] + 1
+            inner = column_weights[j, 1] * line[u(at + 1)] + column_weights[j, 2] * line[u(at + 2)]
+            target[j] = inner + column_weights[j, 0] * line[u(at)] + column_weights[j, 3] * line[u(at + 3)]
 
 
 @jit

@@ -232,12 +232,13 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the
     interpolated gap.
 
-    So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.
+    So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.  Inside,
+    linear interpolation would miss up to 8 % of a wave of eight coarse pixels.
     """
     displacement = found.gap  # whose memory is not needed any more
     displacement += coarse_heights
     displacement -= found.level
-    interpolation = Interpolation(coarse, grid, [displacement, found.pressure], [4, 2], (found.shift, shift))
+    interpolation = Interpolation(coarse, grid, [displacement, found.pressure], (found.shift, shift))
     reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
     gaps_matter = found.contact > MOSTLY * coarse.size

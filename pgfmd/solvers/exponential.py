@@ -132,7 +132,7 @@ class _Problem:
 
     def prolong(self, coarse: SlabGrid, found: WallState, coarse_heights, grid: SlabGrid, heights) -> WallState:
         """Start on the finer grid: its wall answers to the interpolated displacement and pressure.  Collective."""
-        interpolation = Interpolation(coarse, grid, [found.gap + coarse_heights, found.pressure], [4, 2])
+        interpolation = Interpolation(coarse, grid, [found.gap + coarse_heights, found.pressure])
         target = np.empty(grid.local_shape)
         solver = WallRelaxation(grid, heights, self.elasticity, self.compliance_unit)
 
