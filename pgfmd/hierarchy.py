@@ -51,12 +51,14 @@ class Interpolation:
         self._fields = [coarse.fetch(field, low, high) for field in fields]
         self._x = _weights(at - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
+        doubled = fine.shape[1] == 2 * coarse.shape[1]
+        self._interpolate = kernels.interpolate_doubled if doubled else kernels.interpolate_rows
 
     def rows(self, which: int, first: int, stop: int) -> np.ndarray:
         """Rows first … stop−1 (local to the fine grid) of field number `which`, shape (stop − first, ny_fine)."""
         index, weights = self._x
         out = np.empty((stop - first, len(self._y[0])))
-        kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
+        self._interpolate(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
         return out
 
 

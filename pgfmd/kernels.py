@@ -93,25 +93,44 @@ def subtract_rows(a, b, out):
 
 
 @jit
+def _blend_rows(coarse, first, weights, line):
+    """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
+    width = coarse.shape[1]
+    a, b, c, d = weights
+    for j in range(width):
+        inner = b * coarse[first + 1, j] + c * coarse[first + 2, j]
+        line[u(j + 1)] = inner + a * coarse[first, j] + d * coarse[first + 3, j]
+    line[0] = line[width]
+    for t in range(3):
+        line[width + 1 + t] = line[1 + t]
+
+
+@jit
 def interpolate_rows(coarse, first_index, weights, columns_first, column_weights, out):
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
     interpolation by four points; columns from −1 on, wrapping.
     """
-    width = coarse.shape[1]
-    line = np.empty(width + 4, coarse.dtype)
+    line = np.empty(coarse.shape[1] + 4, coarse.dtype)
     for i in range(out.shape[0]):
-        at = first_index[i]
-        a, b, c, d = weights[i]
-        for j in range(width):
-            line[u(j + 1)] = a * coarse[at, j] + b * coarse[at + 1, j] + c * coarse[at + 2, j] + d * coarse[at + 3, j]
-        line[0] = line[width]
-        for t in range(3):
-            line[width + 1 + t] = line[1 + t]
+        _blend_rows(coarse, first_index[i], weights[i], line)
         target = out[i]
         for j in range(target.size):
             at = columns_first[j] + 1
             inner = column_weights[j, 1] * line[u(at + 1)] + column_weights[j, 2] * line[u(at + 2)]
             target[j] = inner + column_weights[j, 0] * line[u(at)] + column_weights[j, 3] * line[u(at + 3)]
+
+
+@jit
+def interpolate_doubled(coarse, first_index, weights, columns_first, column_weights, out):
+    """The same where out has twice the columns of `coarse`, so that all even ones and all odd ones are alike."""
+    line = np.empty(coarse.shape[1] + 4, coarse.dtype)
+    a, b, c, d = column_weights[1]
+    for i in range(out.shape[0]):
+        _blend_rows(coarse, first_index[i], weights[i], line)
+        target = out[i]
+        for j in range(coarse.shape[1]):
+            target[u(2 * j)] = line[u(j + 1)]
+            target[u(2 * j + 1)] = b * line[u(j + 1)] + c * line[u(j + 2)] + a * line[u(j)] + d * line[u(j + 3)]
 
 
 @jit

@@ -165,9 +165,10 @@ def test_restriction_keeps_the_long_waves(comm, fine, coarse, replicated):
     assert np.abs(restrict(big, small, waves(big, True)) - waves(small, False)).max() < 1e-12
 
 
-def test_interpolation_is_exact_for_cubics(comm):
+@pytest.mark.parametrize("shape", [(35, 29), (32, 24)])
+def test_interpolation_is_exact_for_cubics(comm, shape):
     """Cubic interpolation reproduces cubics away from the wrap, for any ratio of points."""
-    coarse, fine = SlabGrid(comm, (16, 12), (1.0, 1.0)), SlabGrid(comm, (35, 29), (1.0, 1.0))
+    coarse, fine = SlabGrid(comm, (16, 12), (1.0, 1.0)), SlabGrid(comm, shape, (1.0, 1.0))
 
     def values(grid, power):
         x = np.arange(grid.shape[0])[grid.rows, None] / grid.shape[0]
@@ -176,7 +177,7 @@ def test_interpolation_is_exact_for_cubics(comm):
 
     found = Interpolation(coarse, fine, [values(coarse, 3), values(coarse, 1)])
     inner = np.arange(fine.shape[0])[fine.rows] / fine.shape[0]
-    rows, columns = (inner > 1.01 / 16) & (inner < 13.9 / 16), slice(3, 23)
+    rows, columns = (inner > 1.01 / 16) & (inner < 13.9 / 16), slice(3, 19)
     for which, power in ((0, 3), (1, 1)):
         whole = found.rows(which, 0, fine.local_shape[0])
         assert np.abs(whole - values(fine, power))[rows, columns].max(initial=0) < 1e-12
