@@ -216,6 +216,17 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
     assert answer(8) / answer(1) < 2
 
 
+@pytest.mark.parametrize("nx", [41, 600])
+@pytest.mark.parametrize("part", [0.0, 0.02, 0.3, 0.5, 0.7, 0.98, -0.1])
+def test_rows_roll_in_place(nx, part):
+    """Row i becomes row i + shift, around the cell, as in NumPy."""
+    grid, shift = SlabGrid(comm, (nx, 8)), round(part * nx)
+    whole = np.arange(8.0 * nx).reshape(nx, 8)
+    field = whole[grid.rows].copy()
+    roll(grid, field, shift)
+    assert np.array_equal(field, np.roll(whole, -shift, axis=0)[grid.rows])
+
+
 @pytest.mark.parametrize("nx", [256, 300])
 @pytest.mark.parametrize("opened", [False, True])
 def test_rows_are_rolled_to_share_the_contact(nx, opened):

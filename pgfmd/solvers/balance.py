@@ -10,6 +10,7 @@ import numpy as np
 from ..grid import SlabGrid
 from .hard_wall import State
 
+BLOCK = 64  # rows that are moved together
 TRIALS = 64  # beginnings that are tried
 WORTH = 1.2  # largest share of a rank over what it could be, above which rows are rolled
 
@@ -40,9 +41,24 @@ def rolled(grid: SlabGrid, field: np.ndarray, shift: int) -> np.ndarray:
 
 
 def roll(grid: SlabGrid, field: np.ndarray, shift: int) -> None:
-    """The same in place.  Collective."""
-    if shift:
-        field[...] = rolled(grid, field, shift)
+    """The same in place: only rows that cross to another rank need memory.  Collective."""
+    shift %= grid.shape[0]
+    start, stop, rows = grid.rows.start, grid.rows.stop, len(field)
+    if shift == 0:
+        return
+    if grid.comm.size == 1:
+        field[...] = np.roll(field, -shift, axis=0)
+        return
+    kept, back = rows - shift, shift + rows - grid.shape[0]  # own rows that move up, or, around the cell, down
+    crossing = grid.fetch(field, max(start + shift, stop), min(stop + shift, start + grid.shape[0]))
+    step = min(BLOCK, abs(shift if kept > 0 else back - rows))
+    for first in range(0, kept, step):
+        last = min(first + step, kept)
+        field[first:last] = field[first + shift : last + shift]
+    for last in range(back, 0, -step):
+        first = max(last - step, 0)
+        field[rows - back + first : rows - back + last] = field[first:last]
+    field[max(kept, 0) : rows - max(back, 0)] = crossing
 
 
 class RolledBack:
