@@ -93,6 +93,30 @@ def subtract_rows(a, b, out):
 
 
 @jit
+def sums_about(origin, field):
+    """(Σ (f − origin), Σ (f − origin)²)"""
+    total = squares = 0.0
+    for i in range(field.shape[0]):
+        for j in range(field.shape[1]):
+            away = field[i, j] - origin
+            total += away
+            squares += away * away
+    return total, squares
+
+
+@jit
+def squares_of_steps(field):
+    """Σ (f[i, j + 1] − f[i, j])²"""
+    total = 0.0
+    for i in range(field.shape[0]):
+        row = field[i]
+        for j in range(row.size - 1):
+            step = row[u(j + 1)] - row[u(j)]
+            total += step * step
+    return total
+
+
+@jit
 def _blend_rows(coarse, first, weights, line):
     """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
     width = coarse.shape[1]
@@ -173,16 +197,20 @@ def close_pressure(pressure, gap, first, stop):
 
 
 @jit
-def largest_violation(pressure, gap, level, first, stop):
-    """Largest |g − level| where p > 0 and level − g elsewhere, over rows first … stop−1."""
+def finish_rows(pressure, gap, level, unit, height):
+    """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
+    where p > 0 and level − gap elsewhere, as they were.
+    """
     largest = 0.0
-    for i in range(first, stop):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             away = gap[i, j] - level
-            if pressure[i, j] > 0:
-                largest = max(largest, abs(away))
-            else:
-                largest = max(largest, -away)
+            closed = pressure[i, j] > 0
+            wrong = abs(away) if closed else -away
+            if wrong > largest:
+                largest = wrong
+            gap[i, j] = 0.0 if closed else height * max(away, 0.0)
+            pressure[i, j] *= unit
     return largest
 
 

@@ -194,8 +194,23 @@ def test_contact_lists_and_sums():
     on = p > 0
     expected = (p * gap)[on].sum(), (p * (gap + heights))[on].sum(), p[on].sum(), on.sum(), gap.min()
     assert np.allclose(kernels.contact_sums(p, gap, heights, 0, 9), expected, rtol=1e-13)
-    violation = np.where(on, np.abs(gap - 0.05), 0.05 - gap).max()
-    assert kernels.largest_violation(p, gap, 0.05, 0, 9) == pytest.approx(violation, rel=1e-14)
+
+
+def test_finish_rows():
+    """p and the gap in other units, the gap nowhere negative and 0 in contact; how far it was from that."""
+    p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
+    pressure, opened = p.copy(), gap.copy()
+    violation = kernels.finish_rows(pressure, opened, 0.05, 3.0, 2.0)
+    assert np.allclose(pressure, 3 * p, rtol=1e-15)
+    assert np.allclose(opened, np.where(p > 0, 0, 2 * np.maximum(gap - 0.05, 0)), rtol=1e-14)
+    assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14)
+
+
+def test_sums_about():
+    """Σ (f − o), Σ (f − o)² and the sum of the squares of steps along rows."""
+    field = rng.standard_normal((9, 7))
+    assert np.allclose(kernels.sums_about(0.3, field), ((field - 0.3).sum(), ((field - 0.3) ** 2).sum()), rtol=1e-13)
+    assert kernels.squares_of_steps(field) == pytest.approx((np.diff(field, axis=1) ** 2).sum(), rel=1e-13)
 
 
 def test_start_rows():

@@ -51,42 +51,35 @@ def solve_hard_wall(
     """
     began, transforms = time.perf_counter(), grid.transforms
     reduce = grid.reduction
-    centred, height = scale.centred(grid, heights, mean_pressure, elasticity, overwrite_heights)
+    heights, height = scale.dimensionless(grid, heights, mean_pressure, elasticity, overwrite_heights)
     unit = elasticity.contact_modulus * (height or 1.0) / min(grid.spacing)  # of pressure
     scaled = _Scaled(elasticity, unit / (height or 1.0))
-    highest = reduce.max(centred)
     if mean_pressure == 0 or height == 0:  # nothing touches, or everything does
         pressure = np.full(grid.local_shape, float(mean_pressure))
-        gap = highest - centred
+        highest = reduce.max(heights) * height
+        gap = highest - heights * height
         return ContactSolution(
             pressure, gap, mean_pressure, highest, 0.0, 0.0, 0.0, 0, 0.0, time.perf_counter() - began
         )
-    grid.threads.scale(centred, 1 / height)
     load = mean_pressure / unit
     extra = 0.0
     if start is None:
-        state, extra = _cascade(grid, centred, scaled, load, tolerance, monitor)
-    elif (state := _full_contact(grid, centred, scaled, load)) is None:
+        state, extra = _cascade(grid, heights, scaled, load, tolerance, monitor)
+    elif (state := _full_contact(grid, heights, scaled, load)) is None:
         contact = reduce.sum(np.count_nonzero(start)) / grid.size
         shift = best_shift(grid, grid, start, contact > MOSTLY)
-        roll(grid, centred, shift)
+        roll(grid, heights, shift)
         state = State(rolled(grid, start, shift) / unit, np.empty(grid.local_shape), shift=shift)
         np.maximum(state.pressure, 0, out=state.pressure)
         state.pressure *= load * grid.size / reduce.sum(state.pressure)
-        state = _relax(grid, centred, scaled, load, state, tolerance, monitor, contact)
-    violation = _violation(grid, state)
-    state.pressure = rolled(grid, state.pressure, -state.shift)
-    state.gap = rolled(grid, state.gap, -state.shift)
+        state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact)
 
-    def physical(_: int, first: int, stop: int):
-        pressure, gap = state.pressure[first:stop], state.gap[first:stop]
-        gap -= state.level
-        np.maximum(gap, 0, out=gap)
-        gap[pressure > 0] = 0
-        gap *= height
-        pressure *= unit
+    def finish(first: int, stop: int) -> float:
+        return kernels.finish_rows(state.pressure[first:stop], state.gap[first:stop], state.level, unit, height)
 
-    grid.threads.share(physical, grid.local_shape[0], 64)
+    violation = reduce.max(grid.threads.collect(finish, grid.local_shape[0]))
+    roll(grid, state.pressure, -state.shift)
+    roll(grid, state.gap, -state.shift)
     return ContactSolution(
         pressure=state.pressure,
         gap=state.gap,
@@ -166,11 +159,7 @@ def _full_contact(
 def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> float:
     """A lower bound of the rms value of Kh, as |q| ≥ 2 sin(q_y a/2)/a.  Collective."""
 
-    def squares(first: int, stop: int) -> float:
-        steps = np.diff(heights[first:stop], axis=1)
-        return float(np.einsum("ij,ij->", steps, steps))
-
-    parts = grid.threads.collect(squares, grid.local_shape[0])
+    parts = grid.threads.collect(lambda a, b: kernels.squares_of_steps(heights[a:b]), grid.local_shape[0])
     q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
     factor = np.min(scaled.stiffness(q) / q)
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
@@ -256,10 +245,3 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     else:  # the coarse grid says nothing about this one
         pressure[...] = load
     return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0, shift=shift)
-
-
-def _violation(grid: SlabGrid, state: State) -> float:
-    parts = grid.threads.collect(
-        lambda a, b: kernels.largest_violation(state.pressure, state.gap, state.level, a, b), grid.local_shape[0]
-    )
-    return grid.reduction.max(parts)

@@ -18,7 +18,7 @@ from ..grid import SlabGrid
 from ..hierarchy import Interpolation, restrict
 from . import entropy
 from .newton import WallRelaxation, WallState
-from .scale import centred
+from .scale import dimensionless
 from .solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
@@ -51,14 +51,14 @@ def solve_exponential_wall(
     for name, value in (("mean pressure", mean_pressure), ("zeta", zeta)):
         if not 0 < value < math.inf:
             raise InputError(f"exponential wall: {name} = {value!r}: must be positive and finite")
-    heights, height = centred(grid, heights, mean_pressure, elasticity)
+    heights, height = dimensionless(grid, heights, mean_pressure, elasticity)
     from_mean = zeta * math.log((sigma_ref or elasticity.contact_modulus) / mean_pressure)  # gap where p = p̄
     if height * UNIFORM <= zeta:
         uniform = np.full(grid.local_shape, float(mean_pressure))
+        heights *= height
         np.subtract(from_mean, heights, out=heights)
         seconds = time.perf_counter() - began
         return ContactSolution(uniform, heights, mean_pressure, from_mean, 0.0, 0.0, 0.0, 0, 0.0, seconds)
-    grid.threads.scale(heights, 1 / height)
     problem = _Problem(elasticity, mean_pressure / height, zeta / height, tolerance, monitor)
     if start is None:
         state, extra = problem.cascade(grid, heights, tolerance)

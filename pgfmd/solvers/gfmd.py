@@ -28,7 +28,7 @@ from ..errors import InputError, SolverError
 from ..grid import SlabGrid
 from .exponential import UNIFORM
 from .newton import WallRelaxation, WallState
-from .scale import centred
+from .scale import dimensionless
 from .solution import ContactSolution
 
 INERTIA = 1.8  # of the full step: relaxation factor
@@ -55,13 +55,14 @@ def solve_gfmd(
     began, transforms, reduce = time.perf_counter(), grid.transforms, grid.reduction
     if not 0 < mean_pressure < math.inf:
         raise InputError(f"GFMD: mean pressure = {mean_pressure!r}: must be positive and finite")
-    heights, height = centred(grid, heights, mean_pressure, elasticity)
+    heights, height = dimensionless(grid, heights, mean_pressure, elasticity)
     from_mean = zeta * math.log((sigma_ref or elasticity.contact_modulus) / mean_pressure)  # gap where p = p̄
     if height == 0 or height * UNIFORM <= zeta:
         uniform = np.full(grid.local_shape, float(mean_pressure))
         seconds = time.perf_counter() - began
-        return ContactSolution(uniform, from_mean - heights, mean_pressure, from_mean, 0.0, 0.0, 0.0, 0, 0.0, seconds)
-    heights /= height
+        return ContactSolution(
+            uniform, from_mean - heights * height, mean_pressure, from_mean, 0.0, 0.0, 0.0, 0, 0.0, seconds
+        )
     dynamics = Dynamics(grid, heights, elasticity, mean_pressure / height, zeta / height)
     if start is not None and 0 < reduce.sum(start) < math.inf:
         dynamics.force[...] = start * (grid.size / reduce.sum(start))

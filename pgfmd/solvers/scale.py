@@ -6,26 +6,31 @@ import math
 
 import numpy as np
 
+from .. import kernels
 from ..elasticity import Elasticity
 from ..errors import InputError
 from ..grid import SlabGrid
 
+BLOCK = 16  # rows at a time, which stay in cache
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 
 
-def centred(
+def dimensionless(
     grid: SlabGrid, heights: np.ndarray, mean_pressure: float, elasticity: Elasticity, overwrite: bool = False
 ) -> tuple[np.ndarray, float]:
-    """heights − ⟨heights⟩ (nx_local, ny), as a new array or in the place of the heights, and its rms.  Collective.
+    """(heights − ⟨heights⟩)/rms (nx_local, ny), as a new array or in the place of the heights, and their rms; zeros
+    and 0 for a plane.  Collective.
 
     Raises InputError, saying what is out of range, for a surface that is not flat, or a pressure, beyond `LARGEST`.
     """
     reduce, threads, rows = grid.reduction, grid.threads, grid.local_shape[0]
+    origin = grid.comm.bcast(float(heights[0, 0]) if grid.comm.rank == 0 else None)  # heights may lie far from zero
 
-    def extremes(first: int, stop: int) -> tuple[float, float]:
-        return heights[first:stop].min(), heights[first:stop].max()
+    def measure(first: int, stop: int) -> tuple[float, ...]:
+        part = heights[first:stop]
+        return part.min(), part.max(), *kernels.sums_about(origin, part)
 
-    lows, highs = zip(*threads.collect(extremes, rows), strict=True)
+    lows, highs, sums, squares = zip(*threads.collect(measure, rows, BLOCK), strict=True)
     low, high = reduce.min(lows), reduce.max(highs)
     limits = (
         ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing)),
@@ -36,16 +41,13 @@ def centred(
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / LARGEST:g} and {LARGEST:g}")
     if low == high:
         return np.zeros(grid.local_shape), 0.0
+    above, square = reduce.sums(math.fsum(sums), math.fsum(squares)) / grid.size
+    mean, rms = np.float64(origin + above), math.sqrt(square - above**2)
     out = heights if overwrite else np.empty(grid.local_shape)
 
-    def shift(first: int, stop: int) -> float:
-        return np.subtract(heights[first:stop], low, out=out[first:stop]).sum()
+    def divide(_: int, first: int, stop: int):
+        part = np.subtract(heights[first:stop], mean, out=out[first:stop])
+        part /= rms
 
-    def centre(first: int, stop: int) -> float:
-        part = out[first:stop]
-        part -= mean
-        return np.einsum("ij,ij->", part, part)
-
-    mean = reduce.sum(threads.collect(shift, rows)) / grid.size
-    squares = threads.collect(centre, rows)
-    return out, math.sqrt(reduce.sum(squares) / grid.size)
+    threads.share(divide, rows, BLOCK)
+    return out, rms
