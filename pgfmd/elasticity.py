@@ -119,7 +119,7 @@ def multiply(grid: SlabGrid, dtype, function) -> Columns:
     real = np.dtype(dtype)
 
     def action(block: np.ndarray, first: int, stop: int):
-        block *= function(np.hypot(grid.qx, grid.qy[first:stop])).astype(real)
+        block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
 
     return action
 

@@ -68,9 +68,9 @@ class SlabGrid:
         self.transforms = 0.0
         self._shared, self._strips, self._made = shared, None, {}
 
-    def q_squared(self) -> np.ndarray:
-        """|q|² of each mode of this rank, shape (nky_local, nx)."""
-        return self.qx**2 + self.qy**2
+    def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
+        """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
+        return self.qx**2 + self.qy[first:stop] ** 2
 
     def transform(self, dtype=np.float64) -> Transform:
         """The passes in that precision, planned on first use.  Collective then."""

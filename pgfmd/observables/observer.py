@@ -74,7 +74,7 @@ class Observer:
         parts, grid = {}, self.grid
 
         def watch(power: np.ndarray, first: int, stop: int):
-            q_squared = grid.qx**2 + grid.qy[first:stop] ** 2
+            q_squared = grid.q_squared(first, stop)
             parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * q_squared * power))
 
         measured = self._correlator.measure(_rows(self.heights), "acf" in self.names, watch)

@@ -17,7 +17,7 @@ FEWEST = 64  # blocks per side below which the level beneath reaches far enough
 FACTOR = 4  # blocks per side of one of the next level
 LARGEST = 512  # blocks per side that each rank holds whole: they cross the ranks twice per application
 SOFTENING = 0.125  # side of a block: compliance of its contact, over that of a wave of wave number 1/side
-SPARSE = 0.25  # power of a block's share of contact by which it takes part in long waves: a few points yield more
+COLUMNS = 16  # of the spectrum at a time, so that what NumPy makes on the way stays in cache
 
 
 class BlockStiffness:
@@ -31,11 +31,11 @@ class BlockStiffness:
         soft = SOFTENING * side / stiffness(np.array(1 / pixel))
         self.stiffness = np.empty(blocks.spectral_shape, np.float32)
 
-        def soften(first: int, stop: int):
-            stiff = stiffness(np.hypot(blocks.qx, blocks.qy[first:stop]))
+        def soften(_: int, first: int, stop: int):
+            stiff = stiffness(np.sqrt(blocks.q_squared(first, stop)))
             self.stiffness[first:stop] = self.area / blocks.size * stiff / (1 + soft * stiff)
 
-        blocks.threads.deal(soften, len(self.stiffness))
+        blocks.threads.share(soften, len(self.stiffness), COLUMNS)
         self.factor = max(FACTOR, -(-max(blocks.shape) // LARGEST))
         shape = tuple(-(-n // self.factor) for n in blocks.shape)
         self.coarser = None
@@ -58,12 +58,13 @@ class BlockStiffness:
         """A new set, of so many points in each of this rank's blocks.  Collective."""
         self.counts, self.shares, self.weights = counts, np.empty_like(counts), np.empty_like(counts)
 
-        def weigh(first: int, stop: int):
+        def weigh(_: int, first: int, stop: int):
             part = counts[first:stop]
             np.divide(1, np.maximum(part, 1), out=self.shares[first:stop])
-            np.power(part / self.area, SPARSE, out=self.weights[first:stop])
+            # By the fourth root of its share of contact a block takes part in long waves: a few points yield more.
+            np.sqrt(np.sqrt(part / self.area), out=self.weights[first:stop])
 
-        self.blocks.threads.deal(weigh, len(counts))
+        self.blocks.threads.share(weigh, len(counts), COLUMNS)
         if self.coarser:
             self.coarser.begin(self._sums(counts))
 

@@ -26,6 +26,7 @@ from .stencil import RADIUS, Stencil, lattice_kernel
 
 SPLIT = 0.55  # α in 1/pixel: errors of the cut and of the mesh are then about equal
 ROUNDEST = 1.25  # ratio of the two grid spacings up to which a round stencil serves
+COLUMNS = 16  # of the spectrum at a time, so that what NumPy makes on the way stays in cache
 SMALLEST = 256  # points of the shorter side below which transforms cost nothing
 
 
@@ -112,11 +113,11 @@ class MeshResponse:
         across, along = kernel.T @ cos_x.T, weights[0] / self.grid.size
         influence = np.empty(mesh.spectral_shape, np.float32)
 
-        def part(first: int, stop: int):
-            rest = response(np.hypot(mesh.qx, mesh.qy[first:stop])) - cos_y[first:stop] @ across
+        def part(_: int, first: int, stop: int):
+            rest = response(np.sqrt(mesh.q_squared(first, stop))) - cos_y[first:stop] @ across
             influence[first:stop] = rest * (weights[1][first:stop] * along)
 
-        self.grid.threads.deal(part, len(influence))
+        self.grid.threads.share(part, len(influence), COLUMNS)
         return influence
 
 
