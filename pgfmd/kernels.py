@@ -12,6 +12,8 @@ import numpy as np
 
 jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, error_model="numpy")
 
+SEGMENT = 64  # columns of which one number says whether they are worth a look
+
 u = np.uintp  # of indices: spares the test for negative ones, without which loops are not vectorised
 
 
@@ -129,6 +131,18 @@ def _blend_rows(coarse, first, weights, line):
         line[width + 1 + t] = line[1 + t]
 
 
+@numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")  # as if no NaN: else minima are slow
+def least_of_segments(field, least):
+    """least[i, s] = the smallest of field[i, s · SEGMENT:(s + 1) · SEGMENT]"""
+    for i in range(field.shape[0]):
+        row = field[i]
+        for s in range(least.shape[1]):
+            lowest = row[s * SEGMENT]
+            for j in range(s * SEGMENT, min((s + 1) * SEGMENT, row.size)):
+                lowest = min(lowest, row[u(j)])
+            least[i, s] = lowest
+
+
 @jit
 def interpolate_rows(coarse, first_index, weights, columns_first, column_weights, out):
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
@@ -159,21 +173,19 @@ def interpolate_doubled(coarse, first_index, weights, columns_first, column_weig
 
 @jit
 def contact_sums(pressure, gap, heights, first, stop):
-    """(Σ p g, Σ p (g + h), Σ p, #{p > 0}, min g) of rows first … stop−1."""
+    """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) of rows first … stop−1, where p > 0."""
     work = energy = load = 0.0
-    lowest = np.inf
     count = 0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
-            g = gap[i, j]
-            lowest = min(lowest, g)
             p = pressure[i, j]
             if p > 0:
+                g = gap[i, j]
                 work += p * g
                 energy += p * (g + heights[i, j])
                 load += p
                 count += 1
-    return work, energy, load, count, lowest
+    return work, energy, load, count
 
 
 @jit

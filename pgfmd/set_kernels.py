@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernels import jit, u
+from .kernels import SEGMENT, jit, u
 
 _APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
 
@@ -158,31 +158,57 @@ def add_blocks(values, table, columns, offsets, first, stop, row_block, column_b
 
 
 @jit
-def count_contact(pressure, gap, level, first, stop, counts):
-    """counts[i] = #{p > 0, or p = 0 and gap < level} of row i."""
+def mark_busy(columns, offsets, least, level, first, stop, busy):
+    """busy[i, s] = whether the segment s of row i holds a listed point or has a least value below `level`."""
     for i in range(first, stop):
-        total = 0
-        for j in range(pressure.shape[1]):
-            p = pressure[i, j]
-            total += (p > 0) | ((p == 0) & (gap[i, j] < level))
+        for s in range(least.shape[1]):
+            busy[i, s] = least[i, s] < level
+        for k in range(offsets[i], offsets[i + 1]):
+            busy[i, u(columns[k]) // SEGMENT] = True
+
+
+@jit
+def count_contact(pressure, gap, level, busy, first, stop, counts):
+    """counts[i] = #{p > 0, or p = 0 and gap < level} of row i, in its busy segments."""
+    for i in range(first, stop):
+        row, above, total = pressure[i], gap[i], 0
+        for s in range(busy.shape[1]):
+            if busy[i, s]:
+                for j in range(s * SEGMENT, min((s + 1) * SEGMENT, row.size)):
+                    p = row[u(j)]
+                    total += (p > 0) | ((p == 0) & (above[u(j)] < level))
         counts[i] = total
 
 
 @jit
-def list_contact(pressure, gap, level, first, stop, offsets, columns):
+def list_contact(pressure, gap, level, busy, first, stop, offsets, columns):
     """The columns of the points that `count_contact` counts."""
     for i in range(first, stop):
-        k, end = offsets[i], offsets[i + 1]
-        if k == end:
-            continue
-        row, above = pressure[i], gap[i]
-        for j in range(row.size):
-            p = row[j]
-            if (p > 0) | ((p == 0) & (above[j] < level)):
-                columns[k] = j
-                k += 1
-                if k == end:
-                    break
+        row, above, k, end = pressure[i], gap[i], offsets[i], offsets[i + 1]
+        for s in range(busy.shape[1]):
+            if busy[i, s] and k < end:
+                for j in range(s * SEGMENT, min((s + 1) * SEGMENT, row.size)):
+                    p = row[u(j)]
+                    if (p > 0) | ((p == 0) & (above[u(j)] < level)):
+                        columns[k] = j
+                        k += 1
+
+
+@jit
+def contact_sums(pressure, gap, heights, columns, offsets, first, stop):
+    """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) over the listed points of rows first … stop−1 where p > 0."""
+    work = energy = load = 0.0
+    count = 0
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            j = u(columns[k])
+            p, g = pressure[i, j], gap[i, j]
+            if p > 0:
+                work += p * g
+                energy += p * (g + heights[i, j])
+                load += p
+                count += 1
+    return work, energy, load, count
 
 
 @jit

@@ -28,14 +28,14 @@ sys.exit(cli.main())
 FAULTS = {
     # where a rank fails alone: inside a thread in the middle of a transform, between transforms, in the observables
     "in a thread": """
-from pgfmd import kernels
-original, calls = kernels.contact_sums, []
+from pgfmd import set_kernels
+original, calls = set_kernels.contact_sums, []
 def failing(*arguments):
     calls.append(1)
     if MPI.COMM_WORLD.rank == 1 and len(calls) == 9:
         raise ArithmeticError("the last straw")
     return original(*arguments)
-kernels.contact_sums = failing
+set_kernels.contact_sums = failing
 """,
     "in a transform": """
 from pgfmd import strips

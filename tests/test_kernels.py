@@ -179,10 +179,11 @@ def test_contact_lists_and_sums():
     gap, heights = rng.random((9, 7)) - 0.3, rng.random((9, 7))
     mask = (p > 0) | ((p == 0) & (gap < 0.1))
     counts = np.empty(9, np.int64)
-    set_kernels.count_contact(p, gap, 0.1, 0, 9, counts)
+    busy = np.ones((9, 1), bool)
+    set_kernels.count_contact(p, gap, 0.1, busy, 0, 9, counts)
     assert np.array_equal(counts, mask.sum(axis=1))
     offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
-    set_kernels.list_contact(p, gap, 0.1, 0, 9, offsets, columns)
+    set_kernels.list_contact(p, gap, 0.1, busy, 0, 9, offsets, columns)
     assert np.array_equal(columns, np.nonzero(mask)[1])
     values = np.empty(mask.sum())
     set_kernels.take_rows(gap, columns, offsets, 0, 9, values)
@@ -192,8 +193,28 @@ def test_contact_lists_and_sums():
     set_kernels.add_to_rows(heights, columns, offsets, 0, 9, values)
     assert np.array_equal(heights[mask], 2 * gap[mask])
     on = p > 0
-    expected = (p * gap)[on].sum(), (p * (gap + heights))[on].sum(), p[on].sum(), on.sum(), gap.min()
+    expected = (p * gap)[on].sum(), (p * (gap + heights))[on].sum(), p[on].sum(), on.sum()
     assert np.allclose(kernels.contact_sums(p, gap, heights, 0, 9), expected, rtol=1e-13)
+    assert np.allclose(set_kernels.contact_sums(p, gap, heights, columns, offsets, 0, 9), expected, rtol=1e-13)
+
+
+def test_busy_segments():
+    """Segments with listed points or a low gap; the same points are found in them as anywhere."""
+    ny = 2 * kernels.SEGMENT + 9
+    p, gap = np.zeros((5, ny)), 1 + rng.random((5, ny))
+    p[1, 70], gap[2, 3], gap[3, ny - 1] = 1.0, 0.5, 0.5
+    least, busy = np.empty((5, 3)), np.empty((5, 3), bool)
+    kernels.least_of_segments(gap, least)
+    parts = [gap[:, a : a + kernels.SEGMENT].min(axis=1) for a in range(0, ny, kernels.SEGMENT)]
+    assert np.array_equal(least, np.transpose(parts))
+    offsets, columns = np.array([0, 0, 1, 1, 1, 1]), np.array([70], np.int32)
+    set_kernels.mark_busy(columns, offsets, least, 0.7, 0, 5, busy)
+    assert np.array_equal(np.transpose(np.nonzero(busy)), [(1, 1), (2, 0), (3, 2)])
+    counts, found = np.empty(5, np.int64), np.empty(3, np.int32)
+    set_kernels.count_contact(p, gap, 0.7, busy, 0, 5, counts)
+    assert np.array_equal(counts, [0, 1, 1, 1, 0])
+    set_kernels.list_contact(p, gap, 0.7, busy, 0, 5, np.concatenate([[0], np.cumsum(counts)]), found)
+    assert np.array_equal(found, [70, 3, ny - 1])
 
 
 def test_finish_rows():

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from mpi4py import MPI
 
-from .. import set_kernels
+from .. import kernels, set_kernels
 from ..grid import SlabGrid
 from ..transforms import Columns
 
@@ -24,18 +24,22 @@ class ContactSet:
     `SetVector`s where neighbours need them.
     """
 
-    def __init__(self, grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, level: float, dtype=np.float32):
-        self.grid, self.dtype = grid, np.dtype(dtype)
+    def __init__(
+        self, grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, level: float, busy: np.ndarray | None = None
+    ):
+        """busy (nx_local, segments): which `kernels.SEGMENT` columns of each row can hold points; all if None."""
+        self.grid = grid
         rows = grid.local_shape[0]
+        busy = np.ones(segments(grid), bool) if busy is None else busy
         counts = np.empty(rows, np.int64)
-        grid.threads.deal(lambda a, b: set_kernels.count_contact(pressure, gap, level, a, b, counts), rows)
+        grid.threads.deal(lambda a, b: set_kernels.count_contact(pressure, gap, level, busy, a, b, counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
         offsets = self._plan_halo(counts)
         columns = SetVector(self, np.int32)
         self.columns = columns.own
         grid.threads.deal(
-            lambda a, b: set_kernels.list_contact(pressure, gap, level, a, b, self.offsets, self.columns), rows
+            lambda a, b: set_kernels.list_contact(pressure, gap, level, busy, a, b, self.offsets, self.columns), rows
         )
         self.extended = columns.exchange(), offsets
 
@@ -66,6 +70,21 @@ class ContactSet:
             lambda a, b: set_kernels.dot_rows(field, self.columns, self.offsets, a, b, values), len(field)
         )
         return math.fsum(parts)
+
+    def busy(self, least: np.ndarray, level: float) -> np.ndarray:
+        """Which segments (nx_local, segments) hold a point, or have a `least` value below the level."""
+        busy = np.empty(least.shape, bool)
+        self.grid.threads.deal(
+            lambda a, b: set_kernels.mark_busy(self.columns, self.offsets, least, level, a, b, busy), len(least)
+        )
+        return busy
+
+    def contact_sums(self, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray) -> tuple[float, ...]:
+        """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) over this rank's points where p > 0, of fields (nx_local, ny)."""
+        parts = self.grid.threads.collect(
+            lambda a, b: set_kernels.contact_sums(pressure, gap, heights, self.columns, self.offsets, a, b), len(gap)
+        )
+        return tuple(map(math.fsum, zip(*parts, strict=True)))
 
     def sum(self, field: np.ndarray) -> float:
         """Σ field (nx_local, ny) over this rank's points."""
@@ -134,7 +153,12 @@ class ContactSet:
 
     def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray, targets: ContactSet | None = None) -> None:
         """out = (kernel ∗ values) on the set, or on `targets`.  Collective."""
-        self.grid.convolve(self.fill(values), action, (targets or self).drain(out), self.dtype)
+        self.grid.convolve(self.fill(values), action, (targets or self).drain(out), np.float32)
+
+
+def segments(grid: SlabGrid) -> tuple[int, int]:
+    """Rows of this rank, and the segments of a row."""
+    return grid.local_shape[0], -(-grid.shape[1] // kernels.SEGMENT)
 
 
 class SetVector:

@@ -26,6 +26,8 @@ from .. import kernels
 from ..elasticity import Elasticity
 from ..errors import SolverError
 from ..grid import SlabGrid
+from ..transforms import Rows
+from .contact_set import segments
 
 INNER_REDUCTION = 0.1  # of the residual; less wastes outer steps, more is lost when the set changes
 SINGLE_LIMIT = 1e-5  # certified error below which gaps in single precision are no longer exact enough
@@ -58,6 +60,7 @@ class Relaxation:
     def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float, exact: bool = True):
         """exact: the certificate must hold strictly; without, one to a few per cent will do."""
         self.grid, self.heights, self.load, self.exact = grid, heights, load, exact
+        self.least = np.empty(segments(grid))  # gap of each segment
         self.compliance = {
             kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
         }
@@ -109,28 +112,30 @@ class Relaxation:
     def compute_gap(self, state: State, precision) -> None:
         """gap = Gp − h for the state's pressure, of either sign.  Collective."""
 
+        def drain(first: int, stop: int, rows: np.ndarray):
+            gap = state.gap[first:stop]
+            kernels.subtract_rows(rows, self.heights[first:stop], gap)
+            kernels.least_of_segments(gap, self.least[first:stop])
+
+        self.grid.convolve(self.source(state), self.compliance[precision], drain, precision)
+
+    def source(self, state: State) -> Rows:
+        """The state's pressure, row by row."""
+
         def fill(first: int, stop: int, rows: np.ndarray):
             rows[...] = state.pressure[first:stop]
 
-        def drain(first: int, stop: int, rows: np.ndarray):
-            kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
+        return fill
 
-        self.grid.convolve(fill, self.compliance[precision], drain, precision)
-
-    def certify(self, state: State, reaction: float = 0.0) -> None:
+    def certify(self, state: State, sums: tuple[float, ...], reaction: float = 0.0) -> None:
         """Energy, number of contact points, and the bound on the error of a feasible state.  Collective.
 
-        `reaction`: of ⟨p, g⟩ over this rank's points to a change of the pressure that `state.gap` does not know of; the
-        bound then is that of `PressureSteps.look` without its second order.
+        `sums`: Σ p g, Σ p (g + h), Σ p and the number of points with p > 0, of this rank.  `reaction`: of ⟨p, g⟩ over
+        this rank's points to a change of the pressure that `state.gap` does not know of; the bound then is that of
+        `PressureSteps.look` without its second order.
         """
-        parts = self.grid.threads.collect(
-            lambda a, b: kernels.contact_sums(state.pressure, state.gap, self.heights, a, b), self.grid.local_shape[0]
-        )
-        work, energy, load, count, lowest = zip(*parts, strict=True)
-        work, energy, load, count, reaction = self.grid.reduction.sums(
-            sum(work), sum(energy), sum(load), sum(count), reaction
-        )
-        lowest = self.grid.reduction.min(lowest)
+        work, energy, load, count, reaction = self.grid.reduction.sums(*sums, reaction)
+        lowest = self.grid.reduction.min(self.least)
         energy += reaction
         state.energy, state.contact = energy / 2, int(count)
         state.error = (work - lowest * load) / energy if energy > 0 else np.inf

@@ -9,6 +9,7 @@ import numpy as np
 from .. import kernels
 from ..elasticity import Elasticity
 from ..grid import SlabGrid
+from ..transforms import Rows
 from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet, SetVector
 from .cutting import cut_tension
@@ -50,17 +51,19 @@ class PressureSteps(Relaxation):
         """
         old = self.points or ContactSet(self.grid, state.pressure, state.gap, -np.inf)
         inside, count = self.grid.reduction.sums(old.sum(state.gap), old.count)
-        new = ContactSet(self.grid, state.pressure, state.gap, inside / count)
+        level = inside / count
+        new = ContactSet(self.grid, state.pressure, state.gap, level, old.busy(self.least, level))
         change = None if self.points is None else cut_tension(old, state.pressure, self.load)
         self.points = new
+        sums = old.contact_sums(state.pressure, state.gap, self.heights)
         if change is None:
-            self.certify(state)
+            self.certify(state, sums)
             self.residual = new.below(state.level, state.gap)
             return
         response = np.empty(new.count, np.float32)
         self.inner.apply(old, change, response, new)
         reaction = new.dot(state.pressure, response)
-        self.certify(state, reaction)
+        self.certify(state, sums, reaction)
         bound = 2 * state.energy * state.error
         (reaction,) = self.grid.reduction.sums(reaction)
         state.error = max(state.error, abs(reaction) / (2 * abs(state.energy)))  # a large reaction is not to be trusted
@@ -69,9 +72,13 @@ class PressureSteps(Relaxation):
             self.residual.own -= response
             return
         bound += self.shift_gap(state, old, change)
-        self.certify(state)
+        self.certify(state, old.contact_sums(state.pressure, state.gap, self.heights))
         state.error = min(state.error, bound / (2 * state.energy))
         self.residual = new.below(state.level, state.gap)
+
+    def source(self, state: State) -> Rows:
+        """The state's pressure, row by row."""
+        return super().source(state) if self.points is None else self.points.fill(self.points.take(state.pressure))
 
     def shift_gap(self, state: State, points: ContactSet, change: SetVector) -> float:
         """gap += G c for a change c of the pressure on a set.  Returns ½⟨c, Gc⟩.  Collective."""
@@ -79,6 +86,7 @@ class PressureSteps(Relaxation):
         def drain(first: int, stop: int, rows: np.ndarray):
             gap = state.gap[first:stop]
             kernels.add_rows(gap, rows, gap)
+            kernels.least_of_segments(gap, self.least[first:stop])
 
         before = points.dot(state.gap, change.own)
         self.grid.convolve(points.fill(change.own), self.compliance[np.float32], drain, np.float32)
