@@ -8,6 +8,8 @@ from . import kernels
 from .grid import SlabGrid
 from .parallel import fetch_rows, slab_starts
 
+ROWS = 16  # that are interpolated at a time, and stay in cache
+
 
 def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float64) -> np.ndarray:
     """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
@@ -40,7 +42,7 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
 class Interpolation:
     """Local cubic interpolation of coarse fields to the rows of a fine grid.  Collective to make.
 
-    `rows(first, stop)` gives fine rows of each field, so that no fine array is needed.
+    `rows` gives a few fine rows of a field at a time, so that no fine array is needed.
     """
 
     def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], shifts=(0, 0)):
@@ -51,13 +53,16 @@ class Interpolation:
         self._fields = [coarse.fetch(field, low, high) for field in fields]
         self._x = _weights(at - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
+        self._room = np.empty((fine.threads.count, len(fields), ROWS, fine.shape[1]))
         doubled = fine.shape[1] == 2 * coarse.shape[1]
         self._interpolate = kernels.interpolate_doubled if doubled else kernels.interpolate_rows
 
-    def rows(self, which: int, first: int, stop: int) -> np.ndarray:
-        """Rows first … stop−1 (local to the fine grid) of field number `which`, shape (stop − first, ny_fine)."""
+    def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
+        """Rows first … stop−1 (local to the fine grid; at most `ROWS`) of field number `which`, shape (stop − first,
+        ny_fine), which stay until that thread asks for others.
+        """
         index, weights = self._x
-        out = np.empty((stop - first, len(self._y[0])))
+        out = self._room[thread, which, : stop - first]
         self._interpolate(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
         return out
 

@@ -65,9 +65,11 @@ class Threads:
         """field *= factor"""
         self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
 
-    def deal(self, work: Callable[[int, int], None], total: int, block: int = 64) -> None:
-        """`work(first, stop)` for blocks dealt out in turn: like `split`, where some rows are dearer than others."""
+    def deal(self, work: Callable[[int, int], None], total: int, least: int = 64) -> None:
+        """`work(first, stop)` for blocks of at least so many rows, dealt out in turn: like `split`, where some rows are
+        dearer than others.
+        """
         if self.count == 1:
             self.split(work, total)
         else:
-            self.share(lambda _, first, stop: work(first, stop), total, block)
+            self.share(lambda _, first, stop: work(first, stop), total, max(least, total // (8 * self.count)))

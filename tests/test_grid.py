@@ -179,5 +179,5 @@ def test_interpolation_is_exact_for_cubics(comm, shape):
     inner = np.arange(fine.shape[0])[fine.rows] / fine.shape[0]
     rows, columns = (inner > 1.01 / 16) & (inner < 13.9 / 16), slice(3, 19)
     for which, power in ((0, 3), (1, 1)):
-        whole = found.rows(which, 0, fine.local_shape[0])
+        whole = np.vstack([found.rows(which, i, i + 1).copy() for i in range(fine.local_shape[0])])
         assert np.abs(whole - values(fine, power))[rows, columns].max(initial=0) < 1e-12

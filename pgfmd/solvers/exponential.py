@@ -15,7 +15,7 @@ import numpy as np
 from ..elasticity import Elasticity
 from ..errors import InputError, SolverError
 from ..grid import SlabGrid
-from ..hierarchy import Interpolation, restrict
+from ..hierarchy import ROWS, Interpolation, restrict
 from . import entropy
 from .newton import WallRelaxation, WallState
 from .scale import dimensionless
@@ -136,11 +136,11 @@ class _Problem:
         target = np.empty(grid.local_shape)
         solver = WallRelaxation(grid, heights, self.elasticity, self.compliance_unit)
 
-        def part(_: int, first: int, stop: int):
-            rows = interpolation.rows(1, first, stop), interpolation.rows(0, first, stop)
+        def part(thread: int, first: int, stop: int):
+            rows = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
             entropy.start_rows(*rows, heights[first:stop], solver.reach, target[first:stop])
 
-        grid.threads.share(part, grid.local_shape[0], 16)
+        grid.threads.share(part, grid.local_shape[0], ROWS)
         state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
         state.iterations = found.iterations
         solver.respond(state, target, self.zeta)
