@@ -18,25 +18,59 @@ u = np.uintp  # of indices: spares the test for negative ones, without which loo
 
 
 @jit
-def gather_columns(strip, first, count, block):
-    """block[:count, :nx] = strip[:, first:first + count].T — in tiles of 16 rows, so that both sides stay in cache."""
-    nx = strip.shape[0]
-    for low in range(0, nx, 16):
-        high = min(low + 16, nx)
-        for j in range(count):
-            for i in range(low, high):
-                block[j, i] = strip[i, first + j]
+def rows_to_tiles(half, start, count, at, tiles):
+    """tiles[c // w, at + i, c % w] = half[i, start + c] for c < count, where w = tiles.shape[2]."""
+    size = tiles.shape[2]
+    for t in range(tiles.shape[0]):
+        tile, first = tiles[t], start + t * size
+        for i in range(half.shape[0]):
+            source, target = half[i], tile[at + i]
+            for j in range(min(size, start + count - first)):
+                target[u(j)] = source[u(first + j)]
 
 
 @jit
-def scatter_columns(block, first, count, strip):
-    """strip[:, first:first + count] = block[:count, :nx].T"""
-    nx = strip.shape[0]
-    for low in range(0, nx, 16):
-        high = min(low + 16, nx)
-        for i in range(low, high):
-            for j in range(count):
-                strip[i, first + j] = block[j, i]
+def tiles_to_rows(tiles, at, half, start, count):
+    """half[i, start + c] = tiles[c // w, at + i, c % w] for c < count, where w = tiles.shape[2]."""
+    size = tiles.shape[2]
+    for t in range(tiles.shape[0]):
+        tile, first = tiles[t], start + t * size
+        for i in range(half.shape[0]):
+            source, target = tile[at + i], half[i]
+            for j in range(min(size, start + count - first)):
+                target[u(first + j)] = source[u(j)]
+
+
+@jit
+def gather_columns(tiles, nx, first, count, block):
+    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2] — 16
+    rows at a time, so that both sides stay in cache.
+    """
+    size, done = tiles.shape[2], 0
+    while done < count:
+        tile, at = tiles[(first + done) // size], (first + done) % size
+        width = min(size - at, count - done)
+        for low in range(0, nx, 16):
+            high = min(low + 16, nx)
+            for j in range(width):
+                for i in range(low, high):
+                    block[done + j, i] = tile[i, at + j]
+        done += width
+
+
+@jit
+def scatter_columns(block, nx, first, count, tiles):
+    """tiles[(first + c) // w, i, (first + c) % w] = block[c, i]"""
+    size, done = tiles.shape[2], 0
+    while done < count:
+        tile, at = tiles[(first + done) // size], (first + done) % size
+        width = min(size - at, count - done)
+        for low in range(0, nx, 16):
+            high = min(low + 16, nx)
+            for i in range(low, high):
+                for j in range(width):
+                    tile[i, at + j] = block[done + j, i]
+        done += width
 
 
 @jit

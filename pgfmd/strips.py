@@ -1,16 +1,24 @@
 """The strips in which a slab's spectrum lives, and the all-to-all between row passes and column passes.
 
-A strip holds the columns ky of one rank for all nx rows, row by row.  Strips of ranks on one node lie in shared
-memory, and the ranks write into each other's; else blocks are packed for each rank and cross in one `Alltoallv`.
+A strip holds the columns ky of one rank for all nx rows.  Strips of ranks on one node lie in shared memory, and the
+ranks write into each other's; there a strip is cut into tiles of a few columns, each contiguous, so that passes along
+either axis read and write long runs of memory.  Else blocks are packed for each rank and cross in one `Alltoallv`.
+
+Both are arrays of shape (tiles, rows, columns of a tile), the last tile perhaps not full; an exchanged strip is one
+tile.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from mpi4py import MPI
 
+from . import kernels
 from .parallel import overlaps, slab_starts
 
+TILE = 256  # bytes of a row in one tile: longer runs in the passes along rows, or along columns if it were less
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
 
 
@@ -25,9 +33,14 @@ def row_stride(count: int, itemsize: int) -> int:
 
 def padded(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
     """The bytes `raw` seen as rows of that shape, each padded to `row_stride`."""
+    return _with_strides(raw, shape, dtype)[:, : shape[1]]
+
+
+def _with_strides(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
+    """The same with the padding: contiguous, so that compiled loops know their strides."""
     dtype = np.dtype(dtype)
     stride = row_stride(shape[1], dtype.itemsize)
-    return raw[: shape[0] * stride * dtype.itemsize].view(dtype).reshape(shape[0], stride)[:, : shape[1]]
+    return raw[: shape[0] * stride * dtype.itemsize].view(dtype).reshape(shape[0], stride)
 
 
 def aligned_bytes(count: int) -> np.ndarray:
@@ -66,14 +79,21 @@ class Strips:
         self.column_starts = slab_starts(shape[1] // 2 + 1, comm.size)
         self.widths = np.diff(self.column_starts)
         self.rows = int(self.row_starts[comm.rank + 1] - self.row_starts[comm.rank])
+        self.width = int(self.widths[comm.rank])
+
+    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """Row-transformed rows `half`, from local row `first` on, into the `views`."""
+        for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
+            kernels.rows_to_tiles(half, start, width, self.first_row + first, view)
+
+    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """The rows `half`, from local row `first` on, out of the `views`."""
+        for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
+            kernels.tiles_to_rows(view, self.first_row + first, half, start, width)
 
     def carries(self, field: np.ndarray) -> bool:
         """Whether fields cross the ranks faster through the strips than in messages."""
         return False
-
-    def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
-        """Bytes of so many rows of the strip of `rank`."""
-        return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
 
 
 class SharedStrips(Strips):
@@ -83,7 +103,8 @@ class SharedStrips(Strips):
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
         super().__init__(comm, shape)
-        count = self.nbytes(comm.rank, self.nx)
+        self.first_row = int(self.row_starts[comm.rank])  # of this rank in every strip
+        count = self.nbytes(comm.rank)
         if comm.size == 1:
             self.window, self.raw = None, [aligned_bytes(count)]
             return
@@ -92,31 +113,33 @@ class SharedStrips(Strips):
         buffers = [self.window.Shared_query(rank)[0] for rank in range(comm.size)]
         self.raw = [_from_cache_line(np.frombuffer(buffer, np.uint8)) for buffer in buffers]
 
+    def tiles(self, rank: int, itemsize: int) -> tuple[int, int, int]:
+        """Shape of the strip of `rank`.  One row more keeps tiles off the same cache sets."""
+        columns = TILE // itemsize
+        return -(-int(self.widths[rank]) // columns), self.nx + 1, columns
+
+    def nbytes(self, rank: int) -> int:
+        """Bytes of the strip of `rank`, in the larger precision."""
+        return math.prod(self.tiles(rank, 16)) * 16
+
     def views(self, dtype) -> list[np.ndarray]:
-        """The strip of each rank, shape (nx, columns of that rank)."""
-        return [padded(raw, (self.nx, int(width)), dtype) for raw, width in zip(self.raw, self.widths, strict=True)]
+        """The strip of each rank."""
+        dtype = np.dtype(dtype)
+        shapes = [self.tiles(rank, dtype.itemsize) for rank in range(self.comm.size)]
+        return [
+            raw[: math.prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
+            for raw, shape in zip(self.raw, shapes, strict=True)
+        ]
 
     def strip(self, dtype) -> np.ndarray:
-        """The strip of this rank, shape (nx, columns of this rank)."""
+        """The strip of this rank."""
         return self.views(dtype)[self.comm.rank]
-
-    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """Row-transformed rows `half`, from local row `first` on, into the strips."""
-        at = int(self.row_starts[self.comm.rank]) + first
-        for view, start in zip(views, self.column_starts, strict=False):
-            view[at : at + len(half)] = half[:, start : start + view.shape[1]]
-
-    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """The rows `half`, from local row `first` on, out of the strips."""
-        at = int(self.row_starts[self.comm.rank]) + first
-        for view, start in zip(views, self.column_starts, strict=False):
-            half[:, start : start + view.shape[1]] = view[at : at + len(half)]
 
     def carries(self, field: np.ndarray) -> bool:
         """Whether the strips have room for a field (nx_local, ny) like this one, on every rank."""
         row = field.shape[1] * field.itemsize
         counts = np.diff(self.row_starts) * row
-        return all(count <= self.nbytes(rank, self.nx) for rank, count in enumerate(counts))
+        return all(count <= self.nbytes(rank) for rank, count in enumerate(counts))
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry, as a new array:
@@ -164,9 +187,14 @@ class ExchangedStrips(Strips):
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
         super().__init__(comm, shape)
+        self.first_row = 0  # of this rank in what is packed
         self.own = aligned_bytes(self.nbytes(comm.rank, self.nx))
         sizes = [self.nbytes(rank, self.rows) for rank in range(comm.size)]
         self.packed = aligned_bytes(sum(sizes))
+
+    def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
+        """Bytes of so many rows of the strip of `rank`."""
+        return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
 
     def _counts(self, itemsize: int):
         """Bytes for and from each rank, and where they start."""
@@ -175,24 +203,17 @@ class ExchangedStrips(Strips):
         return (out, np.cumsum(out) - out), (back, np.cumsum(back) - back)
 
     def views(self, dtype) -> list[np.ndarray]:
-        """The packed block for each rank, shape (rows of this rank, columns of that rank)."""
+        """The packed block for each rank."""
         (counts, starts), _ = self._counts(np.dtype(dtype).itemsize)
         blocks = [self.packed[start : start + count] for start, count in zip(starts, counts, strict=True)]
-        return [padded(raw, (self.rows, int(width)), dtype) for raw, width in zip(blocks, self.widths, strict=True)]
+        return [
+            _with_strides(raw, (self.rows, int(width)), dtype)[None]
+            for raw, width in zip(blocks, self.widths, strict=True)
+        ]
 
     def strip(self, dtype) -> np.ndarray:
-        """The strip of this rank, shape (nx, columns of this rank)."""
-        return padded(self.own, (self.nx, int(self.widths[self.comm.rank])), dtype)
-
-    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """Row-transformed rows `half`, from local row `first` on, into the packed blocks."""
-        for view, start in zip(views, self.column_starts, strict=False):
-            view[first : first + len(half)] = half[:, start : start + view.shape[1]]
-
-    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """The rows `half`, from local row `first` on, out of the packed blocks."""
-        for view, start in zip(views, self.column_starts, strict=False):
-            half[:, start : start + view.shape[1]] = view[first : first + len(half)]
+        """The strip of this rank."""
+        return _with_strides(self.own, (self.nx, self.width), dtype)[None]
 
     def begin(self, dtype) -> None:
         """Nothing to wait for."""

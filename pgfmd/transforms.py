@@ -4,9 +4,10 @@
     columns          strip columns  →  c2c along x  →  action on the spectrum  →  c2c back  →  strip columns
     rows backward    strips  →  c2r along y  →  real rows, handed on block by block
 
-A *strip* holds the columns ky of one rank for all nx rows.  The column pass gathers a few columns into a contiguous
-block, transforms them there, and puts them back, so that neither a transposed copy nor a second complex array ever
-exists, and memory is passed over three times where a pair of library transforms needs six or more.
+A *strip* holds the columns ky of one rank for all nx rows, a few columns of all rows after the other.  The column pass
+gathers a few columns into a contiguous block, transforms them there, and puts them back, so that neither a transposed
+copy nor a second complex array ever exists, and memory is passed over three times where a pair of library transforms
+needs six or more.
 
 The all-to-all between the row and the column passes is either none at all (the ranks of one node write into each
 other's strips, which lie in shared memory) or one packed `Alltoallv`.  Blocks are shared out over the threads of a
@@ -50,7 +51,7 @@ class _Worker:
         self.columns_backward = plan(self.block, self.block, False)
         for array in (self.rows, self.half, self.block):
             array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
-        self.whole_block = with_padding(self.block)
+        self.whole_half, self.whole_block = with_padding(self.half), with_padding(self.block)
 
 
 class Transform:
@@ -62,10 +63,9 @@ class Transform:
         self.complex = np.result_type(self.real, np.complex64)
         nx, ny = shape
         self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
-        self.whole_strip = with_padding(self.strip)
         self.row_block = _block(ROW_BLOCK, ny * self.real.itemsize, strips.rows, threads.count)
-        width, itemsize = self.strip.shape[1], self.complex.itemsize
-        self.column_block = _block(COLUMN_BLOCK, nx * itemsize, width, threads.count, ALIGNMENT // itemsize)
+        itemsize = self.complex.itemsize
+        self.column_block = _block(COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize)
         self.threads = threads
         self.workers = [_Worker(self) for _ in range(threads.count)]
         self.cost = self.real.itemsize / 8
@@ -77,7 +77,7 @@ class Transform:
             worker = self.workers[thread]
             fill(first, stop, worker.rows[: stop - first])
             worker.rows_forward()
-            self.strips.put(self.views, first, worker.half[: stop - first])
+            self.strips.put(self.views, first, worker.whole_half[: stop - first])
 
         self.strips.begin(self.complex)
         self.threads.share(one, self.strips.rows, self.row_block)
@@ -96,21 +96,21 @@ class Transform:
             worker = self.workers[thread]
             block = worker.block[: stop - first]
             if forward:
-                kernels.gather_columns(self.whole_strip, first, stop - first, worker.whole_block)
+                kernels.gather_columns(self.strip, self.shape[0], first, stop - first, worker.whole_block)
                 worker.columns_forward()
             action(block, first, stop)
             if backward:
                 worker.columns_backward()
-                kernels.scatter_columns(worker.whole_block, first, stop - first, self.whole_strip)
+                kernels.scatter_columns(worker.whole_block, self.shape[0], first, stop - first, self.strip)
 
-        self.threads.share(one, self.strip.shape[1] if count is None else count, self.column_block)
+        self.threads.share(one, self.strips.width if count is None else count, self.column_block)
 
     def rows_backward(self, drain: Rows) -> None:
         """Strips to real rows, each block handed to `drain(first, stop, block)`.  Collective."""
 
         def one(thread: int, first: int, stop: int):
             worker = self.workers[thread]
-            self.strips.get(self.views, first, worker.half[: stop - first])
+            self.strips.get(self.views, first, worker.whole_half[: stop - first])
             worker.rows_backward()
             drain(first, stop, worker.rows[: stop - first])
 

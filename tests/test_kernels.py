@@ -16,15 +16,23 @@ def points():
     return mask, np.concatenate([[0], np.cumsum(mask.sum(axis=1))]), np.nonzero(mask)[1].astype(np.int32)
 
 
-def test_gather_and_scatter_columns():
-    """A few columns, transposed, there and back."""
-    strip, block = rng.random((37, 11)) + 1j, np.zeros((5, 37), complex)
-    kernels.gather_columns(strip, 4, 5, block)
-    assert np.array_equal(block, strip[:, 4:9].T)
-    target = np.zeros_like(strip)
-    kernels.scatter_columns(block, 4, 5, target)
-    assert np.array_equal(target[:, 4:9], strip[:, 4:9])
-    assert not target[:, :4].any()
+def test_strips_in_tiles():
+    """Rows to tiles and back, and a few columns of these, transposed, there and back."""
+    half, start, count = rng.random((37, 14)) + 1j, 2, 11
+    strip, tiles = half[:, start : start + count], np.zeros((3, 42, 4), complex)
+    kernels.rows_to_tiles(half, start, count, 3, tiles)
+    assert np.array_equal(np.hstack(list(tiles))[3:40, :count], strip)
+    assert np.count_nonzero(tiles) == strip.size
+    back = np.zeros_like(half)
+    kernels.tiles_to_rows(tiles, 3, back, start, count)
+    assert np.array_equal(back[:, start : start + count], strip)
+    assert np.count_nonzero(back) == strip.size
+    block, target = np.zeros((6, 38), complex), np.zeros_like(tiles)
+    kernels.gather_columns(tiles[:, 3:].copy(), 37, 3, 6, block)
+    assert np.array_equal(block[:, :37], strip[:, 3:9].T)
+    kernels.scatter_columns(block, 37, 3, 6, target)
+    assert np.array_equal(np.hstack(list(target))[:37, 3:9], strip[:, 3:9])
+    assert np.count_nonzero(target) == 37 * 6
 
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
