@@ -27,8 +27,7 @@ COARSEST = 32  # points of the shorter side below which coarser grids bring noth
 FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which it has nothing to say
 PRESSED = 6.0  # times a bound of the rms pressure at full contact: loads that may well bring it about
 MOSTLY = 0.45  # share of points in contact above which the others are the better unknowns
-COARSE_TOLERANCE = 2e-3  # certified error of the next coarser grid: long waves that it leaves cost most on this one
-COARSER, COARSEST_TOLERANCE = 2.0, 2e-2  # from grid to coarser grid this grows by that factor, up to so much
+COARSE_TOLERANCE = 2e-3  # certified error of coarse grids, unless their solver knows better (`Relaxation.goal`)
 
 
 def solve_hard_wall(
@@ -189,8 +188,7 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True
             state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
             state = _relax(grid, heights, scaled, load, state, tolerance, monitor, 0.0, exact)
         return state, 0.0
-    coarse_tolerance = COARSE_TOLERANCE if exact else min(COARSER * tolerance, COARSEST_TOLERANCE)
-    found, extra = _cascade(coarse, coarse_heights, scaled, load, coarse_tolerance, monitor, False)
+    found, extra = _cascade(coarse, coarse_heights, scaled, load, COARSE_TOLERANCE, monitor, False)
     contact, iterations = found.contact / coarse.size, found.iterations
     state = full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
     if full is None:

@@ -17,6 +17,9 @@ from .hard_wall import MOST_INNER, Relaxation, State
 from .mesh import inner_response
 from .preconditioner import MultilevelStiffness
 
+PART = 0.05  # of the error that a grid begins with: long waves that it leaves cost most on the next one
+LOOSEST = 2e-2  # certified error of a grid that begins a finer one
+
 
 class PressureSteps(Relaxation):
     """Relaxation that costs least where few points are in contact.
@@ -37,6 +40,12 @@ class PressureSteps(Relaxation):
         """Give the memory of coarser transforms back.  Collective."""
         self.inner.free()
         self.preconditioner.free()
+
+    def goal(self, state: State, tolerance: float) -> float:
+        """What interpolation from a coarser grid got wrong here tells how much it will get wrong from here: of that, a
+        small part.
+        """
+        return min(PART * state.error, LOOSEST)
 
     def look(self, state: State, tolerance: float) -> None:
         """Points in tension leave the set and overlapping points join it; makes the state feasible and certifies it.
