@@ -15,6 +15,7 @@ from pgfmd.solvers.gap_steps import NearCompliance
 from pgfmd.solvers.hard_wall import State
 from pgfmd.solvers.mesh import MeshResponse
 from pgfmd.solvers.preconditioner import MultilevelStiffness
+from pgfmd.solvers.pressure_steps import PressureSteps
 from pgfmd.window import RowWindow
 
 pytestmark = pytest.mark.mpi
@@ -282,3 +283,9 @@ def test_a_mountain_in_one_slab(n):
     again = solve_hard_wall(grid, heights[grid.rows], 1e-3, Elasticity(1.0), 1e-9, start=mine.pressure)
     again = np.concatenate(comm.allgather(again.pressure))
     assert np.abs(again - alone.pressure).max() < 1e-3 * alone.pressure.max()
+
+
+@pytest.mark.parametrize(("error", "goal"), [(np.inf, 2e-2), (0.8, 2e-2), (4e-3, 2e-4), (1e-14, 1e-5), (0.0, 1e-5)])
+def test_coarse_grids_aim_at_a_part_of_their_first_error(error, goal):
+    """A twentieth, within limits: also where a grid begins with no error at all there is something to reach."""
+    assert PressureSteps.goal(None, State(None, None, error=error), 1e-3) == pytest.approx(goal)

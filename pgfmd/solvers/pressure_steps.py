@@ -13,7 +13,7 @@ from ..transforms import Rows
 from .conjugate_gradients import solve_on_set
 from .contact_set import ContactSet, SetVector
 from .cutting import cut_tension
-from .hard_wall import MOST_INNER, Relaxation, State
+from .hard_wall import MOST_INNER, SINGLE_LIMIT, Relaxation, State
 from .mesh import inner_response
 from .preconditioner import MultilevelStiffness
 
@@ -43,9 +43,9 @@ class PressureSteps(Relaxation):
 
     def goal(self, state: State, tolerance: float) -> float:
         """What interpolation from a coarser grid got wrong here tells how much it will get wrong from here: of that, a
-        small part.
+        small part, but never what single precision could not reach.
         """
-        return min(PART * state.error, LOOSEST)
+        return max(min(PART * state.error, LOOSEST), SINGLE_LIMIT)
 
     def look(self, state: State, tolerance: float) -> None:
         """Points in tension leave the set and overlapping points join it; makes the state feasible and certifies it.
