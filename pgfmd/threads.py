@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
+
+from .team import team
 
 
 def threads_per_rank() -> int:
@@ -22,13 +23,12 @@ class Threads:
 
     def __init__(self, count: int):
         self.count = count
-        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
         """`work(thread, first, stop)` for the blocks of 0 … total−1, each by the thread that is free first; an
         exception ends in the caller.
         """
-        if self._pool is None or total <= block:
+        if self.count == 1 or total <= block:
             for first in range(0, total, block):
                 work(0, first, min(first + block, total))
             return
@@ -38,13 +38,7 @@ class Threads:
             for first in blocks:
                 work(thread, first, min(first + block, total))
 
-        helping = [self._pool.submit(part, thread) for thread in range(1, min(self.count, -(-total // block)))]
-        try:
-            part(0)
-        finally:
-            wait(helping)
-        for each in helping:
-            each.result()
+        team().run(part, min(self.count, -(-total // block)))
 
     def split(self, work: Callable[[int, int], None], total: int) -> None:
         """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
@@ -65,11 +59,11 @@ class Threads:
         """field *= factor"""
         self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
 
-    def deal(self, work: Callable[[int, int], None], total: int, least: int = 64) -> None:
+    def deal(self, work: Callable[[int, int], None], total: int, least: int = 256) -> None:
         """`work(first, stop)` for blocks of at least so many rows, dealt out in turn: like `split`, where some rows are
         dearer than others.
         """
         if self.count == 1:
             self.split(work, total)
         else:
-            self.share(lambda _, first, stop: work(first, stop), total, max(least, total // (8 * self.count)))
+            self.share(lambda _, first, stop: work(first, stop), total, max(least, total // (4 * self.count)))

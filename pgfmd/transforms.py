@@ -63,7 +63,8 @@ class Transform:
         self.complex = np.result_type(self.real, np.complex64)
         nx, ny = shape
         self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
-        self.row_block = _block(ROW_BLOCK, ny * self.real.itemsize, strips.rows, threads.count)
+        budget = ROW_BLOCK * min(threads.count, 2)  # threads take turns at the interpreter between blocks
+        self.row_block = _block(budget, ny * self.real.itemsize, strips.rows, threads.count)
         itemsize = self.complex.itemsize
         self.column_block = _block(COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize)
         self.threads = threads

@@ -12,8 +12,8 @@ import pytest
 PACKAGE = Path(__file__).resolve().parent.parent / "pgfmd"
 LAYERS = (
     # 0: no grid, no physics; what tools use on a laptop is here too
-    "errors threads parallel plans kernels set_kernels validate sections config files schema runs seal spectra theory "
-    "results estimate instrument",
+    "errors team threads parallel plans kernels set_kernels validate sections config files schema runs seal spectra "
+    "theory results estimate instrument",
     "strips transforms grid",
     "hierarchy window elasticity topography heightfile labelling",
     "solvers patches observables loads",

@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from pgfmd.team import Team
 from pgfmd.threads import Threads
 
 
@@ -57,3 +58,57 @@ def test_no_more_than_there_are_blocks():
     seen = []
     Threads(4).share(lambda *_: seen.append(threading.get_ident()), 5, 5)
     assert seen == [threading.get_ident()]
+
+
+@pytest.mark.parametrize("pause", [0, 0.05])
+@pytest.mark.parametrize("late", [0, 0.05])
+def test_every_thread_that_is_there_works_once_on_each_task(pause, late):
+    """Whether helpers are awake or asleep when it comes, and whether the caller is when they are done; and the caller
+    waits for all that are at work.
+    """
+    begun, done = [], []
+
+    def work(thread: int):
+        begun.append(thread)
+        while len(begun) < 3:
+            time.sleep(0.001)
+        time.sleep(late if thread else 0)
+        done.append(thread)
+
+    helpers = Team()
+    for _ in range(20):
+        time.sleep(pause)
+        helpers.run(work, 3)
+        assert sorted(done) == [0, 1, 2]
+        begun.clear()
+        done.clear()
+
+
+def test_nobody_waits_for_a_helper_that_has_not_begun():
+    """One that comes late finds no work, not even that of the task before."""
+    came, helpers, together, free = [], Team(), threading.Barrier(2), threading.Event()
+    helpers.run(lambda _: together.wait(10), 2)
+    (helper,) = helpers._helpers
+    see = helper.asked.wait
+    helper.asked.wait = lambda task: (see(task), free.wait(10))[0]  # its core is taken away
+    helpers.run(lambda _: together.wait(10), 2)  # for the last time before
+    for number in range(5):
+        helpers.run(lambda thread, number=number: came.append((thread, number)), 2)
+    free.set()
+    time.sleep(0.1)
+    assert came == [(0, number) for number in range(5)]
+
+
+def test_a_team_in_use_lets_the_caller_work_alone():
+    """Within the work, or from another thread: no deadlock."""
+    helpers, inner = Team(), []
+    helpers.run(lambda thread: helpers.run(inner.append, 2), 2)
+    assert inner and set(inner) == {0}
+
+
+def test_all_grids_share_their_helpers():
+    """Else each would leave some awake, which work for nobody."""
+    before = threading.active_count()
+    for _ in range(5):
+        Threads(2).share(lambda *_: None, 10, 1)
+    assert threading.active_count() <= before + 1

@@ -8,7 +8,7 @@ from .. import set_kernels
 from ..parallel import Reduction
 from .contact_set import ContactSet, SetVector
 
-PART = 1 << 17  # entries that a thread takes at a time: fewer are not worth waking it for
+PART = 1 << 16  # entries that a thread takes at a time: fewer are not worth waking it for
 
 
 def solve_on_set(

@@ -112,7 +112,7 @@ class FarPart:
             set_kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
             then(slice(first, stop))
 
-        self.grid.threads.deal(part, len(out), 16)
+        self.grid.threads.deal(part, len(out), 256 // BLOCK)
 
     def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
         """out = values + the window's entry for their block, which may be a neighbour's.  Collective."""
