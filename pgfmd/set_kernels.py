@@ -86,6 +86,18 @@ def apply_stencil(rows, weights, columns, offsets, first, count, values):
 
 
 @jit
+def correlate(values, columns, offsets, halo, weights, rows, targets, target_offsets, first, stop, out):
+    """`apply_stencil` to `values` on one set, listed with so many rows of halo, for the points in rows first … stop−1
+    of another; as many rows at a time as `rows` has room for.
+    """
+    batch = rows.shape[0] - 4
+    for low in range(first, stop, batch):
+        count = min(batch, stop - low)
+        fill_wrapped(values, columns, offsets, low + halo - 2, count + 4, 2, rows)
+        apply_stencil(rows, weights, targets, target_offsets, low, count, out)
+
+
+@jit
 def spread_points(values, columns, offsets, first, stop, x_first, x_weights, y_first, y_weights, mesh_row, mesh):
     """mesh[x_first[i] + s − mesh_row, y_first[k] + t] += x_weights[i, s] y_weights[k, t] values[k] for the points k of
     the rows first ≤ i < stop and s, t < 4; rows outside `mesh` are left out, columns wrap.

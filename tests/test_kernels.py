@@ -105,6 +105,23 @@ def test_apply_stencil(density):
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-13)
 
 
+@pytest.mark.parametrize("room", [5, 7, 40])
+def test_correlate(room):
+    """The stencil on a periodic field that is zero off one set, at the points of another, few rows at a time."""
+    source, target, halo = rng.random((30, 40)) < 0.3, rng.random((14, 40)) < 0.5, 8
+    field, weights = np.where(source, rng.random((30, 40)), 0), rng.random(6)
+    lists = [
+        (np.nonzero(mask)[1].astype(np.int32), np.concatenate([[0], np.cumsum(mask.sum(axis=1))]))
+        for mask in (source, target)
+    ]
+    out, whole = (np.zeros(target.sum()) for _ in range(2))
+    for rows in ((0, 5), (5, 14)):
+        set_kernels.correlate(field[source], *lists[0], halo, weights, np.empty((room, 44)), *lists[1], *rows, out)
+    padded = np.pad(field, ((0, 0), (2, 2)), mode="wrap")[halo - 2 : halo + 16]
+    set_kernels.apply_stencil(padded, weights, *lists[1], 0, 14, whole)
+    assert np.array_equal(out, whole)
+
+
 def test_spread_and_interpolate(points):
     """Values to the nodes around each point by weights, and back by the same: one is the transpose of the other."""
     mask, offsets, columns = points

@@ -41,10 +41,6 @@ class Stencil:
 
         def part(first: int, stop: int):
             work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), self.dtype)
-            for low in range(first, stop, ROWS):
-                count = min(ROWS, stop - low)
-                rows_read = low + HALO - RADIUS, count + 2 * RADIUS
-                set_kernels.fill_wrapped(extended, *points.extended, *rows_read, RADIUS, work)
-                set_kernels.apply_stencil(work, self.weights, *lists, low, count, out)
+            set_kernels.correlate(extended, *points.extended, HALO, self.weights, work, *lists, first, stop, out)
 
         self.grid.threads.deal(part, rows)
