@@ -21,6 +21,8 @@ from .strips import make_strips
 from .threads import Threads, threads_per_rank
 from .transforms import Columns, Rows, Transform
 
+BAND = 1 << 16  # points of a field that stay in cache together with those of a few others
+
 
 class SlabGrid:
     """A periodic grid whose rows are distributed over the ranks of `comm`.  Collective to make; memory for transforms
@@ -30,7 +32,7 @@ class SlabGrid:
     ----------
     comm, shape (nx, ny), lengths (lx, ly), spacing (ax, ay), pixel_area
     rows: slice of the global rows that this rank holds;  starts: first row of each rank, and nx
-    local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx)
+    local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx);  band: rows that stay in cache
     qx (1, nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
     transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
     """
@@ -56,6 +58,7 @@ class SlabGrid:
         self.size = nx * ny
         self.rows, self.starts = slab(nx, comm.size, comm.rank), slab_starts(nx, comm.size)
         self.local_shape = (self.rows.stop - self.rows.start, ny)
+        self.band = max(1, BAND // ny)
         self.columns = slab(ny // 2 + 1, comm.size, comm.rank)
         self.spectral_shape = (self.columns.stop - self.columns.start, nx)
         ky = np.arange(self.columns.start, self.columns.stop)

@@ -8,8 +8,6 @@ from . import kernels
 from .grid import SlabGrid
 from .parallel import fetch_rows, slab_starts
 
-ROWS = 16  # that are interpolated at a time, and stay in cache
-
 
 def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float64) -> np.ndarray:
     """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
@@ -21,22 +19,34 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
     kind = np.result_type(dtype, np.complex64)
     rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
-    mine = np.zeros((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
+    mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
+    scale = kind.type(1 / fine.size)
 
     def fill(first: int, stop: int, block: np.ndarray):
         block[...] = field[first:stop]
 
     def keep(block: np.ndarray, first: int, stop: int):
-        mine[first:stop, : rows + 1] = block[:, : rows + 1]
+        part = mine[first:stop]
+        np.multiply(block[:, : rows + 1], scale, out=part[:, : rows + 1])
+        part[:, rows + 1 : nx - rows] = 0
         if rows:
-            mine[first:stop, -rows:] = block[:, -rows:]
+            np.multiply(block[:, -rows:], scale, out=part[:, -rows:])
 
     fine.read_spectrum(fill, keep, dtype, len(mine))
     low, high = (min(k, kept) for k in (coarse.columns.start, coarse.columns.stop))
-    spectrum = np.zeros(coarse.spectral_shape, kind)
-    spectrum[: high - low] = fetch_rows(fine.comm, mine, starts, low, high)
-    spectrum *= coarse.size / fine.size
-    return coarse.backward(spectrum, np.empty(coarse.local_shape))
+    spectrum = fetch_rows(fine.comm, mine, starts, low, high, fine.threads)
+    out = np.empty(coarse.local_shape)
+
+    def copy(block: np.ndarray, first: int, stop: int):
+        part = spectrum[first:stop]
+        block[: len(part)] = part
+        block[len(part) :] = 0
+
+    def drain(first: int, stop: int, block: np.ndarray):
+        out[first:stop] = block
+
+    coarse.make_field(copy, drain, np.zeros((), kind).real.dtype)
+    return out
 
 
 class Interpolation:
@@ -53,13 +63,13 @@ class Interpolation:
         self._fields = [coarse.fetch(field, low, high) for field in fields]
         self._x = _weights(at - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
-        self._room = np.empty((fine.threads.count, len(fields), ROWS, fine.shape[1]))
+        self._room = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
         doubled = fine.shape[1] == 2 * coarse.shape[1]
         self._interpolate = kernels.interpolate_doubled if doubled else kernels.interpolate_rows
 
     def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
-        """Rows first … stop−1 (local to the fine grid; at most `ROWS`) of field number `which`, shape (stop − first,
-        ny_fine), which stay until that thread asks for others.
+        """Rows first … stop−1 (local to the fine grid; at most its `band`) of field number `which`, shape
+        (stop − first, ny_fine), which stay until that thread asks for others.
         """
         index, weights = self._x
         out = self._room[thread, which, : stop - first]

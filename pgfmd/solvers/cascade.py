@@ -15,7 +15,7 @@ import numpy as np
 from .. import kernels
 from ..elasticity import Elasticity
 from ..grid import SlabGrid
-from ..hierarchy import ROWS, Interpolation, restrict
+from ..hierarchy import Interpolation, restrict
 from . import scale
 from .balance import RolledBack, best_shift, roll, rolled
 from .gap_steps import GapSteps
@@ -230,15 +230,15 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
     gaps_matter = found.contact > MOSTLY * coarse.size
 
-    sums = np.empty((-(-grid.local_shape[0] // ROWS), 2))
+    sums = np.empty((-(-grid.local_shape[0] // grid.band), 2))
 
     def begin(thread: int, first: int, stop: int):
         rows, (u, p) = slice(first, stop), (interpolation.rows(which, first, stop, thread) for which in (0, 1))
-        sums[first // ROWS] = kernels.start_rows(p, u, heights[rows], reach, pressure[rows])
+        sums[first // grid.band] = kernels.start_rows(p, u, heights[rows], reach, pressure[rows])
         if gaps_matter:
             kernels.start_gap(pressure[rows], u, heights[rows], gap[rows])
 
-    grid.threads.share(begin, grid.local_shape[0], ROWS)
+    grid.threads.share(begin, grid.local_shape[0], grid.band)
     total, count = grid.reduction.sums(*sums.sum(axis=0))
     if total > 1e-200 * count and count:
         grid.threads.scale(pressure, load * grid.size / total)

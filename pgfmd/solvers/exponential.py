@@ -15,7 +15,7 @@ import numpy as np
 from ..elasticity import Elasticity
 from ..errors import InputError, SolverError
 from ..grid import SlabGrid
-from ..hierarchy import ROWS, Interpolation, restrict
+from ..hierarchy import Interpolation, restrict
 from . import entropy
 from .newton import WallRelaxation, WallState
 from .scale import dimensionless
@@ -140,7 +140,7 @@ class _Problem:
             rows = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
             entropy.start_rows(*rows, heights[first:stop], solver.reach, target[first:stop])
 
-        grid.threads.share(part, grid.local_shape[0], ROWS)
+        grid.threads.share(part, grid.local_shape[0], grid.band)
         state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
         state.iterations = found.iterations
         solver.respond(state, target, self.zeta)

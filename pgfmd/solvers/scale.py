@@ -11,7 +11,6 @@ from ..elasticity import Elasticity
 from ..errors import InputError
 from ..grid import SlabGrid
 
-BLOCK = 16  # rows at a time, which stay in cache
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 
 
@@ -30,7 +29,7 @@ def dimensionless(
         part = heights[first:stop]
         return part.min(), part.max(), *kernels.sums_about(origin, part)
 
-    lows, highs, sums, squares = zip(*threads.collect(measure, rows, BLOCK), strict=True)
+    lows, highs, sums, squares = zip(*threads.collect(measure, rows, grid.band), strict=True)
     low, high = reduce.min(lows), reduce.max(highs)
     limits = (
         ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing)),
@@ -49,5 +48,5 @@ def dimensionless(
         part = np.subtract(heights[first:stop], mean, out=out[first:stop])
         part /= rms
 
-    threads.share(divide, rows, BLOCK)
+    threads.share(divide, rows, grid.band)
     return out, rms
