@@ -20,6 +20,7 @@ source tools/env.sh
 run() { .venv/bin/python tools/benchmark.py "$1" "$folder" "${@:2}"; }
 
 run transforms
+run cores
 run resolution
 # Everyone: a smooth surface on one core and on two, a rough one and two near full contact on one core.
 run run --n 1024 --lambda-s 16 --hurst 0.8 --repeat 2

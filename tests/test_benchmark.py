@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 from benchmarks import report  # noqa: E402
 from benchmarks.case import Case  # noqa: E402
+from benchmarks.cores import PLAN as CORES  # noqa: E402
 from benchmarks.recorder import EnoughError, Recorder  # noqa: E402
 
 
@@ -95,3 +96,24 @@ def test_a_small_benchmark_from_end_to_end(tmp_path):
         assert min(float(row["pressure_error"]) for row in rows if row["method"] == method) < 1e-6
     assert (tmp_path / "ratios.csv").exists() and list(tmp_path.glob("*.png"))
     assert not list(tmp_path.glob("*.npy"))
+
+
+def test_cores_are_compared_in_turns(tmp_path):
+    """Each of the four ways once per round, two relaxations each; a second call adds its rounds; gains are ratios to
+    one thread, of two copies twice that.
+    """
+    if os.environ.get("OMPI_COMM_WORLD_SIZE") or shutil.which("mpirun") is None:
+        pytest.skip("starts processes of its own")
+    command = [sys.executable, str(ROOT / "tools" / "benchmark.py"), "cores", str(tmp_path), "--n", "64"]
+    command += ["--lambda-s", "8", "--repeat", "1"]
+    for rounds in (1, 2):
+        environment = dict(os.environ)  # without what MPI adds for this process behind it
+        done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
+        assert done.returncode == 0, done.stderr
+        rows = list(csv.DictReader(open(tmp_path / "cores.csv", newline="")))
+        assert [row["cores"] for row in rows] == [kind for _ in range(rounds) for kind in CORES for _ in range(2)]
+        assert [int(row["round"]) for row in rows] == [number for number in range(rounds) for _ in range(8)]
+    best = {kind: min(float(row["seconds"]) for row in rows if row["cores"] == kind) for kind in CORES}
+    table = {line[:12].strip(): line.split() for line in done.stdout.splitlines()[-4:]}
+    for kind, (_, _, copies) in CORES.items():
+        assert float(table[kind][4]) == pytest.approx(copies * best["one thread"] / best[kind], abs=0.006)

@@ -4,6 +4,7 @@
     python tools/benchmark.py run DIR --n 1024 --hurst 0.8 --lambda-s 16 --area 0.08    # measure cases, in turns
     python tools/benchmark.py resolution DIR                                            # discretisation error against n
     python tools/benchmark.py transforms DIR                                            # an FFT pair, ours and others'
+    python tools/benchmark.py cores DIR                                                 # what a second core gains
     python tools/benchmark.py report DIR                                                # tables, pictures once more
 
 All times are wall seconds of a complete solution: planning, coarse grids and all, but not the start of Python, the
@@ -28,9 +29,9 @@ import sys
 from pathlib import Path
 
 from benchmarks.case import Case
+from benchmarks.launch import launch
 from benchmarks.methods import PEERS
 
-ROOT = Path(__file__).resolve().parent.parent
 COLUMNS = (
     "n hurst lambda_s area mean_pressure method setting ranks threads repeat tolerance point "
     "seconds cpu transforms pressure_error area_error truncated"
@@ -59,11 +60,11 @@ PLAN = [  # (method, setting, ranks, threads)
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "resolution", "transforms", "report"))
+    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "report"))
     parser.add_argument("folder", type=Path, help="for results; made if missing")
-    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms: 4096)")
+    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores: 4096)")
     parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
-    parser.add_argument("--lambda-s", nargs="+", default=["16"], help="in grid spacings; n/64 is allowed")
+    parser.add_argument("--lambda-s", nargs="+", help="in grid spacings; n/64 is allowed (16; cores: n/64)")
     parser.add_argument("--area", type=float, nargs="+", default=[0.08], help="relative contact areas")
     parser.add_argument(
         "--methods", nargs="+", help=f"of {', '.join(dict.fromkeys(p[0] for p in PLAN))}; all by default"
@@ -72,6 +73,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--repeat", type=int, default=3, help="repeats, of which the best counts")
     parser.add_argument("--budget", type=float, default=120.0, help="seconds that one solution may take")
     parser.add_argument("--floor", type=float, default=1e-7, help="pressure error at which a method may stop")
+    parser.add_argument("--tolerance", type=float, default=1e-4, help="certified error (cores)")
     parser.add_argument("--clock", choices=("seconds", "cpu"), default="seconds", help="which time the tables compare")
     parser.add_argument("--keep", action="store_true", help="keep surfaces and references, each 8 bytes per point")
     options = parser.parse_args(arguments)
@@ -88,7 +90,14 @@ def main(arguments: list[str] | None = None) -> int:
 
         for n in options.n or [4096]:
             transforms(options.folder, n)
-    if options.what != "transforms":
+    elif options.what == "cores":
+        from benchmarks.cores import main as cores
+
+        for n, hurst, length, area in itertools.product(
+            options.n or [4096], options.hurst, options.lambda_s or ["n/64"], options.area
+        ):
+            cores(options.folder, n, hurst, _wavelength(length, n), area, options.tolerance, options.repeat)
+    if options.what not in ("transforms", "cores"):
         from benchmarks.report import report
 
         report(options.folder, options.clock)
@@ -103,9 +112,10 @@ def measure(options) -> None:
             print(f"{name} is not installed: left out")
             plan = [p for p in plan if p[0] != name]
     done = _done(options.folder)
-    for n, hurst, length, area in itertools.product(options.n or [512], options.hurst, options.lambda_s, options.area):
-        lambda_s = n / float(length[2:]) if length.startswith("n/") else float(length)
-        case = Case(n, hurst, lambda_s, area)
+    for n, hurst, length, area in itertools.product(
+        options.n or [512], options.hurst, options.lambda_s or ["16"], options.area
+    ):
+        case = Case(n, hurst, _wavelength(length, n), area)
         jobs = [
             (p, repeat) for repeat in range(options.repeat) for p in plan if (case.name, *_key(p), repeat) not in done
         ]
@@ -121,6 +131,11 @@ def measure(options) -> None:
         if not options.keep:
             for path in options.folder.glob("*.npy"):
                 path.unlink()
+
+
+def _wavelength(length: str, n: int) -> float:
+    """In grid spacings, as given on the command line: a number, or n/ a number."""
+    return n / float(length[2:]) if length.startswith("n/") else float(length)
 
 
 def _promising(folder: Path, case: Case, plan: list) -> list:
@@ -175,21 +190,15 @@ def _one(options, case: Case, step, repeat: int) -> bool:
 
 def _start(job: dict, ranks: int, threads: int, timeout: float | None) -> bool:
     """Run the worker in its own process or processes.  False if it was stopped after `timeout` seconds."""
-    environment = os.environ | {
-        name: str(threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-    }
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT / "tools"), str(ROOT), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "mpi4py", "-m", "benchmarks.worker", json.dumps(job)]
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
+    process = launch("worker", [json.dumps(job)], ranks, threads)
     try:
-        done = subprocess.run(
-            command, env=environment, timeout=timeout, stdin=subprocess.DEVNULL, capture_output=True, text=True
-        )
+        _, errors = process.communicate(timeout=timeout)
     except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
         return False
-    if done.returncode:
-        print(f"  {job['method']} failed:\n{done.stderr[-1500:]}", file=sys.stderr)
+    if process.returncode:
+        print(f"  {job['method']} failed:\n{errors[-1500:]}", file=sys.stderr)
         if job["method"] == "prepare":
             raise SystemExit(1)
     return True

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import csv
 import json
-import os
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+from .launch import launch
+
 KINDS = (np.float32, np.float64)
 PLAN = [  # (name, ranks, threads)
     ("pgfmd", 1, 1),
@@ -49,17 +48,12 @@ def main(folder: Path, n: int = 4096) -> None:
 
 
 def _run(name: str, ranks: int, threads: int, n: int) -> dict[str, float]:
-    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    environment = os.environ | dict.fromkeys(names, str(threads))
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT / "tools"), str(ROOT), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "mpi4py", "-m", "benchmarks.transforms", name, str(threads), str(n)]
-    if ranks > 1:
-        command = ["mpirun", "-n", str(ranks), *command]
-    done = subprocess.run(command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True)
-    if done.returncode:
-        print(f"{name}: {done.stderr.strip().splitlines()[-1:]}", file=sys.stderr)
+    process = launch("transforms", [name, str(threads), str(n)], ranks, threads)
+    output, errors = process.communicate()
+    if process.returncode:
+        print(f"{name}: {errors.strip().splitlines()[-1:]}", file=sys.stderr)
         return {}
-    return json.loads(done.stdout.strip().splitlines()[-1])
+    return json.loads(output.strip().splitlines()[-1])
 
 
 def _print(best: dict[tuple, float], n: int) -> None:
