@@ -33,7 +33,7 @@ Columns = Callable[[np.ndarray, int, int], None]
 """(block of shape (stop − first, nx), first local column, stop) to act on in place."""
 
 ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it stays in the second-level cache beside its transform
-COLUMN_BLOCK = 1 << 20  # bytes of a block of columns: longer runs of memory in the gather outweigh the cache
+COLUMN_BLOCK = 1 << 19  # bytes of a block of columns: half of that cache, which two threads of a core share
 
 
 class _Worker:
