@@ -11,6 +11,7 @@ tile.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
@@ -141,16 +142,16 @@ class SharedStrips(Strips):
         counts = np.diff(self.row_starts) * row
         return all(count <= self.nbytes(rank) for rank, count in enumerate(counts))
 
-    def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry, as a new array:
-        a store and a load.  What the strips held is lost.  Collective.
+    def fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[[np.ndarray | None], np.ndarray]:
+        """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry: a store, and
+        what loads them, once, into a given or a new array.  Others have what they need of the field by then.  What the
+        strips held is lost.  Collective.
         """
         rank, starts, ny = self.comm.rank, self.row_starts, field.shape[1]
         shown = [
             raw[: (stop - start) * ny * field.itemsize].view(field.dtype).reshape(-1, ny)
             for raw, start, stop in zip(self.raw, starts, starts[1:], strict=False)
         ]
-        out = np.empty((max(stop - first, 0), ny), field.dtype)
         wanted = self.comm.allgather((first, stop))
         self.meet()
         for other, (low, high) in enumerate(wanted):
@@ -159,10 +160,15 @@ class SharedStrips(Strips):
                 shown[rank][mine] = field[mine]
         shown[rank] = field
         self.meet()
-        for owner, rows in enumerate(shown):
-            for at, length, row in overlaps(first, stop, starts[owner], starts[owner + 1], self.nx):
-                out[at : at + length] = rows[row - starts[owner] : row - starts[owner] + length]
-        return out
+
+        def load(out: np.ndarray | None = None) -> np.ndarray:
+            out = np.empty((max(stop - first, 0), ny), field.dtype) if out is None else out
+            for owner, rows in enumerate(shown):
+                for at, length, row in overlaps(first, stop, starts[owner], starts[owner + 1], self.nx):
+                    out[at : at + length] = rows[row - starts[owner] : row - starts[owner] + length]
+            return out
+
+        return load
 
     def meet(self, dtype=None) -> None:
         """All ranks have done their part, and see that of the others.  Collective."""

@@ -12,7 +12,7 @@ from .hard_wall import State
 
 BLOCK = 64  # rows that are moved together
 TRIALS = 64  # beginnings that are tried
-WORTH = 1.2  # largest share of a rank over what it could be, above which rows are rolled
+WORTH = 1 / 32  # of a slab's points: work on so many takes as long as to roll its rows, there and back
 
 
 def best_shift(grid: SlabGrid, other: SlabGrid, pressure: np.ndarray, opened: bool = False, shift: int = 0) -> int:
@@ -32,7 +32,7 @@ def best_shift(grid: SlabGrid, other: SlabGrid, pressure: np.ndarray, opened: bo
     edges = (shifts[:, None] + np.asarray(grid.starts)) * (len(work) / nx)
     largest = np.diff(np.interp(edges, np.arange(len(before)), before), axis=1).max(axis=1)
     best = int(np.argmin(largest))
-    return int(shifts[best]) if largest[0] > WORTH * largest[best] else 0
+    return int(shifts[best]) if largest[0] - largest[best] > WORTH * other.size / grid.comm.size else 0
 
 
 def rolled(grid: SlabGrid, field: np.ndarray, shift: int) -> np.ndarray:
@@ -50,7 +50,7 @@ def roll(grid: SlabGrid, field: np.ndarray, shift: int) -> None:
         field[...] = np.roll(field, -shift, axis=0)
         return
     kept, back = rows - shift, shift + rows - grid.shape[0]  # own rows that move up, or, around the cell, down
-    crossing = grid.fetch(field, max(start + shift, stop), min(stop + shift, start + grid.shape[0]))
+    bring = grid.begin_fetch(field, max(start + shift, stop), min(stop + shift, start + grid.shape[0]))
     step = min(BLOCK, abs(shift if kept > 0 else back - rows))
     for first in range(0, kept, step):
         last = min(first + step, kept)
@@ -58,7 +58,7 @@ def roll(grid: SlabGrid, field: np.ndarray, shift: int) -> None:
     for last in range(back, 0, -step):
         first = max(last - step, 0)
         field[rows - back + first : rows - back + last] = field[first:last]
-    field[max(kept, 0) : rows - max(back, 0)] = crossing
+    bring(field[max(kept, 0) : rows - max(back, 0)])
 
 
 class RolledBack:
