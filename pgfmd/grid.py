@@ -161,7 +161,7 @@ class SlabGrid:
         also into a given array, such as a part of the field.  Collective.
         """
         if self.comm.size > 1 and self._strips is not None and self._strips.carries(field):
-            return self._strips.fetch(field, first, stop)
+            return self._strips.begin_fetch(field, first, stop)
         rows = fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
 
         def bring(out: np.ndarray | None = None) -> np.ndarray:

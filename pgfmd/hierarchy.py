@@ -20,7 +20,7 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
     rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
     mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
-    scale = kind.type(1 / fine.size)
+    scale = np.dtype(dtype).type(1 / fine.size)
 
     def fill(first: int, stop: int, block: np.ndarray):
         block[...] = field[first:stop]
@@ -45,7 +45,7 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
     def drain(first: int, stop: int, block: np.ndarray):
         out[first:stop] = block
 
-    coarse.make_field(copy, drain, np.zeros((), kind).real.dtype)
+    coarse.make_field(copy, drain, dtype)
     return out
 
 

@@ -142,7 +142,7 @@ class SharedStrips(Strips):
         counts = np.diff(self.row_starts) * row
         return all(count <= self.nbytes(rank) for rank, count in enumerate(counts))
 
-    def fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[[np.ndarray | None], np.ndarray]:
+    def begin_fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[[np.ndarray | None], np.ndarray]:
         """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry: a store, and
         what loads them, once, into a given or a new array.  Others have what they need of the field by then.  What the
         strips held is lost.  Collective.

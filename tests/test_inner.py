@@ -256,9 +256,14 @@ def test_rows_are_rolled_to_share_the_contact(nx, opened):
 
 
 def test_even_contact_is_left_where_it_is():
-    """No rows move for a few per cent."""
-    grid = SlabGrid(comm, (256, 8))
+    """No rows move for a few points; how many are worth it does not depend on how many are in contact."""
+    grid = SlabGrid(comm, (256, 64))
     assert best_shift(grid, grid, np.ones(grid.local_shape)) == 0
+    slab = 256 // comm.size
+    for more, moves in ((1, False), (8, True)):  # points in each row of the first slab, of 64
+        whole = np.zeros((256, 64))
+        whole[:, :2] = whole[:slab, : 2 + more] = 1
+        assert (best_shift(grid, grid, whole[grid.rows]) != 0) == (moves and comm.size > 1)
 
 
 @pytest.mark.parametrize("n", [256, 640])

@@ -102,8 +102,34 @@ def test_nobody_waits_for_a_helper_that_has_not_begun():
 def test_a_team_in_use_lets_the_caller_work_alone():
     """Within the work, or from another thread: no deadlock."""
     helpers, inner = Team(), []
-    helpers.run(lambda thread: helpers.run(inner.append, 2), 2)
-    assert inner and set(inner) == {0}
+
+    def work(_: int):
+        helpers.run(inner.append, 2)
+        other = threading.Thread(target=helpers.run, args=(inner.append, 2))
+        other.start()
+        other.join(10)
+
+    helpers.run(work, 2)
+    assert len(inner) >= 2 and set(inner) == {0}
+
+
+def test_a_helper_that_comes_late_takes_no_part_in_a_smaller_task():
+    """There is no room for a third thread where two were asked for."""
+    seen, helpers, together, free = [], Team(), threading.Barrier(3), threading.Event()
+    helpers.run(lambda _: together.wait(10), 3)
+    last = helpers._helpers[-1]
+    see = last.asked.wait
+    last.asked.wait = lambda task: (see(task), free.wait(10))[0]
+    helpers.run(lambda _: together.wait(10), 3)  # for the last time before it is held up
+    helpers.run(lambda _: None, 3)
+
+    def work(thread: int):
+        seen.append(thread)
+        free.set()
+        time.sleep(0.1)
+
+    helpers.run(work, 2)
+    assert 0 in seen and 2 not in seen
 
 
 def test_all_grids_share_their_helpers():
