@@ -1,23 +1,22 @@
 """Elastic contact of randomly rough surfaces, solved in parallel.
 
-`solve` (arrays in, contact out) and `Results` (the reader of result folders, also called `open`) are imported when
-first used, so that `import pgfmd` needs no MPI.  A whole job: `from pgfmd.simulate import simulate`.
+`solve` (arrays in, contact out) and `Results` (the reader of result folders) are imported when first used, so that
+`import pgfmd` needs no MPI.  A whole job: `from pgfmd.simulate import simulate`.
 """
 
 from __future__ import annotations
 
 import importlib
 
-from .errors import InputError, SolverError
+from pgfmd.errors import InputError, SolverError
 
 __version__ = "0.1.0"
 __all__ = ["InputError", "Results", "SolverError", "solve"]
 
-_HOMES = {"solve": ("contact", "solve"), "Results": ("results", "Results"), "open": ("results", "Results")}
+_HOMES = {"solve": "pgfmd.api", "Results": "pgfmd.io.results"}
 
 
 def __getattr__(name: str):
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _HOMES[name]
-    return getattr(importlib.import_module(f".{module}", __name__), attribute)
+    return getattr(importlib.import_module(_HOMES[name]), name)

@@ -13,22 +13,24 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from . import heightfile, topography, topology
-from .checkpoint import Checkpoints
-from .config import Config, as_toml, differences, parse
-from .elasticity import Elasticity
-from .errors import InputError
-from .estimate import estimate
-from .grid import SlabGrid
-from .labelling import label_patches
-from .loads import Loads
-from .observables import Observer
-from .output import ResultWriter
-from .progress import Progress
-from .sections import FILE, PARABOLOID, ROUGH, SINUSOID, Run
-from .solvers.choice import Wall, solve_contact
-from .solvers.solution import ContactSolution
-from .watch import Watch
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.io.checkpoint import Checkpoints
+from pgfmd.io.writer import ResultWriter
+from pgfmd.job.job import Config, as_toml, differences, parse
+from pgfmd.job.sections import FILE, PARABOLOID, ROUGH, SINUSOID, Run
+from pgfmd.observables import Observer
+from pgfmd.observables.patches.labelling import label_patches
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.run import machine
+from pgfmd.run.estimate import estimate
+from pgfmd.run.progress import Progress
+from pgfmd.run.stop import Watch
+from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.solvers.load_control import Loads
+from pgfmd.solvers.solution import ContactSolution
+from pgfmd.surfaces import file as heightfile
+from pgfmd.surfaces import topography
 
 log = logging.getLogger("pgfmd")
 
@@ -52,7 +54,7 @@ def simulate(
         _refuse_changed_job(config, writer)
         with phases("surface"):
             heights = make_heights(config, grid)
-        topology.report(comm, estimate(config, comm.size).memory)  # now: a wrong input is answered by one line
+        machine.report(comm, estimate(config, comm.size).memory)  # now: a wrong input is answered by one line
         elasticity = make_elasticity(config)
         observer = make_observer(config, grid, heights, elasticity)
         checkpoints = Checkpoints(

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pgfmd import files
-from pgfmd.results import Results
+from pgfmd.io import atomic
+from pgfmd.io.results import Results
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -55,7 +55,7 @@ def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> s
 
 def wait_for_folder(run: subprocess.Popen, folder: Path) -> float:
     """Waits until the run has its output folder, or ends; the moment of that, by time.monotonic."""
-    while run.poll() is None and "process" not in (files.holder(folder) or ""):
+    while run.poll() is None and "process" not in (atomic.holder(folder) or ""):
         time.sleep(0.01)
     return time.monotonic()
 

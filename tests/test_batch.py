@@ -13,7 +13,7 @@ import launching
 import pytest
 from conftest import ROOT, SIZE, WORLD
 
-from pgfmd.results import Results
+from pgfmd.io.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
 
@@ -52,7 +52,7 @@ def test_slurm_job_is_requeued(tmp_path):
     code, stderr = launching.wait(script)
     assert code == 75, stderr
     assert (tmp_path / "asked").read_text() == "scontrol requeue 77\n"
-    assert Results(folder).status == "stopped" and Results(folder).config.surface.seed == 5
+    assert Results(folder).status == "stopped" and Results(folder).job["surface"]["seed"] == 5
 
 
 def test_pbs_job_is_submitted_again(tmp_path):

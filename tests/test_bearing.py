@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from pgfmd import theory
-from pgfmd.elasticity import Elasticity
-from pgfmd.grid import SlabGrid
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import Observer
 from pgfmd.observables.bearing import threshold_for_count
+from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.solution import ContactSolution
-from pgfmd.topography import self_affine
+from pgfmd.surfaces.topography import self_affine
 
 pytestmark = pytest.mark.mpi
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd import config, files, output, slabfile
-from pgfmd.checkpoint import Checkpoints
-from pgfmd.parallel import slab
-from pgfmd.results import Results
-from pgfmd.seal import BLOCK, sealed, unsealed
+from pgfmd.io import atomic, hdf5_slabs
+from pgfmd.io import writer as output
+from pgfmd.io.checkpoint import Checkpoints
+from pgfmd.io.checksum import BLOCK, sealed, unsealed
+from pgfmd.io.results import Results
+from pgfmd.job import job as config
+from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
 
@@ -94,25 +96,25 @@ def test_cut_files_are_recognised(comm, shared_tmp_path):
         assert np.array_equal(mine.load(0), FIELD[mine.rows] + 1)
         comm.Barrier()
     if comm.rank == 0:
-        files.previous(mine.path).write_bytes(b"")
+        atomic.previous(mine.path).write_bytes(b"")
     comm.Barrier()
     assert mine.load(0) is None
 
 
 def test_seal_covers_every_block(comm, shared_tmp_path, monkeypatch):
     """Seals made by many ranks equal those of one; damage names the block; each block has its own digest."""
-    monkeypatch.setattr("pgfmd.seal.BLOCK", 1000)
+    monkeypatch.setattr("pgfmd.io.checksum.BLOCK", 1000)
     content = np.random.default_rng(1).bytes(10_500)
     path = shared_tmp_path / "file"
     if comm.rank == 0:
         path.write_bytes(content)
     comm.Barrier()
-    slabfile.add_seal(comm, path)
+    hdf5_slabs.add_seal(comm, path)
     assert path.read_bytes() == sealed(content) and unsealed(sealed(content)) == content
-    assert slabfile.damage(comm, path) is None
+    assert hdf5_slabs.damage(comm, path) is None
     for at in (0, 4321, 10_499):
         flip(comm, path, at)
-        assert f"bytes {at // 1000 * 1000} to" in slabfile.damage(comm, path)
+        assert f"bytes {at // 1000 * 1000} to" in hdf5_slabs.damage(comm, path)
         flip(comm, path, at)
 
 
@@ -133,7 +135,7 @@ def test_full_disk_keeps_the_last_one(comm, shared_tmp_path, monkeypatch):
     def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(files.os, "posix_fallocate", full)
+    monkeypatch.setattr(atomic.os, "posix_fallocate", full)
     with pytest.raises(OSError, match="are free"):
         mine.save(0, 2 * FIELD[mine.rows])
     assert np.array_equal(mine.load(0), FIELD[mine.rows])

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pgfmd import __main__ as cli
-from pgfmd import config
-from pgfmd.results import Results
+from pgfmd import cli
+from pgfmd.io.results import Results
+from pgfmd.job import job as config
 
 JOB = '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]\npressure = [0.1, 0.2]\n'
 
@@ -38,7 +38,7 @@ def simulate(job, comm, folder, overwrite=False, restart=False):
 module = types.ModuleType("pgfmd.simulate")
 module.simulate = simulate
 sys.modules["pgfmd.simulate"] = module
-from pgfmd import __main__ as cli
+from pgfmd import cli
 cli.PATIENCE = 1.0
 sys.exit(cli.main())
 """
@@ -136,7 +136,7 @@ def test_faults_inside_a_run_end_all_ranks(mpirun, tmp_path, job, fault):
 def test_check_and_info_need_no_mpi(tmp_path, job):
     """`check` and `info` do not import mpi4py, and tell what matters."""
     subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
-    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.__main__ import main; sys.exit(main())"
+    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
     for arguments, words in (
         (["check", job, "--ranks", "4"], ["valid", "8 × 6", "per rank on 4 ranks"]),
         (["info", tmp_path / "out"], ["complete", "2 of 2 completed", "mean_pressure", "1 ranks"]),
@@ -168,7 +168,7 @@ def test_wrong_input_of_check_and_info(capsys, job, arguments, words):
 
 def test_estimate_scales():
     """Memory is split over the ranks, files are counted byte for byte: fields × points × width × loads."""
-    from pgfmd.estimate import PER_RANK, estimate
+    from pgfmd.run.estimate import PER_RANK, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
     assert estimate(job, 2).memory - PER_RANK == pytest.approx((estimate(job, 1).memory - PER_RANK) / 2, rel=1e-9)

@@ -8,8 +8,8 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from pgfmd.elasticity import BASES, Elasticity
 from pgfmd.errors import InputError
+from pgfmd.physics.elasticity import BASES, Elasticity
 
 DIGITS = 80
 

@@ -7,9 +7,10 @@ import sys
 
 import pytest
 
-from pgfmd import config, estimate
-from pgfmd.estimate import PER_RANK, bytes_per_point
-from pgfmd.solvers import cascade
+from pgfmd.job import job
+from pgfmd.run import estimate
+from pgfmd.run.estimate import PER_RANK, bytes_per_point
+from pgfmd.solvers.active_set import nested_iteration
 
 SMALL, N = 384, 2048  # both large enough for every part of the solver, so that the first compiles what there is
 
@@ -69,7 +70,7 @@ def test_memory_is_predicted(wall, pressure, monkeypatch):
     """The peak of a whole run (surface, solve, write) is within 10 % of what `check` says, at any contact area."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     jobs = [JOB.format(n=n, wall=wall, pressure=pressure) for n in (SMALL, N)]
-    expected = bytes_per_point(config.parse(jobs[1])) * N**2 + PER_RANK
+    expected = bytes_per_point(job.parse(jobs[1])) * N**2 + PER_RANK
     for _ in range(3):  # the first may compile, whose memory counts until it is cached
         out = subprocess.run(
             [sys.executable, "-c", MEASURE], input="====".join(jobs), capture_output=True, text=True, check=True
@@ -81,4 +82,4 @@ def test_memory_is_predicted(wall, pressure, monkeypatch):
 
 def test_gaps_are_the_unknowns_from_the_same_area():
     """What `check` takes for the share of contact above which gaps are the unknowns is what the solver takes."""
-    assert estimate.MOSTLY == cascade.MOSTLY
+    assert estimate.MOSTLY == nested_iteration.MOSTLY

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from pgfmd.elasticity import Elasticity
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid import SlabGrid
-from pgfmd.solvers import entropy
-from pgfmd.solvers.cascade import solve_hard_wall
-from pgfmd.solvers.exponential import solve_exponential_wall
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.exponential_wall import kernels
+from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
+from pgfmd.surfaces.topography import self_affine, sinusoid
 from pgfmd.theory.exponential import response
-from pgfmd.topography import self_affine, sinusoid
 
 pytestmark = pytest.mark.mpi
 
@@ -170,7 +170,7 @@ def test_omega_solves_its_equation():
     """ω + ln ω = z from −700 to 1e8 to rounding: mixed error against scipy's Wright omega function."""
     wrightomega = pytest.importorskip("scipy.special").wrightomega
     z = np.concatenate([np.linspace(-700, 10, 4001), np.geomspace(10, 1e8, 500)])
-    found = np.array([entropy.wright_omega(value) for value in z])
+    found = np.array([kernels.wright_omega(value) for value in z])
     assert np.max(np.abs(found / wrightomega(z) - 1)) < 1e-14
 
 

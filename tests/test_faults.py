@@ -12,14 +12,14 @@ import launching
 import pytest
 from conftest import SIZE, WORLD
 
-from pgfmd.results import Results
+from pgfmd.io.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
 
 LOADS = [5e-4, 1e-3, 2e-3, 4e-3]
 FAULTY = """
 import sys
-from pgfmd import __main__ as cli
+from pgfmd import cli
 cli.PATIENCE = 2.0
 from mpi4py import MPI
 {fault}

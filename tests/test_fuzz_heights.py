@@ -165,8 +165,8 @@ def test_whole_files_that_are_no_heights(tmp_path):
 @pytest.mark.mpi
 def test_things_that_are_no_files(comm, tmp_path):
     """A folder, a missing file, a device, an empty name: one line."""
-    from pgfmd.grid import SlabGrid
-    from pgfmd.heightfile import read_heights
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.surfaces.file import read_heights
 
     grid = SlabGrid(comm, SHAPE)
     for path in (tmp_path, tmp_path / "none.npy", "/dev/null", "", "nul\0.npy", "/proc/self/mem"):
@@ -178,7 +178,7 @@ def test_things_that_are_no_files(comm, tmp_path):
 @pytest.mark.mpi
 def test_no_folder_is_left(comm, shared_tmp_path):
     """A run whose heights cannot be read leaves no output folder behind, made or half-made."""
-    from pgfmd import config
+    from pgfmd.job import job as config
     from pgfmd.simulate import simulate
 
     path = shared_tmp_path / "cut é.npy"
@@ -198,8 +198,8 @@ def test_no_folder_is_left(comm, shared_tmp_path):
 @pytest.mark.mpi
 def test_symbolic_link_as_output_folder(comm, shared_tmp_path):
     """A link to a folder is written through; the link stays one."""
-    from pgfmd import config
-    from pgfmd.results import Results
+    from pgfmd.io.results import Results
+    from pgfmd.job import job as config
     from pgfmd.simulate import simulate
 
     target, link = shared_tmp_path / "on the big disk", shared_tmp_path / "out"

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from pgfmd.elasticity import Elasticity
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid import SlabGrid
-from pgfmd.solvers.cascade import solve_hard_wall
-from pgfmd.solvers.choice import Wall, solve_contact
-from pgfmd.solvers.exponential import solve_exponential_wall
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
-from pgfmd.topography import self_affine, sinusoid
+from pgfmd.surfaces.topography import self_affine, sinusoid
 
 pytestmark = pytest.mark.mpi
 
@@ -109,12 +109,12 @@ def test_methods_belong_to_walls(comm):
 
 def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
     """method = "auto" ends right even if the fast solver gives up."""
-    from pgfmd.solvers import choice
+    from pgfmd.solvers import dispatch
 
     def fail(*_):
         raise SolverError("no")
 
-    monkeypatch.setattr(choice, "solve_hard_wall", fail)
+    monkeypatch.setattr(dispatch, "solve_hard_wall", fail)
     grid = SlabGrid(comm, (32, 32))
     heights = self_affine(grid, 0.8, 4.0, 0.1, 2)
     assert solve_contact(grid, heights, 0.01, SOLID, Wall(), tolerance=1e-8).certified_error <= 1e-8

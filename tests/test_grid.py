@@ -8,9 +8,9 @@ from mpi4py import MPI
 from mpi4py_fft import PFFT, newDistArray
 
 from pgfmd.errors import InputError
-from pgfmd.grid import SlabGrid
-from pgfmd.hierarchy import Interpolation, restrict
-from pgfmd.parallel import fetch_rows, slab
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import Interpolation, restrict
+from pgfmd.parallel.collectives import fetch_rows, slab
 
 pytestmark = pytest.mark.mpi
 

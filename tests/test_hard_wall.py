@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd.contact import solve
-from pgfmd.elasticity import Elasticity
+from pgfmd.api import solve
 from pgfmd.errors import InputError
-from pgfmd.grid import SlabGrid
-from pgfmd.solvers import cascade
-from pgfmd.solvers.cascade import solve_hard_wall
-from pgfmd.solvers.hard_wall import State
-from pgfmd.solvers.pressure_steps import PressureSteps
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.active_set import nested_iteration
+from pgfmd.solvers.active_set.active_set import State
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.surfaces.topography import coordinates, paraboloid, self_affine, sinusoid
 from pgfmd.theory import exact, hertz
-from pgfmd.topography import coordinates, paraboloid, self_affine, sinusoid
 
 pytestmark = pytest.mark.mpi
 
@@ -188,7 +188,7 @@ def test_cut_tensions_count_in_second_order(comm):
     heights = self_affine(grid, 0.5, 4.0, 0.031, 1)
     load = 0.003 * MODULUS
     exactly = whole(grid, solve_hard_wall(grid, heights.copy(), load, Elasticity(MODULUS), 1e-12).pressure)
-    solver = PressureSteps(grid, heights, cascade._Scaled(Elasticity(MODULUS), 1.0), load * grid.size)
+    solver = PressureSteps(grid, heights, nested_iteration._Scaled(Elasticity(MODULUS), 1.0), load * grid.size)
     state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
     for tolerance in (0.0, np.inf):
         solver.compute_gap(state, np.float64)
@@ -294,8 +294,8 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
     found = []
     for mostly in (0.0, 2.0):
-        monkeypatch.setattr(cascade, "MOSTLY", mostly)
-        found.append(cascade.solve_hard_wall(grid, heights, 0.0085 * MODULUS, Elasticity(MODULUS), 1e-12))
+        monkeypatch.setattr(nested_iteration, "MOSTLY", mostly)
+        found.append(nested_iteration.solve_hard_wall(grid, heights, 0.0085 * MODULUS, Elasticity(MODULUS), 1e-12))
     by_gaps, by_pressures = (solution.pressure for solution in found)
     assert 0.35 < grid.reduction.sum(by_gaps > 0) / grid.size < 0.65
     difference = grid.reduction.sum((by_gaps - by_pressures) ** 2) / grid.reduction.sum(by_gaps**2)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from pgfmd import instrument
 from pgfmd.errors import InputError
-from pgfmd.grid import SlabGrid
-from pgfmd.heightfile import read_heights
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.surfaces import instruments
+from pgfmd.surfaces.file import read_heights
 
 pytestmark = pytest.mark.mpi
 
@@ -112,13 +112,13 @@ def test_without_the_package_the_command_is_named(comm, monkeypatch):
 
 def test_units_are_exact_powers_of_ten():
     """All pairs, and the spellings of µm and Å."""
-    for given, power in instrument.UNITS.items():
-        for wanted, other in instrument.UNITS.items():
-            assert instrument.conversion(given, wanted) == float(f"1e{power - other}")
-    assert instrument.conversion("um", "nm") == instrument.conversion("\u03bcm", "nm") == 1000.0
-    assert instrument.conversion("nm", "A") == 10.0
+    for given, power in instruments.UNITS.items():
+        for wanted, other in instruments.UNITS.items():
+            assert instruments.conversion(given, wanted) == float(f"1e{power - other}")
+    assert instruments.conversion("um", "nm") == instruments.conversion("\u03bcm", "nm") == 1000.0
+    assert instruments.conversion("nm", "A") == 10.0
     with pytest.raises(InputError, match="is in 'V'"):
-        instrument.conversion("V", "m")
+        instruments.conversion("V", "m")
 
 
 # ---- with the package -----------------------------------------------------------------------------------------------

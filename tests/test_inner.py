@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd.elasticity import Elasticity
-from pgfmd.grid import SlabGrid
-from pgfmd.solvers import blocks
-from pgfmd.solvers.balance import RolledBack, best_shift, roll
-from pgfmd.solvers.cascade import solve_hard_wall
-from pgfmd.solvers.contact_set import HALO, ContactSet, SetVector
-from pgfmd.solvers.cutting import cut_tension
-from pgfmd.solvers.gap_steps import NearCompliance
-from pgfmd.solvers.hard_wall import State
-from pgfmd.solvers.mesh import MeshResponse
-from pgfmd.solvers.preconditioner import MultilevelStiffness
-from pgfmd.solvers.pressure_steps import PressureSteps
-from pgfmd.window import RowWindow
+from pgfmd.grid.halo import RowWindow
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.active_set import block_stiffness
+from pgfmd.solvers.active_set.active_set import State
+from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
+from pgfmd.solvers.active_set.dual import NearCompliance
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.particle_mesh import MeshResponse
+from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
+from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.active_set.rolling import RolledBack, best_shift, roll
+from pgfmd.solvers.active_set.tension import cut_tension
 
 pytestmark = pytest.mark.mpi
 comm = MPI.COMM_WORLD
@@ -147,8 +147,8 @@ def test_near_compliance_is_positive(lengths):
 @pytest.mark.parametrize(("fewest", "largest"), [(64, 512), (8, 512), (8, 20)])
 def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, largest):
     """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks, for any number of levels."""
-    monkeypatch.setattr(blocks, "FEWEST", fewest)
-    monkeypatch.setattr(blocks, "LARGEST", largest)
+    monkeypatch.setattr(block_stiffness, "FEWEST", fewest)
+    monkeypatch.setattr(block_stiffness, "LARGEST", largest)
     grid, one = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
     kernels = (lambda q: q / 2,) * 2
 
@@ -211,9 +211,9 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
         MultilevelStiffness(grid, lambda q: q / 2, lambda q: q / 2).apply(points, values, out)
         return comm.allreduce(float(values.own @ out.own))
 
-    monkeypatch.setattr(blocks, "FEWEST", 8)
+    monkeypatch.setattr(block_stiffness, "FEWEST", 8)
     assert 4 < answer(8) / answer(1) < 16
-    monkeypatch.setattr(blocks, "FEWEST", 64)
+    monkeypatch.setattr(block_stiffness, "FEWEST", 64)
     assert answer(8) / answer(1) < 2
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pgfmd import kernels, set_kernels
+from pgfmd.grid import kernels
+from pgfmd.solvers.active_set import kernels as set_kernels
 
 rng = np.random.default_rng(5)
 

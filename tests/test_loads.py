@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from pgfmd.elasticity import Elasticity
 from pgfmd.errors import InputError
-from pgfmd.grid import SlabGrid
-from pgfmd.loads import Loads
-from pgfmd.solvers.choice import Wall, solve_contact
-from pgfmd.topography import self_affine, sinusoid
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.solvers.load_control import Loads
+from pgfmd.surfaces.topography import self_affine, sinusoid
 
 pytestmark = pytest.mark.mpi
 

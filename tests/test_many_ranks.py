@@ -20,7 +20,7 @@ EXCHANGED = """
 import functools, sys
 from pgfmd import simulate
 simulate.SlabGrid = functools.partial(simulate.SlabGrid, shared=False)
-from pgfmd.__main__ import main
+from pgfmd.cli import main
 sys.exit(main())
 """
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd import schema, spectra
-from pgfmd.elasticity import Elasticity
-from pgfmd.grid import SlabGrid
-from pgfmd.observables import Observer, loops
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.io import schema
+from pgfmd.job.sections import OBSERVABLES
+from pgfmd.observables import Observer, kernels, spectra
 from pgfmd.observables.correlations import Correlator, lag_bins, wave_number_bins
 from pgfmd.observables.histograms import contact_moments, linear_edges, log_edges, pressure_groups
 from pgfmd.observables.lowpass import coarsening, lowpass, lowpass_areas, octaves
 from pgfmd.observables.staircase import contact_area
-from pgfmd.sections import OBSERVABLES
-from pgfmd.solvers.cascade import solve_hard_wall
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.solution import ContactSolution
+from pgfmd.surfaces.topography import coordinates, self_affine, sinusoid
 from pgfmd.theory import persson
-from pgfmd.topography import coordinates, self_affine, sinusoid
 
 pytestmark = pytest.mark.mpi
 
@@ -338,7 +338,7 @@ def test_histogram_loop(logarithmic):
     edges = log_edges(1e-4, 1.0, 7) if logarithmic else linear_edges(-1.0, 2.0, 13)
     values = np.concatenate([edges, np.nextafter(edges, -9), np.nextafter(edges, 9), [0.0, 1e9, -1e9]])[None, :]
     counts = np.zeros(len(edges) - 1, np.int64)
-    loops.histogram(values, edges, logarithmic, 0, 1, counts)
+    kernels.histogram(values, edges, logarithmic, 0, 1, counts)
     np.testing.assert_array_equal(counts, np.histogram(values[values != 0], edges)[0])
 
 
@@ -352,8 +352,8 @@ def test_bin_loops(n):
     place = along + across[:, None]
     index = np.searchsorted(edges, place.ravel())
     sums, counts, roots = np.zeros((3, 6))
-    loops.bin_rows(values, along, across, weight, edges, sums)
-    loops.bin_geometry(along, across, weight, edges, counts, roots)
+    kernels.bin_rows(values, along, across, weight, edges, sums)
+    kernels.bin_geometry(along, across, weight, edges, counts, roots)
     for got, terms in ((sums, values), (counts, 1 + 0 * place), (roots, np.sqrt(place))):
         np.testing.assert_allclose(got, np.bincount(index, (terms * weight[:, None]).ravel(), 6), atol=1e-14)
 

@@ -11,10 +11,12 @@ import h5py
 import numpy as np
 import pytest
 
-from pgfmd import config, files, output, schema, slabfile
 from pgfmd.errors import InputError
-from pgfmd.parallel import slab
-from pgfmd.results import Results, summary
+from pgfmd.io import atomic, hdf5_slabs, schema
+from pgfmd.io import writer as output
+from pgfmd.io.results import Results, summary
+from pgfmd.job import job
+from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
 
@@ -26,7 +28,7 @@ HISTOGRAM = {"pressure_histogram": {"edges": np.arange(4.0), "density": np.array
 
 def writer(comm, folder, **options):
     """A writer of a 13 × 6 grid."""
-    effective = config.as_toml(config.parse(JOB))
+    effective = job.as_toml(job.parse(JOB))
     rows = slab(SHAPE[0], comm.size, comm.rank)
     return output.ResultWriter(
         comm, folder, JOB, effective, "pgfmd run", shape=SHAPE, lengths=LENGTHS, rows=rows, loads=3, **options
@@ -44,9 +46,9 @@ def write_load(result, index, factor=1.0):
 def transport(request, monkeypatch):
     """Both ways to the file: with MPI in h5py (if it has it) and without; blocks so small that there are many."""
     if request.param == "through rank 0":
-        monkeypatch.setattr(slabfile, "is_collective", lambda comm: False)
-    monkeypatch.setattr(slabfile, "MESSAGE_BYTES", 100)
-    monkeypatch.setattr(slabfile, "COLLECTIVE_BYTES", 48)  # one row: on some ranks more pieces than rows
+        monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm: False)
+    monkeypatch.setattr(hdf5_slabs, "MESSAGE_BYTES", 100)
+    monkeypatch.setattr(hdf5_slabs, "COLLECTIVE_BYTES", 48)  # one row: on some ranks more pieces than rows
     return request.param
 
 
@@ -75,7 +77,7 @@ def test_what_is_written_is_read(comm, shared_tmp_path, transport):
     assert list(read.load(2)) == ["pressure_histogram"]
     np.testing.assert_array_equal(read.load(2)["pressure_histogram"]["density"], [0.5, 0.25, 0.25])
     assert read.fields() == ["height"] and read.fields(0) == ["gap", "pressure"]
-    assert read.config == config.parse(JOB) and read.provenance["job_toml"] == JOB
+    assert read.job == tomllib.loads(job.as_toml(job.parse(JOB))) and read.provenance["job_toml"] == JOB
     assert read.provenance["ranks"] == comm.size
     assert "3 of 3 completed" in summary(read)
 
@@ -148,7 +150,7 @@ def test_restart_continues(comm, shared_tmp_path):
         write_load(result, 0)
     comm.Barrier()
     with writer(comm, folder, restart=True) as result:
-        assert result.completed == 1 and config.parse(result.former.job) == config.parse(JOB)
+        assert result.completed == 1 and job.parse(result.former.job) == job.parse(JOB)
         write_load(result, 1, 2.0)
         result.finish()
     read = Results(folder)
@@ -174,14 +176,14 @@ def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
 def test_lock_dies_with_its_process(comm, shared_tmp_path):
     """A killed run leaves no lock behind: the lock is the kernel's, the file only a name."""
     if comm.rank == 0:
-        code = f"import os; from pgfmd.files import OutputFolder as F; F({str(shared_tmp_path / 'o')!r}); os._exit(9)"
+        code = f"import os; from pgfmd.io import atomic as a; a.OutputFolder({str(shared_tmp_path / 'o')!r}); os._exit(9)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
-        assert (shared_tmp_path / "o" / files.LOCK_NAME).exists()
+        assert (shared_tmp_path / "o" / atomic.LOCK_NAME).exists()
     comm.Barrier()
     with writer(comm, shared_tmp_path / "o"):
         pass
     comm.Barrier()
-    assert not (shared_tmp_path / "o" / files.LOCK_NAME).exists()
+    assert not (shared_tmp_path / "o" / atomic.LOCK_NAME).exists()
 
 
 @pytest.mark.parametrize("place", ["file/out", "file", "/proc/pgfmd", "nul\0"], ids=ascii)
@@ -212,7 +214,7 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
 
     with pytest.raises(OSError, match="are free"), writer(comm, folder) as result:
         write_load(result, 0)
-        monkeypatch.setattr(files.os, "posix_fallocate", full)
+        monkeypatch.setattr(atomic.os, "posix_fallocate", full)
         write_load(result, 1)
     comm.Barrier()
     read = Results(folder)
@@ -223,8 +225,8 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
 
 def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatch):
     """An I/O error of rank 0 in the middle of a field, the others still sending: the same error everywhere, no hang."""
-    monkeypatch.setattr(slabfile, "is_collective", lambda comm: False)
-    monkeypatch.setattr(slabfile, "MESSAGE_BYTES", 2**16)  # too long to be sent before somebody receives
+    monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm: False)
+    monkeypatch.setattr(hdf5_slabs, "MESSAGE_BYTES", 2**16)  # too long to be sent before somebody receives
     calls = []
 
     def failing(file, name, rows, block):
@@ -235,7 +237,7 @@ def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatc
     rows, shape = slab(13, comm.size, comm.rank), (13, 2**14)
     result = output.ResultWriter(comm, shared_tmp_path / "out", shape=shape, lengths=LENGTHS, rows=rows)
     with pytest.raises((OSError, RuntimeError), match="Input/output error"), result:
-        monkeypatch.setattr(slabfile, "_put", failing)
+        monkeypatch.setattr(hdf5_slabs, "_put", failing)
         result.write_load(0, {}, None, {"gap": np.zeros((rows.stop - rows.start, shape[1]))})
     comm.Barrier()
     assert len(Results(shared_tmp_path / "out")) == 0
@@ -304,5 +306,5 @@ def test_schema_is_well_formed():
 
 def test_reading_needs_no_mpi():
     """The reader runs on a laptop without mpi4py."""
-    code = "import sys, pgfmd.results; sys.exit('mpi4py' in sys.modules)"
+    code = "import sys, pgfmd.io.results; sys.exit('mpi4py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

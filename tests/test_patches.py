@@ -14,9 +14,9 @@ import pytest
 from scipy import ndimage, sparse
 
 from pgfmd.errors import InputError
-from pgfmd.parallel import slab_starts
-from pgfmd.patches import label_patches, patch_table
-from pgfmd.runs import find_fragments, find_runs
+from pgfmd.observables.patches.run_length import find_fragments, find_runs
+from pgfmd.observables.patches.table import label_patches, patch_table
+from pgfmd.parallel.collectives import slab_starts
 
 pytestmark = pytest.mark.mpi
 

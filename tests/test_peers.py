@@ -9,10 +9,10 @@ N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 @pytest.fixture(scope="module", params=[(0.8, 16.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def contact(request, comm):
     """Heights and our pressure (256, 256): self-affine, to a certified error of 1e-12."""
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-    from pgfmd.solvers.cascade import solve_hard_wall
-    from pgfmd.topography import self_affine
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.surfaces.topography import self_affine
 
     hurst, lambda_s = request.param
     grid = SlabGrid(comm, (N, N))

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from pgfmd import spectra
 from pgfmd.errors import InputError
+from pgfmd.observables import spectra
 
 # Square, odd, stretched, and a cell whose shorter side has fewer points
 GRIDS = [

@@ -11,8 +11,8 @@ import pytest
 from conftest import SIZE, WORLD
 
 from pgfmd.errors import Stopped
-from pgfmd.results import Results
-from pgfmd.watch import Watch
+from pgfmd.io.results import Results
+from pgfmd.run.stop import Watch
 
 MANY = [1e-3 + 1e-6 * number for number in range(2000)]  # loads: more than can be solved while the test looks on
 

@@ -9,15 +9,15 @@ import pytest
 from conftest import ROOT
 from mpi4py import MPI
 
-from pgfmd import config
-from pgfmd.elasticity import Elasticity
-from pgfmd.grid import SlabGrid
-from pgfmd.results import Results
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.io.results import Results
+from pgfmd.job import job
+from pgfmd.physics.elasticity import Elasticity
 from pgfmd.simulate import simulate
-from pgfmd.solvers.cascade import solve_hard_wall
-from pgfmd.solvers.exponential import solve_exponential_wall
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
+from pgfmd.surfaces.topography import coordinates, self_affine
 from pgfmd.theory import exact
-from pgfmd.topography import coordinates, self_affine
 
 pytestmark = pytest.mark.mpi
 
@@ -106,7 +106,7 @@ def test_roll_off_end_to_end(comm, shared_tmp_path):
         "lambda_l = 32\nlambda_r = 100\nrms_slope = 0.05\nseed = 4\n[load]\npressure = 0.01\n"
         "[solver]\ntolerance = 1e-3\n[output]\nfields = ['height']\n"
     )
-    simulate(config.parse(text), comm, shared_tmp_path / "out")
+    simulate(job.parse(text), comm, shared_tmp_path / "out")
     results = Results(shared_tmp_path / "out")
     heights = results.field("height")
     power, q = np.abs(np.fft.fft2(heights) / heights.size) ** 2, frequencies((192, 128), (96.0, 128.0))
@@ -120,7 +120,7 @@ def test_roll_off_end_to_end(comm, shared_tmp_path):
 
 
 def run_measured(comm, folder, *overrides):
-    simulate(config.load(JOB, overrides), comm, folder)
+    simulate(job.load(JOB, overrides), comm, folder)
     comm.Barrier()
     return Results(folder)
 

@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from pgfmd.team import Team
-from pgfmd.threads import Threads
+from pgfmd.parallel.thread_pool import Team
+from pgfmd.parallel.threads import Threads
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pgfmd import config, spectra
 from pgfmd.errors import InputError
+from pgfmd.job import job as config
+from pgfmd.observables import spectra
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = ROOT / "tools"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd import topography
 from pgfmd.errors import InputError
-from pgfmd.grid import SlabGrid
-from pgfmd.hierarchy import restrict
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import restrict
+from pgfmd.surfaces import topography
 
 pytestmark = pytest.mark.mpi
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from pgfmd.topology import available_memory, describe
+from pgfmd.run.machine import available_memory, describe
 
 
 def levels(found, per_rank):

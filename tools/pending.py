@@ -11,9 +11,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from pgfmd import config
 from pgfmd.errors import InputError
-from pgfmd.results import Results
+from pgfmd.io.results import Results
+from pgfmd.job import job as config
 
 
 def is_done(folder: Path, job: str, overrides: list[str]) -> bool:
@@ -21,7 +21,8 @@ def is_done(folder: Path, job: str, overrides: list[str]) -> bool:
     wanted = config.load(job, overrides)
     try:
         results = Results(folder)
-        return results.status == "complete" and not config.differences(results.config, wanted)
+        done = config.parse(results.provenance["effective_toml"], str(folder))
+        return results.status == "complete" and not config.differences(done, wanted)
     except InputError:
         return False
 

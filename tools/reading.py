@@ -12,7 +12,8 @@ import numpy as np
 import rowblocks
 
 from pgfmd.errors import InputError
-from pgfmd.results import Results
+from pgfmd.io.results import Results
+from pgfmd.job import job
 
 log = logging.getLogger("pgfmd")
 
@@ -29,7 +30,7 @@ class Case:
     @cached_property
     def config(self):
         """The job."""
-        return self.results.config
+        return job.parse(self.results.provenance["effective_toml"], str(self.results.directory))
 
     @cached_property
     def groups(self):

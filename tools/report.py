@@ -21,7 +21,7 @@ from pathlib import Path
 from plotting import Findings
 
 from pgfmd.errors import InputError
-from pgfmd.results import Results
+from pgfmd.io.results import Results
 
 CLAIMS = Path(__file__).with_name("paper.toml")
 
@@ -190,11 +190,11 @@ def _runs(folders: list[Path]) -> str:
     ]
     for path in folders:
         results = Results(path)
-        job, loads = results.config, results.loads
-        wall = job.wall.kind if job.wall.zeta is None else f"ζ = {job.wall.zeta:g}"
+        surface, wall, loads = results.job["surface"], results.job["wall"], results.loads
+        kind = f"ζ = {wall['zeta']:g}" if "zeta" in wall else wall["kind"]
         cells = [
-            path.name, " × ".join(map(str, results.shape)), f"{job.surface.hurst:g}", f"{job.surface.lambda_s:g}",
-            job.surface.seed, wall, ", ".join(f"{value:.3f}" for value in loads["contact_area"]),
+            path.name, " × ".join(map(str, results.shape)), f"{surface['hurst']:g}", f"{surface['lambda_s']:g}",
+            surface["seed"], kind, ", ".join(f"{value:.3f}" for value in loads["contact_area"]),
             ", ".join(f"{value:.4g}" for value in loads["mean_pressure"]), f"{loads['certified_error'].max():.0e}",
             f"{loads['transforms'].sum():.0f}", f"{loads['seconds'].sum():.1f}", f"{_seconds(path):.0f}",
         ]  # fmt: skip

@@ -12,17 +12,17 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy import fft
 
-from pgfmd import spectra
+from pgfmd.observables import spectra
 
 MEMORY = 2**27  # bytes of one block
 
 
 def radial_spectrum(blocks, shape, lengths, *, memory: int = MEMORY, scratch=None, **bins):
-    """|f̃|² averaged over direction: q, value, count, each (m,), as `pgfmd.spectra.radial_average` of the whole field.
+    """|f̃|² averaged over direction: q, value, count, each (m,), as `spectra.radial_average` of the whole field.
 
     blocks : iterable of (rows, values), `rows` a slice of the nx rows, values of shape (rows, ny)
     shape (nx, ny), lengths (lx, ly); memory : bytes of a block; scratch : folder of the scratch file; bins : of
-    `pgfmd.spectra.bin_edges`
+    `spectra.bin_edges`
     """
     edges = spectra.bin_edges(shape, lengths, **bins)
     qx, qy = spectra.wave_numbers(shape, lengths)
@@ -35,7 +35,7 @@ def radial_spectrum(blocks, shape, lengths, *, memory: int = MEMORY, scratch=Non
 
 
 def radial_autocorrelation(blocks, shape, lengths, *, memory: int = MEMORY, scratch=None, width=None):
-    """⟨f(r) f(r + Δr)⟩ averaged over direction: r, value, count, as `pgfmd.spectra.radial_autocorrelation`."""
+    """⟨f(r) f(r + Δr)⟩ averaged over direction: r, value, count, as `spectra.radial_autocorrelation`."""
     edges = spectra.lag_edges(shape, lengths, width)
     sums = np.zeros((3, len(edges) - 1))
     with tempfile.TemporaryFile(dir=scratch) as file:

@@ -27,11 +27,11 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     """Time the parts of a transform and a solve on all ranks, and append them to `path` as one line.  Collective."""
     from mpi4py import MPI
 
-    from pgfmd import topography
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-    from pgfmd.parallel import Reduction
-    from pgfmd.solvers.cascade import solve_hard_wall
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.parallel.collectives import Reduction
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.surfaces import topography
 
     comm = MPI.COMM_WORLD
     grid = SlabGrid(comm, (n, n), shared=False if exchanged else None)

@@ -17,10 +17,10 @@ import numpy as np
 from mpi4py import MPI
 
 from pgfmd import InputError, SolverError
-from pgfmd.elasticity import Elasticity
-from pgfmd.grid import SlabGrid
-from pgfmd.solvers.choice import Wall, solve_contact
-from pgfmd.topography import self_affine
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.surfaces.topography import self_affine
 
 TOLERANCE = 1e-6
 SLOW = 60.0  # seconds for a case of at most 128² points

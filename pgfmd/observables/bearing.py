@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from mpi4py import MPI
 
-from ..grid import SlabGrid
-from .loops import count_digits
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.kernels import count_digits
 
 DIGIT = 16  # bits fixed in one pass over the field
 

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from mpi4py import MPI
 
-from ..grid import SlabGrid
-from ..theory import persson
-from .loops import histogram, positive_range, power_sums
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.kernels import histogram, positive_range, power_sums
+from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
 DECADES = 12  # that the logarithmic bins reach down from the largest pressure, at most

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..grid import SlabGrid
-from ..hierarchy import restrict
-from ..solvers.solution import ContactSolution
-from .staircase import contact_area
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import restrict
+from pgfmd.observables.staircase import contact_area
+from pgfmd.solvers.solution import ContactSolution
 
 POINTS_PER_WAVE = 8
 """Grid points to the shortest wavelength that is left.  With the staircase correction the area is then within 1 % of

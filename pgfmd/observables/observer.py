@@ -10,17 +10,17 @@ from functools import partial
 
 import numpy as np
 
-from ..elasticity import Elasticity
-from ..grid import SlabGrid
-from ..patches import label_patches, patch_table
-from ..solvers.cascade import solve_hard_wall
-from ..solvers.solution import ContactSolution
-from . import lowpass
-from .bearing import threshold_for_count
-from .correlations import Correlator, Measured, lag_bins, wave_number_bins
-from .histograms import gap_groups, pressure_groups
-from .lowpass import highest_wave_number, lowpass_areas, octaves
-from .staircase import Area, contact_area
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables import lowpass
+from pgfmd.observables.bearing import threshold_for_count
+from pgfmd.observables.correlations import Correlator, Measured, lag_bins, wave_number_bins
+from pgfmd.observables.histograms import gap_groups, pressure_groups
+from pgfmd.observables.lowpass import highest_wave_number, lowpass_areas, octaves
+from pgfmd.observables.patches.table import label_patches, patch_table
+from pgfmd.observables.staircase import Area, contact_area
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.solution import ContactSolution
 
 Groups = dict[str, dict[str, np.ndarray]]
 

@@ -1,3 +1,1 @@
-"""Contact solvers: the hard wall (active set), the exponential wall (Newton), and Green's function molecular
-dynamics.
-"""
+"""Contact solvers: the hard wall (active set), the exponential wall (Newton), Green's function molecular dynamics."""

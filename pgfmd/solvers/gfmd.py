@@ -23,13 +23,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..elasticity import Elasticity
-from ..errors import InputError, SolverError
-from ..grid import SlabGrid
-from .exponential import UNIFORM
-from .newton import WallRelaxation, WallState
-from .scale import dimensionless
-from .solution import ContactSolution
+from pgfmd.errors import InputError, SolverError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.exponential_wall.nested_iteration import UNIFORM
+from pgfmd.solvers.exponential_wall.newton import WallRelaxation, WallState
+from pgfmd.solvers.nondimensional import dimensionless
+from pgfmd.solvers.solution import ContactSolution
 
 INERTIA = 1.8  # of the full step: relaxation factor
 INTERVAL = 10  # steps between certificates, which take a convolution each

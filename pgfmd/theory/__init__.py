@@ -13,6 +13,6 @@ A spectrum is handed over as in the result files: wave numbers q (m,), ascending
 modes.
 """
 
-from . import asperity, bearing, exact, exponential, hertz, persson, surface
+from pgfmd.theory import asperity, bearing, exact, exponential, hertz, persson, surface
 
 __all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "persson", "surface"]

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipkm1, elliprd, gamma, pbdv
 
-from ..errors import InputError
-from .surface import SpectralMoments
+from pgfmd.errors import InputError
+from pgfmd.theory.surface import SpectralMoments
 
 LOW_LOAD_KAPPA_BGT = np.sqrt(2 * np.pi)
 """κ = f_c E' g/p̄ of Bush, Gibson & Thomas in the limit of low load, for any bandwidth."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from pgfmd.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -54,11 +54,11 @@ def prepare(case: Case, folder: Path) -> None:
     """Write surface, load and reference into `folder`.  Serial; takes a few solves of our own."""
     from mpi4py import MPI
 
-    from pgfmd.elasticity import Elasticity
     from pgfmd.errors import SolverError
-    from pgfmd.grid import SlabGrid
-    from pgfmd.solvers.cascade import solve_hard_wall
-    from pgfmd.topography import self_affine
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.surfaces.topography import self_affine
 
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n))
     elasticity = Elasticity(CONTACT_MODULUS)

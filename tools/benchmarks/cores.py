@@ -14,8 +14,8 @@ import sys
 import time
 from pathlib import Path
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, SEED, likely_pressure
-from .launch import launch
+from pgfmd.case import CONTACT_MODULUS, RMS_SLOPE, SEED, likely_pressure
+from pgfmd.launch import launch
 
 PLAN = {  # ranks, threads, copies at once
     "one thread": (1, 1, 1),
@@ -96,11 +96,11 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
     """Seconds of two relaxations, after a small one that loads libraries and compiled kernels.  Collective."""
     from mpi4py import MPI
 
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-    from pgfmd.plans import save_wisdom
-    from pgfmd.solvers.cascade import solve_hard_wall
-    from pgfmd.topography import self_affine
+    from pgfmd.grid.fftw import save_wisdom
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.surfaces.topography import self_affine
 
     comm, seconds = MPI.COMM_WORLD, []
     for size, runs in ((min(n, 512), 1), (n, 2)):

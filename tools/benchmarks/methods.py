@@ -10,18 +10,17 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-
-from .case import CONTACT_MODULUS, Case
-from .recorder import EnoughError, Recorder
+from pgfmd.case import CONTACT_MODULUS, Case
+from pgfmd.recorder import EnoughError, Recorder
 
 
 def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """This project's solver; complete runs.  Collective."""
     from mpi4py import MPI
 
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-    from pgfmd.solvers.cascade import solve_hard_wall
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
@@ -35,9 +34,9 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
     """The same, watched after each outer step on the finest grid.  Collective."""
     from mpi4py import MPI
 
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-    from pgfmd.solvers.cascade import solve_hard_wall
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     coarser = {}
 
@@ -58,11 +57,10 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
 def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """Polonsky–Keer on this project's transforms, one rank."""
     from mpi4py import MPI
+    from pgfmd.polonsky_keer import polonsky_keer
 
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-
-    from .polonsky_keer import polonsky_keer
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
@@ -80,9 +78,9 @@ def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: floa
     """Green's function molecular dynamics with a hard wall, noted where it checks its own error; one rank."""
     from mpi4py import MPI
 
-    from pgfmd.elasticity import Elasticity
     from pgfmd.errors import SolverError
-    from pgfmd.grid import SlabGrid
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.gfmd import solve_gfmd
 
     def watch(_, state):

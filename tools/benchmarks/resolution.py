@@ -31,13 +31,12 @@ def main(folder: Path) -> None:
 
 def _solve(refinement: int) -> tuple:
     from mpi4py import MPI
+    from pgfmd.case import CONTACT_MODULUS, RMS_SLOPE, SEED
 
-    from pgfmd.elasticity import Elasticity
-    from pgfmd.grid import SlabGrid
-    from pgfmd.solvers.cascade import solve_hard_wall
-    from pgfmd.topography import self_affine
-
-    from .case import CONTACT_MODULUS, RMS_SLOPE, SEED
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.surfaces.topography import self_affine
 
     n = RATIO * refinement
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))

@@ -12,8 +12,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-from .launch import launch
+from pgfmd.launch import launch
 
 KINDS = (np.float32, np.float64)
 PLAN = [  # (name, ranks, threads)
@@ -81,8 +80,8 @@ def _print(best: dict[tuple, float], n: int) -> None:
 def _pgfmd(n: int, kind, threads: int, field: np.ndarray):
     from mpi4py import MPI
 
-    from pgfmd.grid import SlabGrid
-    from pgfmd.plans import save_wisdom
+    from pgfmd.grid.fftw import save_wisdom
+    from pgfmd.grid.slab_grid import SlabGrid
 
     grid = SlabGrid(MPI.COMM_WORLD, (n, n), threads=threads)
 
@@ -152,7 +151,7 @@ def _pfft(n: int, kind, threads: int, field: np.ndarray):
 def _measure(name: str, threads: int, n: int) -> dict[str, float]:
     from mpi4py import MPI
 
-    from pgfmd.parallel import slab
+    from pgfmd.parallel.collectives import slab
 
     comm = MPI.COMM_WORLD
     rows = slab(n, comm.size, comm.rank)

@@ -11,10 +11,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-
-from .case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
-from .methods import METHODS, PEERS
-from .recorder import Recorder
+from pgfmd.case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
+from pgfmd.methods import METHODS, PEERS
+from pgfmd.recorder import Recorder
 
 TOLERANCES = {
     "pgfmd": tuple(10.0 ** (-exponent / 2) for exponent in range(4, 23)),  # 1e-2 … 1e-11
@@ -34,7 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
     else:
         _measure(job, case, folder)
     if job["method"] not in PEERS:
-        from pgfmd.plans import save_wisdom
+        from pgfmd.grid.fftw import save_wisdom
 
         save_wisdom()  # planning for the first time is no part of a run; planning from wisdom is
 
@@ -44,7 +43,7 @@ def _measure(job: dict, case: Case, folder: Path) -> None:
     if job["method"].startswith("pgfmd"):
         from mpi4py import MPI
 
-        from pgfmd.parallel import slab
+        from pgfmd.parallel.collectives import slab
 
         comm = MPI.COMM_WORLD
         rows = slab(case.n, comm.size, comm.rank)
@@ -75,7 +74,7 @@ def _warm_up(method, job: dict, comm) -> None:
     heights *= slope / np.sqrt(np.mean(np.gradient(heights)[0] ** 2) * 2)
     rows = slice(None)
     if comm is not None:
-        from pgfmd.parallel import slab
+        from pgfmd.parallel.collectives import slab
 
         rows = slab(n, comm.size, comm.rank)
     slice_ = np.ascontiguousarray(heights[rows])

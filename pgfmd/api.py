@@ -1,0 +1,65 @@
+"""`pgfmd.solve`: one surface, one load, from a script or notebook."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.collectives import raise_together
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.solvers.solution import ContactSolution
+
+
+def solve(
+    heights: np.ndarray,
+    pressure: float,
+    *,
+    contact_modulus: float = 1.0,
+    spacing: float | tuple[float, float] = 1.0,
+    tolerance: float = 1e-6,
+    zeta: float | None = None,
+    thickness: float = math.inf,
+    base: str = "bonded",
+    poisson: float = 0.25,
+    method: str = "auto",
+    start: np.ndarray | None = None,
+    comm: MPI.Comm | None = None,
+    threads: int | None = None,
+) -> ContactSolution:
+    """Contact of one surface at one mean pressure, for a script or notebook.  Collective over `comm`.
+
+    heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
+    (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
+    zeta: range of an exponential wall, with σ_ref = contact_modulus; None: a hard wall.  thickness, base, poisson: a
+    slab instead of a half-space.  method: see `solvers.choice`.  start: a pressure like the heights to begin with.
+    tolerance: certified relative energy error.  threads: of this process; OMP_NUM_THREADS or the free cores if None.
+    Raises InputError for heights that are not finite or wrongly split and values out of range, SolverError if the
+    tolerance cannot be reached.
+    """
+    comm = MPI.COMM_SELF if comm is None else comm
+    with raise_together(comm):
+        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        if heights.ndim != 2 or heights.size == 0:
+            raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
+        if not np.isfinite(heights).all():
+            raise InputError("heights: all must be finite")
+        if not (pressure >= 0 and math.isfinite(pressure)):
+            raise InputError(f"pressure = {pressure!r}: must be finite and not negative")
+        if start is not None and np.shape(start) != heights.shape:
+            raise InputError(f"start of shape {np.shape(start)}: must be that of the heights, {heights.shape}")
+    ax, ay = (spacing, spacing) if np.isscalar(spacing) else spacing
+    rows, ny = comm.allgather(len(heights)), heights.shape[1]
+    grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
+    if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
+        raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
+    try:
+        elasticity = Elasticity(contact_modulus, thickness, base, poisson)
+        wall = Wall("hard") if zeta is None else Wall("exponential", zeta)
+        return solve_contact(grid, heights, float(pressure), elasticity, wall, method, tolerance, start=start)
+    finally:
+        grid.free()

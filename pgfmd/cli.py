@@ -1,0 +1,169 @@
+"""The command line: `run` a job, `check` it beforehand, `info` on a result folder.
+
+    mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
+    python -m pgfmd check JOB.toml
+    python -m pgfmd info DIR
+
+Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 75 (EX_TEMPFAIL) if
+the run was asked to stop, and did, ready for --restart; 1 for anything else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+import time
+import traceback
+
+from pgfmd import __version__
+from pgfmd.errors import InputError, SolverError, Stopped
+
+PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; the exit code.  `run` is collective over COMM_WORLD, the others need no MPI."""
+    try:
+        options = _parser().parse_args(arguments)
+        if options.command != "run":
+            print(_check(options) if options.command == "check" else _info(options))
+            return 0
+    except InputError as error:
+        return _complain(error) if _launched_rank() == 0 else 2
+    except BrokenPipeError:  # the reader of the table has seen enough
+        sys.stdout = open(os.devnull, "w")
+        return 0
+    return _run(options)
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line, like every other wrong input."""
+
+    def error(self, message: str):
+        raise InputError(f"{message} (see {self.prog} --help)")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(prog="pgfmd", description="Elastic contact of randomly rough surfaces.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"pgfmd {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run | check | info")
+
+    run = commands.add_parser("run", help="run a job, under mpirun or as one process", allow_abbrev=False)
+    run.add_argument("job", metavar="JOB.toml")
+    run.add_argument("--output", required=True, metavar="DIR", help="folder of the result files")
+    existing = run.add_mutually_exclusive_group()
+    existing.add_argument("--overwrite", action="store_true", help="replace the results in DIR")
+    existing.add_argument("--restart", action="store_true", help="continue the run in DIR where it was broken off")
+
+    check = commands.add_parser("check", help="validate a job; estimate memory, files and time", allow_abbrev=False)
+    check.add_argument("job", metavar="JOB.toml")
+    check.add_argument("--ranks", type=_count, default=1, metavar="P", help="MPI ranks to estimate for")
+    for command in (run, check):
+        command.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="section.key=value",
+            help="change the job; the value as in TOML, quotes may be left out (repeatable)",
+        )
+
+    info = commands.add_parser("info", help="what was run, and the table of loads", allow_abbrev=False)
+    info.add_argument("directory", metavar="DIR")
+    return parser
+
+
+def _count(text: str) -> int:
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text}: must be a whole number ≥ 1")
+    return int(text)
+
+
+def _check(options) -> str:
+    from pgfmd.job import job as config
+    from pgfmd.run import estimate
+
+    job = config.load(options.job, options.set)
+    if options.ranks > job.grid.n[0]:
+        raise InputError(f"--ranks {options.ranks}: more ranks than the {job.grid.n[0]} rows of the grid")
+    return f"{options.job}: valid\n{estimate.report(job, options.ranks)}"
+
+
+def _info(options) -> str:
+    from pgfmd.io import results
+
+    return results.summary(results.Results(options.directory))
+
+
+def _run(options) -> int:
+    """The run itself; its exit code.  Collective."""
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        print(f"pgfmd: error: mpi4py cannot be used: {error}", file=sys.stderr)
+        return 1
+    comm = MPI.COMM_WORLD
+    farewell = comm.Dup()  # made now: once a rank has failed, it is too late to agree on anything
+    _log_on_root(comm.rank)
+    try:
+        from pgfmd.job import job as config
+        from pgfmd.parallel.collectives import from_root
+        from pgfmd.simulate import simulate
+
+        job = from_root(comm, config.load, options.job, options.set)
+        simulate(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
+    except Exception as error:  # whatever it is, all ranks must end, and one of them must say why
+        return _leave(farewell, error)
+    return 0
+
+
+def _leave(comm, error: Exception) -> int:
+    """End all ranks with the error's exit code; rank 0 says why.  Aborts ranks that do not come.  Collective."""
+    from mpi4py import MPI
+
+    request = comm.Ibarrier()
+    deadline = time.monotonic() + PATIENCE
+    while not request.Test():
+        if time.monotonic() > deadline:
+            _complain(error)
+            comm.Abort(_code(error))
+        time.sleep(1e-3)
+    if comm.rank == 0:
+        _complain(error)
+    comm.Barrier()  # nobody leaves, and makes mpirun end the others, before the reason is said
+    if comm.size > 1:
+        MPI.Finalize()  # `python -m mpi4py` aborts on an exit code that is not 0 while MPI is active, with much noise
+    return _code(error)
+
+
+def _code(error: Exception) -> int:
+    codes = {InputError: 2, SolverError: 3, Stopped: 75}
+    return next((code for kind, code in codes.items() if isinstance(error, kind)), 1)
+
+
+def _complain(error: Exception) -> int:
+    """Print the error, one line if it is meant for the user, else with its traceback; the exit code."""
+    if not isinstance(error, (InputError, SolverError, Stopped, OSError)):
+        traceback.print_exception(error)
+    message = " ".join(str(error).split()) or type(error).__name__
+    kind = "" if isinstance(error, Stopped) else "error: "
+    print(f"pgfmd: {kind}{message}".encode("utf-8", "replace").decode(), file=sys.stderr, flush=True)
+    return _code(error)
+
+
+def _launched_rank() -> int:
+    """This process's rank as its launcher tells it, without MPI; 0 if started alone."""
+    names = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
+    return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), 0)
+
+
+def _log_on_root(rank: int):
+    """Log messages of rank 0 to stderr, with the time; silence on the others."""
+    log = logging.getLogger("pgfmd")
+    log.setLevel(logging.INFO if rank == 0 else logging.CRITICAL + 1)
+    log.propagate = False
+    if not log.handlers:
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(asctime)s  %(message)s", "%H:%M:%S"))
+        log.addHandler(handler)

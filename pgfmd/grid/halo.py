@@ -1,0 +1,60 @@
+"""Rows of a distributed field together with some of its neighbours' rows, fetched again and again."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.grid.slab_grid import SlabGrid
+
+
+class RowWindow:
+    """Rows low … high−1 (global, periodic) of a field on `grid`, of which this rank's own are written by the caller.
+    Collective to make.
+
+    Attributes: low; rows (high − low, ny), widened to hold all own rows; own: those, a view of `rows`.
+    """
+
+    def __init__(self, grid: SlabGrid, low: int, high: int, dtype=np.float32):
+        comm = grid.comm
+        first, stop = grid.rows.start, grid.rows.stop
+        self.comm, self.kind = comm, MPI._typedict[np.dtype(dtype).char]
+        self.low, high = min(low, first), max(high, stop)
+        self.rows = np.zeros((high - self.low, grid.shape[1]), dtype)
+        self.own = self.rows[first - self.low : stop - self.low]
+        # What each rank lacks, in pieces (owner, its local rows, where they go), found once.
+        wanted = comm.allgather([(self.low, first), (stop, high)])
+        self._sent = [
+            (target, rows)
+            for target, ranges in enumerate(wanted)
+            for piece in ranges
+            for owner, rows, _ in _pieces(*piece, grid.starts)
+            if owner == comm.rank and target != comm.rank
+        ]
+        mine = [
+            (owner, rows, at - self.low)
+            for piece in wanted[comm.rank]
+            for owner, rows, at in _pieces(*piece, grid.starts)
+        ]
+        self._copied = [(rows, at) for owner, rows, at in mine if owner == comm.rank]
+        self._received = [(owner, rows.stop - rows.start, at) for owner, rows, at in mine if owner != comm.rank]
+
+    def exchange(self) -> None:
+        """Bring the rows around the own ones up to date.  Collective."""
+        requests = [self.comm.Irecv([self.rows[at : at + n], self.kind], owner) for owner, n, at in self._received]
+        requests += [self.comm.Isend([self.own[rows], self.kind], target) for target, rows in self._sent]
+        for rows, at in self._copied:
+            self.rows[at : at + rows.stop - rows.start] = self.own[rows]
+        MPI.Request.Waitall(requests)
+
+
+def _pieces(low: int, high: int, starts: np.ndarray):
+    """The periodic range low … high−1 cut at the edges of slabs: (owner, local rows, first row as asked)."""
+    nx = int(starts[-1])
+    while low < high:
+        row = low % nx
+        owner = int(np.searchsorted(starts, row, side="right")) - 1
+        length = min(high - low, int(starts[owner + 1]) - row)
+        local = row - int(starts[owner])
+        yield owner, slice(local, local + length), low
+        low += length

@@ -1,0 +1,194 @@
+"""`SlabGrid`: a doubly periodic grid in slabs of rows, its wave numbers and transforms, and the hierarchy of coarser
+grids.
+
+Symbols: nx × ny points on a cell lx × ly; fields are float64 of shape (nx_local, ny), axis 0 (x) split over the ranks.
+Spectra are complex of shape (nky_local, nx): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
+spectra are *transposed*.  A mode with 0 < ky < ny/2 stands for itself and its conjugate: Hermitian weight 2, else 1.
+
+DFT convention, once and for all: forward is the plain sum over points, backward carries 1/(nx ny).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.errors import InputError
+from pgfmd.grid.transforms import Columns, Rows, Transform
+from pgfmd.grid.transpose import make_strips
+from pgfmd.parallel.collectives import Reduction, fetch_rows, slab, slab_starts
+from pgfmd.parallel.threads import Threads, threads_per_rank
+
+BAND = 1 << 16  # points of a field that stay in cache together with those of a few others
+
+
+class SlabGrid:
+    """A periodic grid whose rows are distributed over the ranks of `comm`.  Collective to make; memory for transforms
+    comes on first use.
+
+    Attributes
+    ----------
+    comm, shape (nx, ny), lengths (lx, ly), spacing (ax, ay), pixel_area
+    rows: slice of the global rows that this rank holds;  starts: first row of each rank, and nx
+    local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx);  band: rows that stay in cache
+    qx (1, nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
+    transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
+    """
+
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        shape: tuple[int, int],
+        lengths: tuple[float, float] | None = None,
+        threads: int | None = None,
+        shared: bool | None = None,
+    ):
+        nx, ny = (int(n) for n in shape)
+        if min(nx, ny) < 1:
+            raise InputError(f"grid: {nx} × {ny} points, at least 1 × 1 are needed")
+        if comm.size > nx:
+            raise InputError(f"grid: {comm.size} ranks for {nx} rows of points; use at most one rank per row")
+        self.comm, self.shape = comm, (nx, ny)
+        self.reduction = Reduction(comm)
+        self.lengths = (float(nx), float(ny)) if lengths is None else (float(lengths[0]), float(lengths[1]))
+        self.spacing = (self.lengths[0] / nx, self.lengths[1] / ny)
+        self.pixel_area = self.spacing[0] * self.spacing[1]
+        self.size = nx * ny
+        self.rows, self.starts = slab(nx, comm.size, comm.rank), slab_starts(nx, comm.size)
+        self.local_shape = (self.rows.stop - self.rows.start, ny)
+        self.band = max(1, BAND // ny)
+        self.columns = slab(ny // 2 + 1, comm.size, comm.rank)
+        self.spectral_shape = (self.columns.stop - self.columns.start, nx)
+        ky = np.arange(self.columns.start, self.columns.stop)
+        self.qx = (2 * np.pi / self.lengths[0] * np.fft.fftfreq(nx, 1 / nx))[None, :]
+        self.qy = (2 * np.pi / self.lengths[1] * ky)[:, None]
+        self.hermitian_weight = np.where((ky == 0) | (2 * ky == ny), 1.0, 2.0)[:, None]
+        # Small blocks are not worth waking a thread for.
+        threads = self.asked_threads = threads_per_rank() if threads is None else threads
+        self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
+        self.transforms = 0.0
+        self._shared, self._strips, self._made = shared, None, {}
+
+    def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
+        """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
+        return self.qx**2 + self.qy[first:stop] ** 2
+
+    def transform(self, dtype=np.float64) -> Transform:
+        """The passes in that precision, planned on first use.  Collective then."""
+        dtype = np.dtype(dtype)
+        if dtype not in self._made:
+            if self._strips is None:
+                self._strips = make_strips(self.comm, self.shape, self._shared)
+            self._made[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
+        return self._made[dtype]
+
+    def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """Spectrum (nky_local, nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""
+        transform = self.transform(field.dtype)
+        out = np.empty(self.spectral_shape, transform.complex) if out is None else out
+
+        def keep(block: np.ndarray, first: int, stop: int):
+            out[first:stop] = block
+
+        self.read_spectrum(_source(field), keep, field.dtype)
+        return out
+
+    def backward(self, spectrum: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+        """Field (nx_local, ny) of a spectrum (nky_local, nx), with 1/N, so that backward(forward(u)) = u.
+        Collective.
+        """
+        real = np.zeros((), spectrum.dtype).real.dtype
+        out = np.empty(self.local_shape, real) if out is None else out
+        normalisation = real.type(1 / self.size)
+
+        def copy(block: np.ndarray, first: int, stop: int):
+            np.multiply(spectrum[first:stop], normalisation, out=block)
+
+        self.make_field(copy, _sink(out), real)
+        return out
+
+    def read_spectrum(self, fill: Rows, action: Columns, dtype=np.float64, count: int | None = None) -> None:
+        """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block; if a
+        `count` is given, only the first ky of this rank.  Collective.
+        """
+        transform = self.transform(dtype)
+        self.transforms += transform.cost / 2
+        transform.rows_forward(fill)
+        transform.columns(action, backward=False, count=count)
+
+    def make_field(self, action: Columns, drain: Rows, dtype=np.float64) -> None:
+        """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.
+        Collective.
+
+        No 1/N is applied.
+        """
+        transform = self.transform(dtype)
+        self.transforms += transform.cost / 2
+        transform.columns(action, forward=False)
+        transform.rows_backward(drain)
+
+    def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype=np.float64) -> None:
+        """Rows from `fill`, their spectrum changed in place by `action`, back to rows for `drain`; no 1/N.
+        Collective.
+        """
+        transform = self.transform(dtype)
+        self.transforms += transform.cost
+        transform.rows_forward(fill)
+        transform.columns(action)
+        transform.rows_backward(drain)
+
+    def coarse(self, factor: int = 2) -> SlabGrid:
+        """The grid of the same cell with 1/factor of the points each way (rounded up).
+
+        Once its slabs would be thin it is held whole by every rank, which then all do the same work: no messages at
+        all.
+        """
+        shape = tuple(-(-n // factor) for n in self.shape)
+        thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
+        return SlabGrid(MPI.COMM_SELF if thin else self.comm, shape, self.lengths, self.asked_threads, self._shared)
+
+    def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
+        """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
+        Collective.
+        """
+        return self.begin_fetch(field, first, stop)()
+
+    def begin_fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[..., np.ndarray]:
+        """The same in two steps: others have what they need of the field; what is returned brings the rows, once,
+        also into a given array, such as a part of the field.  Collective.
+        """
+        if self.comm.size > 1 and self._strips is not None and self._strips.carries(field):
+            return self._strips.begin_fetch(field, first, stop)
+        rows = fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
+
+        def bring(out: np.ndarray | None = None) -> np.ndarray:
+            if out is None:
+                return rows
+            out[...] = rows
+            return out
+
+        return bring
+
+    def free(self) -> None:
+        """Give the transform memory back (it returns on next use).  Collective."""
+        self._made = {}
+        if self._strips is not None:
+            self._strips.free()
+            self._strips = None
+
+
+def _source(field: np.ndarray) -> Rows:
+    def fill(first: int, stop: int, rows: np.ndarray):
+        rows[...] = field[first:stop]
+
+    return fill
+
+
+def _sink(field: np.ndarray) -> Rows:
+    def drain(first: int, stop: int, rows: np.ndarray):
+        field[first:stop] = rows
+
+    return drain

@@ -1,0 +1,85 @@
+"""From grid to grid of one cell: spectral restriction to fewer points, local interpolation to more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgfmd.grid import kernels
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.collectives import fetch_rows, slab_starts
+
+
+def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float64) -> np.ndarray:
+    """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
+    Collective.
+
+    The coarse grid may be distributed over the same ranks or held whole by each.  dtype: precision of the transforms.
+    """
+    nx, ny = coarse.shape
+    kind = np.result_type(dtype, np.complex64)
+    rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
+    starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
+    mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
+    scale = np.dtype(dtype).type(1 / fine.size)
+
+    def fill(first: int, stop: int, block: np.ndarray):
+        block[...] = field[first:stop]
+
+    def keep(block: np.ndarray, first: int, stop: int):
+        part = mine[first:stop]
+        np.multiply(block[:, : rows + 1], scale, out=part[:, : rows + 1])
+        part[:, rows + 1 : nx - rows] = 0
+        if rows:
+            np.multiply(block[:, -rows:], scale, out=part[:, -rows:])
+
+    fine.read_spectrum(fill, keep, dtype, len(mine))
+    low, high = (min(k, kept) for k in (coarse.columns.start, coarse.columns.stop))
+    spectrum = fetch_rows(fine.comm, mine, starts, low, high, fine.threads)
+    out = np.empty(coarse.local_shape)
+
+    def copy(block: np.ndarray, first: int, stop: int):
+        part = spectrum[first:stop]
+        block[: len(part)] = part
+        block[len(part) :] = 0
+
+    def drain(first: int, stop: int, block: np.ndarray):
+        out[first:stop] = block
+
+    coarse.make_field(copy, drain, dtype)
+    return out
+
+
+class Interpolation:
+    """Local cubic interpolation of coarse fields to the rows of a fine grid.  Collective to make.
+
+    `rows` gives a few fine rows of a field at a time, so that no fine array is needed.
+    """
+
+    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], shifts=(0, 0)):
+        """shifts: row i of the coarse and of the fine fields is row i + shift of that grid."""
+        margin = 2
+        at = (np.arange(fine.rows.start, fine.rows.stop) + shifts[1]) * (coarse.shape[0] / fine.shape[0]) - shifts[0]
+        low, high = int(np.floor(at[0])) - margin, int(np.floor(at[-1])) + margin + 2
+        self._fields = [coarse.fetch(field, low, high) for field in fields]
+        self._x = _weights(at - low)
+        self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
+        self._room = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
+        doubled = fine.shape[1] == 2 * coarse.shape[1]
+        self._interpolate = kernels.interpolate_doubled if doubled else kernels.interpolate_rows
+
+    def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
+        """Rows first … stop−1 (local to the fine grid; at most its `band`) of field number `which`, shape
+        (stop − first, ny_fine), which stay until that thread asks for others.
+        """
+        index, weights = self._x
+        out = self._room[thread, which, : stop - first]
+        self._interpolate(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
+        return out
+
+
+def _weights(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First index and Lagrange weights (len(at), 4) of the four points around each position."""
+    base = np.floor(at).astype(np.int64)
+    t = (at - base)[:, None]
+    a, b, c, d = t + 1, t, t - 1, t - 2
+    return base - 1, np.hstack([-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6])

@@ -1,0 +1,128 @@
+"""Distributed real-to-complex transforms in three passes over small blocks that stay in cache.
+
+    rows forward     real rows, made block by block  →  r2c along y  →  strips
+    columns          strip columns  →  c2c along x  →  action on the spectrum  →  c2c back  →  strip columns
+    rows backward    strips  →  c2r along y  →  real rows, handed on block by block
+
+A *strip* holds the columns ky of one rank for all nx rows, a few columns of all rows after the other.  The column pass
+gathers a few columns into a contiguous block, transforms them there, and puts them back, so that neither a transposed
+copy nor a second complex array ever exists, and memory is passed over three times where a pair of library transforms
+needs six or more.
+
+The all-to-all between the row and the column passes is either none at all (the ranks of one node write into each
+other's strips, which lie in shared memory) or one packed `Alltoallv`.  Blocks are shared out over the threads of a
+rank.
+
+Transforms are unnormalised in both directions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pgfmd.grid import kernels
+from pgfmd.grid.fftw import plan
+from pgfmd.grid.transpose import ALIGNMENT, Strips, aligned, with_padding
+from pgfmd.parallel.threads import Threads
+
+Rows = Callable[[int, int, np.ndarray], None]
+"""(first local row, stop, rows of shape (stop − first, ny)) to fill or to read."""
+Columns = Callable[[np.ndarray, int, int], None]
+"""(block of shape (stop − first, nx), first local column, stop) to act on in place."""
+
+ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it stays in the second-level cache beside its transform
+COLUMN_BLOCK = 1 << 19  # bytes of a block of columns: half of that cache, which two threads of a core share
+
+
+class _Worker:
+    """Blocks and plans of one thread."""
+
+    def __init__(self, transform: Transform):
+        nx, ny = transform.shape
+        real, cplx = transform.real, transform.complex
+        self.rows = aligned((transform.row_block, ny), real, apart=False)
+        self.half = aligned((transform.row_block, ny // 2 + 1), cplx)
+        self.rows_forward = plan(self.rows, self.half, True)
+        self.rows_backward = plan(self.half, self.rows, False)
+        self.block = aligned((transform.column_block, nx), cplx)
+        self.columns_forward = plan(self.block, self.block, True)
+        self.columns_backward = plan(self.block, self.block, False)
+        for array in (self.rows, self.half, self.block):
+            array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
+        self.whole_half, self.whole_block = with_padding(self.half), with_padding(self.block)
+
+
+class Transform:
+    """The three passes in one precision, over the strips of a grid of shape (nx, ny)."""
+
+    def __init__(self, strips: Strips, shape: tuple[int, int], dtype, threads: Threads):
+        self.strips, self.shape = strips, shape
+        self.real = np.dtype(dtype)
+        self.complex = np.result_type(self.real, np.complex64)
+        nx, ny = shape
+        self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
+        budget = ROW_BLOCK * min(threads.count, 2)  # threads take turns at the interpreter between blocks
+        self.row_block = _block(budget, ny * self.real.itemsize, strips.rows, threads.count)
+        itemsize = self.complex.itemsize
+        self.column_block = _block(COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize)
+        self.threads = threads
+        self.workers = [_Worker(self) for _ in range(threads.count)]
+        self.cost = self.real.itemsize / 8
+
+    def rows_forward(self, fill: Rows) -> None:
+        """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  Collective."""
+
+        def one(thread: int, first: int, stop: int):
+            worker = self.workers[thread]
+            fill(first, stop, worker.rows[: stop - first])
+            worker.rows_forward()
+            self.strips.put(self.views, first, worker.whole_half[: stop - first])
+
+        self.strips.begin(self.complex)
+        self.threads.share(one, self.strips.rows, self.row_block)
+        self.strips.to_columns(self.complex)
+
+    def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
+        """`action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, block by block.
+
+        With `forward=False` the action makes the spectrum, for which others must have left the strips (collective
+        then); with `backward=False` it only reads it.
+        """
+        if not forward:
+            self.strips.begin(self.complex)
+
+        def one(thread: int, first: int, stop: int):
+            worker = self.workers[thread]
+            block = worker.block[: stop - first]
+            if forward:
+                kernels.gather_columns(self.strip, self.shape[0], first, stop - first, worker.whole_block)
+                worker.columns_forward()
+            action(block, first, stop)
+            if backward:
+                worker.columns_backward()
+                kernels.scatter_columns(worker.whole_block, self.shape[0], first, stop - first, self.strip)
+
+        self.threads.share(one, self.strips.width if count is None else count, self.column_block)
+
+    def rows_backward(self, drain: Rows) -> None:
+        """Strips to real rows, each block handed to `drain(first, stop, block)`.  Collective."""
+
+        def one(thread: int, first: int, stop: int):
+            worker = self.workers[thread]
+            self.strips.get(self.views, first, worker.whole_half[: stop - first])
+            worker.rows_backward()
+            drain(first, stop, worker.rows[: stop - first])
+
+        self.strips.to_rows(self.complex)
+        self.threads.share(one, self.strips.rows, self.row_block)
+
+
+def _block(budget: int, row_bytes: int, count: int, threads: int, multiple: int = 1) -> int:
+    """Rows of one block: as many as the budget of bytes allows, but blocks are equal, as many for each thread, since
+    also a part of one is transformed whole; and a `multiple`, so that no two write to one cache line.
+    """
+    blocks = max(1, -(-count // max(1, budget // row_bytes)))  # also where a rank has nothing
+    rows = -(-count // (-(-blocks // threads) * threads))
+    return max(1, -(-rows // multiple) * multiple)

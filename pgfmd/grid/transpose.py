@@ -1,0 +1,255 @@
+"""The strips in which a slab's spectrum lives, and the all-to-all between row passes and column passes.
+
+A strip holds the columns ky of one rank for all nx rows.  Strips of ranks on one node lie in shared memory, and the
+ranks write into each other's; there a strip is cut into tiles of a few columns, each contiguous, so that passes along
+either axis read and write long runs of memory.  Else blocks are packed for each rank and cross in one `Alltoallv`.
+
+Both are arrays of shape (tiles, rows, columns of a tile), the last tile perhaps not full; an exchanged strip is one
+tile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.grid import kernels
+from pgfmd.parallel.collectives import overlaps, slab_starts
+
+TILE = 256  # bytes of a row in one tile: longer runs in the passes along rows, or along columns if it were less
+ALIGNMENT = 64  # bytes: a cache line and the widest vector register
+
+
+def row_stride(count: int, itemsize: int) -> int:
+    """Items from one row of `count` items to the next: padded to an odd number of cache lines.
+
+    Rows then start on cache lines, and rows a power of two apart do not fall on the same cache sets.
+    """
+    lines = -(-max(count, 1) * itemsize // ALIGNMENT) | 1
+    return lines * ALIGNMENT // itemsize
+
+
+def padded(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
+    """The bytes `raw` seen as rows of that shape, each padded to `row_stride`."""
+    return _with_strides(raw, shape, dtype)[:, : shape[1]]
+
+
+def _with_strides(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
+    """The same with the padding: contiguous, so that compiled loops know their strides."""
+    dtype = np.dtype(dtype)
+    stride = row_stride(shape[1], dtype.itemsize)
+    return raw[: shape[0] * stride * dtype.itemsize].view(dtype).reshape(shape[0], stride)
+
+
+def aligned_bytes(count: int) -> np.ndarray:
+    """That many bytes of new memory, from a cache line on."""
+    return _from_cache_line(np.empty(count + ALIGNMENT, np.uint8))[:count]
+
+
+def _from_cache_line(raw: np.ndarray) -> np.ndarray:
+    return raw[-raw.ctypes.data % ALIGNMENT :]
+
+
+def aligned(shape: tuple[int, int], dtype, apart: bool = True) -> np.ndarray:
+    """A new array of that shape whose rows start on cache lines, and unless `apart` is False on different cache sets
+    (without it, rows that fill whole cache lines make a contiguous array, which compiled loops are faster on).
+    """
+    dtype = np.dtype(dtype)
+    if not apart and shape[1] * dtype.itemsize % ALIGNMENT == 0:
+        return aligned_bytes(shape[0] * shape[1] * dtype.itemsize).view(dtype).reshape(shape)
+    return padded(aligned_bytes(shape[0] * row_stride(shape[1], dtype.itemsize) * dtype.itemsize), shape, dtype)
+
+
+def with_padding(array: np.ndarray) -> np.ndarray:
+    """A `padded` array together with its padding: contiguous, so that compiled loops know its strides."""
+    return np.lib.stride_tricks.as_strided(array, (len(array), array.strides[0] // array.itemsize))
+
+
+class Strips:
+    """The strips of all ranks, the largest array of a transform; transforms of each precision share it.
+
+    `put` and `get` move blocks of rows in and out; between them the ranks meet in `to_columns` and `to_rows`.
+    """
+
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+        self.comm, self.nx = comm, shape[0]
+        self.row_starts = slab_starts(shape[0], comm.size)
+        self.column_starts = slab_starts(shape[1] // 2 + 1, comm.size)
+        self.widths = np.diff(self.column_starts)
+        self.rows = int(self.row_starts[comm.rank + 1] - self.row_starts[comm.rank])
+        self.width = int(self.widths[comm.rank])
+
+    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """Row-transformed rows `half`, from local row `first` on, into the `views`."""
+        for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
+            kernels.rows_to_tiles(half, start, width, self.first_row + first, view)
+
+    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
+        """The rows `half`, from local row `first` on, out of the `views`."""
+        for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
+            kernels.tiles_to_rows(view, self.first_row + first, half, start, width)
+
+    def carries(self, field: np.ndarray) -> bool:
+        """Whether fields cross the ranks faster through the strips than in messages."""
+        return False
+
+
+class SharedStrips(Strips):
+    """Strips in memory that all ranks see (the ranks of one node, or one rank alone): the all-to-all is a store and a
+    load.
+    """
+
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+        super().__init__(comm, shape)
+        self.first_row = int(self.row_starts[comm.rank])  # of this rank in every strip
+        count = self.nbytes(comm.rank)
+        if comm.size == 1:
+            self.window, self.raw = None, [aligned_bytes(count)]
+            return
+        self.window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=comm)
+        self.window.Lock_all(MPI.MODE_NOCHECK)
+        buffers = [self.window.Shared_query(rank)[0] for rank in range(comm.size)]
+        self.raw = [_from_cache_line(np.frombuffer(buffer, np.uint8)) for buffer in buffers]
+
+    def tiles(self, rank: int, itemsize: int) -> tuple[int, int, int]:
+        """Shape of the strip of `rank`.  One row more keeps tiles off the same cache sets."""
+        columns = TILE // itemsize
+        return -(-int(self.widths[rank]) // columns), self.nx + 1, columns
+
+    def nbytes(self, rank: int) -> int:
+        """Bytes of the strip of `rank`, in the larger precision."""
+        return math.prod(self.tiles(rank, 16)) * 16
+
+    def views(self, dtype) -> list[np.ndarray]:
+        """The strip of each rank."""
+        dtype = np.dtype(dtype)
+        shapes = [self.tiles(rank, dtype.itemsize) for rank in range(self.comm.size)]
+        return [
+            raw[: math.prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
+            for raw, shape in zip(self.raw, shapes, strict=True)
+        ]
+
+    def strip(self, dtype) -> np.ndarray:
+        """The strip of this rank."""
+        return self.views(dtype)[self.comm.rank]
+
+    def carries(self, field: np.ndarray) -> bool:
+        """Whether the strips have room for a field (nx_local, ny) like this one, on every rank."""
+        row = field.shape[1] * field.itemsize
+        counts = np.diff(self.row_starts) * row
+        return all(count <= self.nbytes(rank) for rank, count in enumerate(counts))
+
+    def begin_fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[[np.ndarray | None], np.ndarray]:
+        """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry: a store, and
+        what loads them, once, into a given or a new array.  Others have what they need of the field by then.  What the
+        strips held is lost.  Collective.
+        """
+        rank, starts, ny = self.comm.rank, self.row_starts, field.shape[1]
+        shown = [
+            raw[: (stop - start) * ny * field.itemsize].view(field.dtype).reshape(-1, ny)
+            for raw, start, stop in zip(self.raw, starts, starts[1:], strict=False)
+        ]
+        wanted = self.comm.allgather((first, stop))
+        self.meet()
+        for other, (low, high) in enumerate(wanted):
+            for _, length, row in overlaps(low, high, starts[rank], starts[rank + 1], self.nx) if other != rank else ():
+                mine = slice(row - starts[rank], row - starts[rank] + length)
+                shown[rank][mine] = field[mine]
+        shown[rank] = field
+        self.meet()
+
+        def load(out: np.ndarray | None = None) -> np.ndarray:
+            out = np.empty((max(stop - first, 0), ny), field.dtype) if out is None else out
+            for owner, rows in enumerate(shown):
+                for at, length, row in overlaps(first, stop, starts[owner], starts[owner + 1], self.nx):
+                    out[at : at + length] = rows[row - starts[owner] : row - starts[owner] + length]
+            return out
+
+        return load
+
+    def meet(self, dtype=None) -> None:
+        """All ranks have done their part, and see that of the others.  Collective."""
+        if self.window is not None:
+            self.window.Sync()
+            self.comm.Barrier()
+            self.window.Sync()
+
+    begin = to_columns = to_rows = meet
+
+    def free(self) -> None:
+        """Give the memory back.  Collective."""
+        if self.window is not None:
+            self.raw = []
+            self.window.Unlock_all()
+            self.window.Free()
+            self.window = None
+
+
+class ExchangedStrips(Strips):
+    """Strips in memory of their own: blocks are packed for each rank and cross in one `Alltoallv`."""
+
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+        super().__init__(comm, shape)
+        self.first_row = 0  # of this rank in what is packed
+        self.own = aligned_bytes(self.nbytes(comm.rank, self.nx))
+        sizes = [self.nbytes(rank, self.rows) for rank in range(comm.size)]
+        self.packed = aligned_bytes(sum(sizes))
+
+    def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
+        """Bytes of so many rows of the strip of `rank`."""
+        return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
+
+    def _counts(self, itemsize: int):
+        """Bytes for and from each rank, and where they start."""
+        out = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
+        back = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
+        return (out, np.cumsum(out) - out), (back, np.cumsum(back) - back)
+
+    def views(self, dtype) -> list[np.ndarray]:
+        """The packed block for each rank."""
+        (counts, starts), _ = self._counts(np.dtype(dtype).itemsize)
+        blocks = [self.packed[start : start + count] for start, count in zip(starts, counts, strict=True)]
+        return [
+            _with_strides(raw, (self.rows, int(width)), dtype)[None]
+            for raw, width in zip(blocks, self.widths, strict=True)
+        ]
+
+    def strip(self, dtype) -> np.ndarray:
+        """The strip of this rank."""
+        return _with_strides(self.own, (self.nx, self.width), dtype)[None]
+
+    def begin(self, dtype) -> None:
+        """Nothing to wait for."""
+
+    def to_columns(self, dtype) -> None:
+        """Packed blocks to strips.  Collective."""
+        out, back = self._counts(np.dtype(dtype).itemsize)
+        self._alltoall(self.packed, out, self.own, back, np.dtype(dtype))
+
+    def to_rows(self, dtype) -> None:
+        """Strips to packed blocks.  Collective."""
+        out, back = self._counts(np.dtype(dtype).itemsize)
+        self._alltoall(self.own, back, self.packed, out, np.dtype(dtype))
+
+    def _alltoall(self, source, sent, target, received, dtype) -> None:
+        # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
+        sent, received = ([parts // dtype.itemsize for parts in pair] for pair in (sent, received))
+        kind = MPI._typedict[dtype.char]
+        self.comm.Alltoallv([source.view(dtype), *sent, kind], [target.view(dtype), *received, kind])
+
+    def free(self) -> None:
+        """Give the memory back."""
+        self.own = self.packed = None
+
+
+def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = None) -> SharedStrips | ExchangedStrips:
+    """Shared strips where all ranks of `comm` are on one node, else exchanged ones; `shared=False` forces the latter.
+    Collective.
+    """
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    one_node = node.size == comm.size
+    node.Free()
+    return SharedStrips(comm, shape) if one_node and shared is not False else ExchangedStrips(comm, shape)

@@ -1,0 +1,180 @@
+"""Files that are either the old version or the new one, never something between; one writer per folder.  No MPI."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import io
+import os
+import platform
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from pgfmd.errors import InputError
+from pgfmd.io.checksum import sealed, unsealed
+
+LOCK_NAME = ".pgfmd.lock"
+
+
+def temporary(path: Path) -> Path:
+    """Where the next version of `path` is written before it takes its place: always the same name, so none pile up."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def previous(path: Path) -> Path:
+    """Where the version of `path` before the present one is kept, if it is kept."""
+    return path.with_name(f".{path.name}.previous")
+
+
+def commit(path: Path, keep: bool = False):
+    """Put the finished temporary file of `path` in its place, on the disk before and after the change of name.
+
+    keep : the version that it replaces stays as `previous(path)`
+    """
+    _sync(temporary(path))
+    if keep and path.exists():
+        previous(path).unlink(missing_ok=True)
+        try:
+            os.link(path, previous(path))  # so that at no instant there is none
+        except OSError:
+            os.replace(path, previous(path))  # a file system without hard links
+    os.replace(temporary(path), path)
+    _sync(path.parent)
+
+
+def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False):
+    """Replace the small, sealed file `path`, in memory, by what `change` makes of its content (none if it is new).
+
+    keep : see `commit`
+
+    HDF5 crashes when a disk is full; Python says so.  Raises OSError, and the old file stays.
+    """
+    content = io.BytesIO(unsealed(path.read_bytes()) if path.exists() else b"")
+    change(content)
+    try:
+        with named(path):
+            temporary(path).write_bytes(sealed(content.getbuffer()))
+            commit(path, keep)
+    except BaseException:
+        temporary(path).unlink(missing_ok=True)
+        raise
+
+
+@contextlib.contextmanager
+def named(path: Path):
+    """An OSError in the block that names no file (full disks do not) names this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
+def append(path: Path, data: bytes):
+    """Add bytes to the end of a file; raises OSError."""
+    with named(path), open(path, "ab") as file:
+        file.write(data)
+
+
+def reserve(path: Path, size: int):
+    """Make a file of `size` bytes whose space on the disk is taken; raises OSError if there is not so much."""
+    folder = path.parent
+    try:
+        with open(path, "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        if error.errno != errno.ENOSPC:
+            raise
+        free = shutil.disk_usage(folder).free
+        message = f"{size / 1e6:.1f} MB are to be written, {free / 1e6:.1f} MB are free"
+        raise OSError(errno.ENOSPC, message, str(folder)) from None
+
+
+def _sync(path: Path):
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # file systems that cannot sync a folder say so this way
+            raise
+    finally:
+        os.close(handle)
+
+
+class OutputFolder:
+    """A folder held by one run: made if missing, locked until `release`.  On one rank only.
+
+    The lock is the kernel's (flock), so that it dies with its process; the file's text only says who holds it.
+    Raises InputError if the folder cannot be made or written, or if another run holds it.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = Path(path)
+        missing = [folder for folder in (self.path, *self.path.parents) if not os.path.lexists(folder)]
+        self.made: list[Path] = []
+        try:
+            for folder in reversed(missing):
+                folder.mkdir()
+                self.made.insert(0, folder)
+            self._handle = self._lock()
+        except InputError:
+            raise
+        except (OSError, ValueError) as error:
+            self.discard()
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"{self.path}: cannot be written as an output folder: {reason}") from None
+
+    def _lock(self) -> int:
+        name = self.path / LOCK_NAME
+        while True:
+            handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                holder = os.read(handle, 200).decode(errors="replace").strip()
+                os.close(handle)
+                raise InputError(f"{self.path}: another run writes here ({holder or 'just started'})") from None
+            except OSError as error:
+                if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                    os.close(handle)
+                    raise
+                # A file system without locks: nothing can be promised, and the run shall not fail for it.
+            # A holder that has just ended removes its file: what we locked must still be what the name means.
+            if os.path.exists(name) and os.fstat(handle).st_ino == os.stat(name).st_ino:
+                break
+            os.close(handle)
+        os.ftruncate(handle, 0)
+        os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())
+        return handle
+
+    def release(self):
+        """Give the folder free."""
+        (self.path / LOCK_NAME).unlink(missing_ok=True)
+        os.close(self._handle)
+
+    def discard(self):
+        """Remove the folders that were made here, as far as they are empty."""
+        for folder in self.made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def holder(path: str | os.PathLike) -> str | None:
+    """Who holds the folder's lock at this moment; None if nobody does."""
+    try:
+        handle = os.open(Path(path) / LOCK_NAME, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return None
+    except BlockingIOError:
+        return os.read(handle, 200).decode(errors="replace").strip() or "a run that has just started"
+    except OSError:
+        return None
+    finally:
+        os.close(handle)

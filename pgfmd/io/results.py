@@ -1,0 +1,172 @@
+"""Reading result folders: NumPy and serial h5py only, no MPI."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.io.atomic import holder
+from pgfmd.io.schema import FIELDS, FIELDS_FILE, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
+
+
+class Results:
+    """A result folder, also of a run that goes on or was broken off: whatever loads it has completed.
+
+    Reads the table of loads at once, everything else when asked for.  Raises InputError if the folder is missing, holds
+    no results, or was written in a newer format.
+    """
+
+    def __init__(self, directory: str | os.PathLike):
+        self.directory = Path(directory)
+        path = self.directory / OBSERVABLES_FILE
+        if not path.is_file():
+            missing = "no such folder" if not self.directory.is_dir() else f"holds no {OBSERVABLES_FILE}"
+            raise InputError(f"{self.directory}: not a result folder: {missing}")
+        with self._open(OBSERVABLES_FILE) as file:
+            version = file.attrs.get("format_version")
+            if file.attrs.get("software") != "pgfmd" or version is None:
+                raise InputError(f"{path}: not written by pgfmd")
+            if version > FORMAT_VERSION:
+                raise InputError(
+                    f"{path}: format {version} is newer than {FORMAT_VERSION}, the newest known here; "
+                    f"it was written by pgfmd {file.attrs.get('softwareVersion')}"
+                )
+            self.provenance = {name: _plain(value) for name, value in file.attrs.items()}
+            self.phases = (
+                {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
+            )
+            self.loads = {name: file["loads"][name][:] for name in LOADS if name in file["loads"]}
+            self.units = {name: file["loads"][name].attrs["units"] for name in self.loads}
+
+    def __len__(self) -> int:
+        """Number of completed loads."""
+        return len(self.loads["mean_pressure"])
+
+    @property
+    def status(self) -> str:
+        """ "complete", "running", "failed" or "interrupted" (it said running, and no process holds the folder)."""
+        status = self.provenance.get("status", "interrupted")
+        return "interrupted" if status == "running" and holder(self.directory) is None else status
+
+    @property
+    def job(self) -> dict[str, dict]:
+        """The job as nested tables, defaults included: job["surface"]["hurst"]."""
+        return tomllib.loads(self.provenance["effective_toml"])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Grid points (nx, ny)."""
+        return tuple(int(count) for count in self.provenance["shape"])
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Cell (lx, ly)."""
+        return tuple(float(length) for length in self.provenance["lengths"])
+
+    def load(self, index: int) -> Mapping[str, dict[str, np.ndarray]]:
+        """Curves and tables of one load, read when accessed: load(0)["stress_spectrum"]["q"]; -1 is the last load."""
+        return _Groups(self, load_name(self._index(index)))
+
+    def fields(self, load: int | None = None) -> list[str]:
+        """Names of the fields that were written, for a load or (None) for the whole run."""
+        if not (self.directory / FIELDS_FILE).exists():
+            return []
+        with self._open(FIELDS_FILE) as file:
+            group = file if load is None else file.get(load_name(self._index(load)), {})
+            return [name for name in group if not name.startswith("load_")]
+
+    def field(self, name: str, load: int | None = None, rows: slice = slice(None)) -> np.ndarray:
+        """Rows of a field, shape (rows, ny): "height" without a load, the others with one."""
+        path = name if load is None else f"{load_name(self._index(load))}/{name}"
+        if not (self.directory / FIELDS_FILE).exists():
+            raise InputError(f"{self.directory}: no fields were written")
+        with self._open(FIELDS_FILE) as file:
+            try:
+                return file[path][rows]
+            except KeyError:
+                which = "the run" if load is None else f"load {load}"
+                hint = "" if load is not None or name not in FIELDS else " (give a load, if it belongs to one)"
+                raise InputError(f"{self.directory}: no field {name} of {which}{hint}") from None
+
+    def blocks(self, name: str, load: int | None = None, size: int = 2**26) -> Iterator[tuple[slice, np.ndarray]]:
+        """A field in blocks of rows of about `size` bytes: (rows, values), so that it may be larger than memory."""
+        count = max(1, size // (8 * self.shape[1]))
+        for start in range(0, self.shape[0], count):
+            rows = slice(start, min(start + count, self.shape[0]))
+            yield rows, self.field(name, load, rows)
+
+    def _index(self, index: int) -> int:
+        if not -len(self) <= index < len(self):
+            raise InputError(f"{self.directory}: no load {index}: {len(self)} were completed, counted from 0")
+        return index % len(self)
+
+    def _open(self, name: str) -> h5py.File:
+        # Files are replaced as a whole and never changed in place: nothing to lock, and read-only folders work.
+        try:
+            return h5py.File(self.directory / name, "r", locking=False)
+        except OSError as error:
+            raise InputError(f"{self.directory / name}: cannot be read: {error}") from None
+
+
+class _Groups(Mapping):
+    """The groups of one load as a mapping: name → {dataset: array}."""
+
+    def __init__(self, results: Results, name: str):
+        self._results, self._name = results, name
+
+    def __getitem__(self, title: str) -> dict[str, np.ndarray]:
+        with self._results._open(OBSERVABLES_FILE) as file:
+            return {key: dataset[()] for key, dataset in file[self._name][title].items()}
+
+    def __iter__(self):
+        with self._results._open(OBSERVABLES_FILE) as file:
+            return iter(list(file[self._name]))
+
+    def __len__(self) -> int:
+        return len(list(iter(self)))
+
+
+def _plain(value):
+    """An HDF5 attribute as a Python value."""
+    return value.item() if isinstance(value, np.generic) else value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def table(results: Results) -> str:
+    """The table of loads as aligned text, one row per load."""
+    head = ["load", *results.loads]
+    rows = [
+        [str(index), *(f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values)]
+        for index, values in enumerate(zip(*results.loads.values(), strict=True))
+    ]
+    units = ["", *(results.units[name] for name in results.loads)]
+    widths = [max(len(row[column]) for row in (head, units, *rows)) for column in range(len(head))]
+    return "\n".join(
+        "  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in (head, units, *rows)
+    )
+
+
+def summary(results: Results) -> str:
+    """What `python -m pgfmd info` prints: what was run, how, how far, and the table of loads."""
+    about = results.provenance
+    asked = about.get("loads_requested", 0)
+    lines = {
+        "folder": str(results.directory),
+        "status": results.status + (f": {about['error']}" if results.status == "failed" else ""),
+        "loads": f"{len(results)} of {asked} completed" if asked else f"{len(results)} completed",
+        "grid": f"{results.shape[0]} × {results.shape[1]} points, cell {results.lengths[0]:g} × {results.lengths[1]:g}",
+        "fields": ", ".join(results.fields() + (results.fields(-1) if len(results) else [])) or "none",
+        "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
+        "command": about["command"],
+        "started": f"{about['date']} on {about['host']}, {about['ranks']} ranks × {about['threads']} threads",
+        "finished": about.get("finished", "—"),
+        "libraries": ", ".join(about["libraries"].split("\n")),
+    }
+    lines |= {f"{name} / s": f"{seconds:.3f}" for name, seconds in results.phases.items()}
+    width = max(map(len, lines))
+    return "\n".join([*(f"{name:<{width}}  {value}" for name, value in lines.items()), "", table(results)])

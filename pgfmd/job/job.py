@@ -1,0 +1,183 @@
+"""The job: a TOML file (or Python values) as one frozen, validated Config.  No MPI here.
+
+The sections and their keys are described in `sections`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import tomllib
+from dataclasses import dataclass
+
+from pgfmd.errors import InputError
+from pgfmd.job.sections import CONTROLS, FILE, ROUGH, SINUSOID, Grid, Load, Output, Run, Solid, Solver, Surface, Wall
+from pgfmd.options.rules import Section, as_toml_value, build, guess, printable, show, wrong
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """A whole job.  Making one checks what sections must obey together; raises InputError."""
+
+    grid: Grid
+    surface: Surface
+    solid: Solid = dataclasses.field(default_factory=Solid)
+    wall: Wall = dataclasses.field(default_factory=Wall)
+    load: Load
+    solver: Solver = dataclasses.field(default_factory=Solver)
+    output: Output = dataclasses.field(default_factory=Output)
+    run: Run = dataclasses.field(default_factory=Run)
+    text: str = dataclasses.field(default="", compare=False, repr=False)  # the TOML file as the user wrote it
+
+    def __post_init__(self):
+        grid, surface, method, wall = self.grid, self.surface, self.solver.method, self.wall.kind
+        if surface.kind == SINUSOID and surface.waves > grid.n[0] / 2:
+            raise wrong(surface, "waves", f"{grid.n[0]} points in x resolve no more than {grid.n[0] // 2}")
+        if surface.kind == SINUSOID and surface.two_dimensional and surface.waves > grid.n[1] / 2:
+            raise wrong(surface, "waves", f"{grid.n[1]} points in y resolve no more than {grid.n[1] // 2}")
+        if surface.kind == ROUGH:
+            cell = max(grid.lengths) / min(grid.steps)
+            for name in ("lambda_s", "lambda_l", "lambda_r"):
+                if (getattr(surface, name) or 0) > cell and getattr(surface, name) != math.inf:
+                    raise wrong(surface, name, f"must not exceed the cell, {cell:g} grid spacings")
+        for name, walls in (("active-set", "hard"), ("newton", "exponential")):
+            if method == name and wall != walls:
+                raise wrong(self.solver, "method", f'is for wall.kind = "{walls}"; here it is "{wall}"')
+        if wall == "exponential" and 0.0 in (self.load.pressure or ()):
+            raise wrong(self.load, "pressure", "must be > 0 under an exponential wall, which never lets go")
+
+    @property
+    def wavelengths(self) -> tuple[float, float, float]:
+        """lambda_s, lambda_l and lambda_r of a self-affine surface as lengths, defaults filled in."""
+        step, cell = min(self.grid.steps), max(self.grid.lengths)
+        shortest = self.surface.lambda_s * step
+        longest = cell if self.surface.lambda_l is None else min(self.surface.lambda_l * step, cell)
+        rolloff = longest if self.surface.lambda_r is None else min(self.surface.lambda_r * step, cell)
+        return shortest, longest, rolloff
+
+
+SECTIONS = {kind.where: kind for kind in (Grid, Surface, Solid, Wall, Load, Solver, Output, Run)}
+
+
+def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Config:
+    """The job in the TOML file `path`, changed by `overrides` ("section.key=value"); raises InputError.
+
+    A relative path of a heights file counts from the TOML file's folder, in an override from the working directory; the
+    file must exist.
+    """
+    name = os.fspath(path)
+    try:
+        with open(name, "rb") as file:
+            source = file.read().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{printable(name, 400)}: not a text in UTF-8 (byte {error.start})") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{printable(name, 400)}: cannot be read: {getattr(error, 'strerror', '') or error}") from None
+    config = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
+    if config.surface.kind == FILE and not os.path.isfile(config.surface.source[0]):
+        raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(config.surface.path, 400)}")
+    return config
+
+
+def parse(
+    source: str, name: str = "job", overrides: list[str] | tuple[str, ...] = (), folder: str | None = None
+) -> Config:
+    """The job in a TOML text; `name` stands in error messages.  Relative paths count from `folder` if it is given."""
+    try:
+        document = tomllib.loads(source)
+    except RecursionError:
+        raise InputError(f"{printable(name, 400)}: not valid TOML: nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"{printable(name, 400)}: not valid TOML: {printable(str(error), 200)}") from None
+    overridden = set()
+    try:
+        if folder is not None:
+            _anchor(document, folder)
+        for entry in overrides:
+            overridden.add(_override(document, entry))
+        sections = {}
+        for section, table in document.items():
+            if section not in SECTIONS:
+                raise InputError(f"[{printable(section)}] is not a section{guess(section, list(SECTIONS))}")
+            sections[section] = build(SECTIONS[section], table)
+        for section in ("grid", "surface", "load"):
+            if section not in sections:
+                raise InputError(f"[{section}] is missing: it must say {MISSING[section]}")
+        return Config(**sections, text=source)
+    except InputError as error:
+        at_fault = "--set" if str(error).split(" ")[0].rstrip(":") in overridden else printable(name, 400)
+        raise InputError(f"{at_fault}: {error}") from None
+
+
+MISSING = {
+    "grid": "n, the points per side",
+    "surface": "kind, the sort of heights",
+    "load": f"one of {', '.join(CONTROLS)}",
+}
+
+
+def _override(document: dict, entry: str) -> str:
+    """Put "section.key=value" into the document; the dotted key.  A value that is not TOML is taken as a text."""
+    dotted, equals, value = entry.partition("=")
+    dotted = dotted.strip()
+    *tables, last = names = dotted.split(".")
+    if not equals or len(names) < 2 or not all(names):
+        raise InputError(f"--set {printable(entry, 200)}: must be section.key=value")
+    try:
+        parsed = tomllib.loads(f"value = {value}")
+        parsed = parsed["value"] if len(parsed) == 1 else value.strip()
+    except (ValueError, RecursionError):
+        parsed = value.strip()
+    for position, table in enumerate(tables):
+        document = document.setdefault(table, {})
+        if not isinstance(document, dict):
+            raise InputError(f"--set {printable(entry, 200)}: {'.'.join(tables[: position + 1])} is not a table")
+    document[last] = os.path.abspath(parsed) if dotted == "surface.path" and isinstance(parsed, str) else parsed
+    return dotted
+
+
+def _anchor(document: dict, folder: str):
+    """Make the heights file's path absolute, in place."""
+    surface = document.get("surface")
+    if isinstance(surface, dict) and isinstance(surface.get("path"), str) and surface["path"]:
+        surface["path"] = os.path.join(folder, surface["path"])
+
+
+def as_toml(config: Config) -> str:
+    """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Config."""
+    return "\n".join(_table(section, getattr(config, section)) for section in SECTIONS)
+
+
+def _table(title: str, section: Section) -> str:
+    values = {field.name: getattr(section, field.name) for field in dataclasses.fields(section)}
+    lines = [
+        f"{name} = {as_toml_value(value)}"
+        for name, value in values.items()
+        if value is not None and not isinstance(value, Section)
+    ]
+    tables = [_table(f"{title}.{name}", value) for name, value in values.items() if isinstance(value, Section)]
+    return "\n".join([f"[{title}]", *lines, "", *tables])
+
+
+def differences(before: Config, after: Config) -> list[str]:
+    """What distinguishes two jobs, as "section.key: old → new".  [run] does not count: it does not change results."""
+    old, new = _flat(before), _flat(after)
+    return [
+        f"{name}: {show(old.get(name, 'not given'))} → {show(new.get(name, 'not given'))}"
+        for name in old | new
+        if old.get(name) != new.get(name)
+    ]
+
+
+def _flat(config: Config) -> dict:
+    """Every key of the effective job, dotted, without those of [run]."""
+    found = {}
+    tables = {name: table for name, table in tomllib.loads(as_toml(config)).items() if name != "run"}
+    while tables:
+        name, value = tables.popitem()
+        if isinstance(value, dict):
+            tables |= {f"{name}.{key}": entry for key, entry in value.items()}
+        else:
+            found[name] = value
+    return dict(sorted(found.items()))

@@ -1,0 +1,1 @@
+"""Connected patches of contact, labelled across ranks."""

@@ -1,0 +1,156 @@
+"""Slab decomposition, reductions over ranks, and raising an error on all ranks together.
+
+Everything takes the communicator as its first argument; nothing here knows about grids or physics.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.errors import InputError, SolverError
+from pgfmd.parallel.threads import Threads
+
+
+def slab(count: int, size: int, rank: int) -> slice:
+    """Rows of `rank` when `count` rows are split over `size` ranks: the remainder goes to the first ranks, as in
+    mpi4py-fft.
+    """
+    base, extra = divmod(count, size)
+    start = rank * base + min(rank, extra)
+    return slice(start, start + base + (rank < extra))
+
+
+def slab_starts(count: int, size: int) -> np.ndarray:
+    """First row of each rank and, last, the row count: shape (size + 1,)."""
+    return np.array([slab(count, size, rank).start for rank in range(size)] + [count])
+
+
+class Reduction:
+    """Reductions of a field whose parts lie on the ranks of `comm`.  Each method is collective and returns a Python
+    float.
+    """
+
+    def __init__(self, comm: MPI.Comm):
+        self.comm = comm
+
+    def sum(self, local) -> float:
+        """Sum of all entries of `local` over all ranks.  Collective."""
+        return self.comm.allreduce(float(np.sum(local, dtype=np.float64)), MPI.SUM)
+
+    def max(self, local) -> float:
+        """Largest entry over all ranks (-inf if there is none).  Collective."""
+        return self.comm.allreduce(float(np.max(local, initial=-np.inf)), MPI.MAX)
+
+    def min(self, local) -> float:
+        """Smallest entry over all ranks (inf if there is none).  Collective."""
+        return self.comm.allreduce(float(np.min(local, initial=np.inf)), MPI.MIN)
+
+    def dot(self, a, b) -> float:
+        """Σ a b over all entries and ranks, accumulated in float64.  Collective."""
+        return self.comm.allreduce(float(np.einsum("i,i->", np.ravel(a), np.ravel(b), dtype=np.float64)), MPI.SUM)
+
+    def sums(self, *values: float) -> np.ndarray:
+        """Several local numbers summed over the ranks in one message.  Collective."""
+        out = np.array(values, dtype=np.float64)
+        self.comm.Allreduce(MPI.IN_PLACE, out, MPI.SUM)
+        return out
+
+    def any(self, flag: bool) -> bool:
+        """Whether the flag is set on at least one rank.  Collective."""
+        return bool(self.comm.allreduce(bool(flag), MPI.LOR))
+
+
+@contextmanager
+def raise_together(comm: MPI.Comm):
+    """If the block fails on any rank, all ranks raise the error of the lowest failing rank.  Collective at the end of
+    the block.
+
+    The block must not contain collective calls (a rank that failed would not reach them).
+    """
+    failure = None
+    try:
+        yield
+    except Exception as error:  # any failure must reach the other ranks, which would otherwise wait for ever
+        failure = error
+    failures = comm.allgather(None if failure is None else (type(failure).__name__, str(failure)))
+    first = next((rank for rank, found in enumerate(failures) if found), None)
+    if first is None:
+        return
+    if failure is not None:
+        raise failure
+    name, message = failures[first]
+    kind = {"InputError": InputError, "SolverError": SolverError}.get(name, RuntimeError)
+    raise kind(message if kind is not RuntimeError else f"rank {first}: {name}: {message}")
+
+
+def from_root(comm: MPI.Comm, function, *arguments):
+    """`function(*arguments)` evaluated on rank 0, its value on every rank; its error too.  Collective."""
+    value = failure = None
+    if comm.rank == 0:
+        try:
+            value = function(*arguments)
+        except Exception as error:  # reaches every rank below
+            failure = error
+    value, failure = comm.bcast((value, failure))
+    if failure is not None:
+        raise failure
+    return value
+
+
+def fetch_rows(
+    comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int, stop: int, threads: Threads | None = None
+) -> np.ndarray:
+    """Rows first … stop−1 (global, periodic) of a field of which each rank holds rows starts[rank] …
+    starts[rank+1]−1.  Collective.
+
+    Each rank may ask for another range, also for rows that it holds itself, beyond the edges (they wrap), or for more
+    than one period.  Returns a new array of shape (stop − first, …).  threads: share the copies of own rows.
+    """
+    total = int(starts[-1])
+    out = np.empty((max(stop - first, 0), *local.shape[1:]), local.dtype)
+    wanted = comm.allgather((first, stop))
+    requests, copies = [], []
+    # Posted in the same order on both sides, so that messages between one pair of ranks match one to one.
+    for target, (low, high) in enumerate(wanted):
+        for source in range(comm.size):
+            if comm.rank not in (target, source):
+                continue
+            for at, length, row in overlaps(low, high, int(starts[source]), int(starts[source + 1]), total):
+                mine = slice(row - int(starts[source]), row - int(starts[source]) + length)
+                if target == source:
+                    copies.append((slice(at, at + length), mine))
+                elif comm.rank == source:
+                    requests.append(comm.Isend(_items(np.ascontiguousarray(local[mine])), target))
+                else:
+                    requests.append(comm.Irecv(_items(out[at : at + length]), source))
+    for destination, source_rows in copies:
+        target, source = out[destination], local[source_rows]
+        if threads is None:
+            target[...] = source
+        else:
+            threads.split(partial(_copy, source, target), len(target))
+    MPI.Request.Waitall(requests)
+    return out
+
+
+def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None:
+    target[first:stop] = source[first:stop]
+
+
+def _items(rows: np.ndarray):
+    """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
+    return [rows, MPI._typedict[rows.dtype.char]]
+
+
+def overlaps(low: int, high: int, start: int, stop: int, total: int):
+    """Pieces (offset in the request, length, first global row) of the periodic range low … high−1 inside start …
+    stop−1.
+    """
+    for shift in range((low - stop) // total, (high - start) // total + 1):
+        begin, end = max(low, start + shift * total), min(high, stop + shift * total)
+        if begin < end:
+            yield begin - low, end - begin, begin - shift * total

@@ -1,0 +1,69 @@
+"""The threads of one rank, which share blocks of rows between them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+
+from pgfmd.parallel.thread_pool import team
+
+
+def threads_per_rank() -> int:
+    """OMP_NUM_THREADS if set, else the number of cores that this process is bound to."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
+
+
+class Threads:
+    """`count` threads.  What they run must release the GIL (compiled kernels, FFTW, NumPy on large arrays) to gain
+    anything.
+    """
+
+    def __init__(self, count: int):
+        self.count = count
+
+    def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
+        """`work(thread, first, stop)` for the blocks of 0 … total−1, each by the thread that is free first; an
+        exception ends in the caller.
+        """
+        if self.count == 1 or total <= block:
+            for first in range(0, total, block):
+                work(0, first, min(first + block, total))
+            return
+        blocks = iter(range(0, total, block))  # shared: the interpreter hands each of its numbers to one thread
+
+        def part(thread: int) -> None:
+            for first in blocks:
+                work(thread, first, min(first + block, total))
+
+        team().run(part, min(self.count, -(-total // block)))
+
+    def split(self, work: Callable[[int, int], None], total: int) -> None:
+        """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
+        if total > 0:
+            self.share(lambda _, first, stop: work(first, stop), total, -(-total // self.count))
+
+    def collect(self, work: Callable[[int, int], object], total: int, block: int = 64) -> list:
+        """What `work(first, stop)` returns for each block of 0 … total−1, in their order whatever thread made them."""
+        results: list = [None] * -(-total // block)
+
+        def part(_: int, first: int, stop: int) -> None:
+            results[first // block] = work(first, stop)
+
+        self.share(part, total, block)
+        return results
+
+    def scale(self, field: np.ndarray, factor: float) -> None:
+        """field *= factor"""
+        self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
+
+    def deal(self, work: Callable[[int, int], None], total: int, least: int = 256) -> None:
+        """`work(first, stop)` for blocks of at least so many rows, dealt out in turn: like `split`, where some rows are
+        dearer than others.
+        """
+        if self.count == 1:
+            self.split(work, total)
+        else:
+            self.share(lambda _, first, stop: work(first, stop), total, max(least, total // (4 * self.count)))

@@ -1,0 +1,1 @@
+"""The elastic solid, the contact laws, and the problem that they pose."""

@@ -1,0 +1,134 @@
+"""Elastic response of a half-space or slab to normal pressure, mode by mode.
+
+Half-space: p̃(q) = (E'/2) q ũ(q).  Slab of thickness d, with t = q d: p̃ = (E'/2) q F(t) ũ, for three ways to hold
+its base (closed forms of plane-strain elasticity; see `Elasticity.slab_factor`).  The mean mode q = 0 is apart: at
+imposed load it only shifts the solid as a whole.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid import kernels
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import Columns
+
+BASES = ("bonded", "free", "sliding")
+
+
+@dataclass(frozen=True)
+class Elasticity:
+    """Contact modulus E' = E/(1−ν²), and for a slab its thickness, base and Poisson's ratio (which matters for a
+    bonded base only).
+    """
+
+    contact_modulus: float
+    thickness: float = math.inf
+    base: str = "bonded"
+    poisson: float = 0.25
+
+    def __post_init__(self):
+        if not (self.contact_modulus > 0 and math.isfinite(self.contact_modulus)):
+            raise InputError(f"contact_modulus = {self.contact_modulus!r}: must be positive and finite")
+        if not self.thickness > 0:
+            raise InputError(f"thickness = {self.thickness!r}: must be positive (inf for a half-space)")
+        if self.base not in BASES:
+            raise InputError(f"base = {self.base!r}: must be one of {', '.join(BASES)}")
+        if not -1 < self.poisson < 0.5:
+            raise InputError(f"poisson = {self.poisson!r}: must lie between -1 and 0.5, both excluded")
+
+    def slab_factor(self, t: np.ndarray) -> np.ndarray:
+        """F(t) for t = q d > 0; tends to 1 as t → ∞.
+
+        Written with e = exp(−2t) and (1 − e), so that nothing overflows, and with series where terms of order 1 cancel.
+        """
+        t = np.asarray(t, dtype=np.float64)
+        small = t < 0.05
+        e = np.exp(-2 * t)
+        rise = -np.expm1(-2 * t)  # 1 − e
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if self.base == "bonded":
+                k = 3 - 4 * self.poisson
+                # k sinh 2t − 2t = 2t (k − 1) + k (2t)³/6 + …: no cancellation but for ν → ½, where k − 1 → 0 is exact.
+                below = k * np.where(small, _sinh_minus(2 * t) * e, (1 - e * e) / 2 - 2 * t * e)
+                below = below + 2 * (1 - 2 * self.poisson) * 2 * t * e
+                above = k * (1 + e * e) / 2 + (2 * t * t + 5 - 4 * self.poisson * (3 - 2 * self.poisson)) * e
+            elif self.base == "free":
+                above = np.where(small, _cosh_rest(2 * t) * e, rise**2 / 2 - 2 * t * t * e)
+                below = (1 - e * e) / 2 + 2 * t * e
+            else:
+                above, below = (1 - e * e) / 2 + 2 * t * e, rise**2 / 2
+            return np.where(t > 40, 1.0, above / below)
+
+    def mean_stiffness(self) -> float:
+        """dp̄/dū of the mean mode (pressure per length): that of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid
+        base; else 0.
+
+        A frictionless base with free lateral strain would be softer; the cell is periodic, which forbids lateral
+        strain.
+        """
+        if math.isinf(self.thickness) or self.base == "free":
+            return 0.0
+        return self.contact_modulus * (1 - self.poisson) ** 2 / (1 - 2 * self.poisson) / self.thickness
+
+    def stiffness(self, q: np.ndarray) -> np.ndarray:
+        """(E'/2) q F(q d): pressure per displacement of the modes |q| > 0, and 0 at q = 0; the shape of `q`
+        (rad/length).
+        """
+        q = np.asarray(q, dtype=np.float64)
+        if math.isinf(self.thickness):
+            return 0.5 * self.contact_modulus * q
+        factor = self.slab_factor(np.where(q > 0, q * self.thickness, 1.0))
+        return 0.5 * self.contact_modulus * q * factor
+
+    def compliance(self, q: np.ndarray) -> np.ndarray:
+        """1/stiffness, and 0 at q = 0."""
+        stiffness = self.stiffness(q)
+        return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
+
+    def apply_compliance(self, grid: SlabGrid, dtype, factor: float) -> Columns:
+        """Column action ũ ← factor · compliance(q) · ũ in the given precision."""
+        if math.isinf(self.thickness):
+            return _act_by_q(grid, dtype, kernels.divide_by_q, 2 * factor / self.contact_modulus)
+        return multiply(grid, dtype, lambda q: factor * self.compliance(q))
+
+    def apply_stiffness(self, grid: SlabGrid, dtype, factor: float) -> Columns:
+        """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
+        if math.isinf(self.thickness):
+            return _act_by_q(grid, dtype, kernels.multiply_by_q, factor * self.contact_modulus / 2)
+        return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
+
+
+def _act_by_q(grid: SlabGrid, dtype, kernel, scale: float) -> Columns:
+    """Column action by a kernel that takes squares of wave numbers."""
+    real = np.dtype(dtype)
+    qx_squared, qy_squared, scale = (grid.qx[0] ** 2).astype(real), (grid.qy[:, 0] ** 2).astype(real), real.type(scale)
+
+    def act(block: np.ndarray, first: int, stop: int):
+        kernel(block.view(real).reshape(*block.shape, 2), qx_squared, qy_squared[first:stop], scale)
+
+    return act
+
+
+def multiply(grid: SlabGrid, dtype, function) -> Columns:
+    """Column action that multiplies each mode by `function(|q|)`."""
+    real = np.dtype(dtype)
+
+    def action(block: np.ndarray, first: int, stop: int):
+        block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
+
+    return action
+
+
+def _sinh_minus(x: np.ndarray) -> np.ndarray:
+    """sinh x − x for small x, by its series."""
+    return x**3 / 6 * (1 + x**2 / 20 * (1 + x**2 / 42 * (1 + x**2 / 72)))
+
+
+def _cosh_rest(x: np.ndarray) -> np.ndarray:
+    """cosh x − 1 − x²/2 for small x, by its series."""
+    return x**4 / 24 * (1 + x**2 / 30 * (1 + x**2 / 56 * (1 + x**2 / 90)))

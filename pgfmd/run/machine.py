@@ -1,0 +1,105 @@
+"""Where a run runs: ranks, nodes, cores, threads, memory, libraries; said once, at its start."""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+from collections import Counter
+
+import h5py
+import pyfftw
+from mpi4py import MPI
+
+from pgfmd import __version__
+from pgfmd.io.provenance import git_commit, versions
+from pgfmd.parallel.threads import threads_per_rank
+from pgfmd.run.estimate import readable
+
+log = logging.getLogger("pgfmd")
+
+
+def report(comm: MPI.Comm, per_rank: float) -> None:
+    """Log where the run runs, what it is made of, and the memory it needs, `per_rank` bytes; warn where that cannot go
+    well.  Collective.
+    """
+    here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
+    found = comm.gather(here)
+    if comm.rank == 0:
+        mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
+        form = "with MPI" if h5py.get_config().mpi else "without MPI"
+        log.info("pgfmd %s, commit %s", __version__, git_commit()[:12])
+        log.info("%s, HDF5 %s %s, FFTW %s", mpi, h5py.version.hdf5_version, form, pyfftw.fftw_version)
+        log.info("%s", ", ".join(versions().split("\n")))
+        for level, line in describe(found, per_rank):
+            log.log(level, "%s", line)
+
+
+def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> list[tuple[int, str]]:
+    """Lines with their logging level, from (node, its cores that the rank may use, threads, available bytes) of each
+    rank and bytes per rank.
+    """
+    ranks = Counter(node for node, *_ in found)
+    memory = {node: available for node, _, _, available in found}
+    threads = Counter()
+    cores: dict[str, set[int]] = {node: set() for node in ranks}
+    for node, bound, count, _ in found:
+        threads[node] += count
+        cores[node] |= bound
+    spread = ", ".join(f"{node}: {count}" for node, count in list(ranks.items())[:8])
+    more = f", and {len(ranks) - 8} more" if len(ranks) > 8 else ""
+    counts = sorted({count for _, _, count, _ in found})
+    lines = [
+        (
+            logging.INFO,
+            f"{_count(len(found), 'rank')} on {_count(len(ranks), 'node')} ({spread}{more}) × "
+            f"{_count(counts[-1], 'thread')}" + f" (some {counts[0]})" * (len(counts) > 1),
+        )
+    ]
+    tight = min(ranks, key=lambda node: memory[node] - ranks[node] * per_rank)
+    need = ranks[tight] * per_rank
+    lines.append(
+        (
+            logging.INFO,
+            f"memory: about {readable(per_rank)} per rank, {readable(need)} on {tight} of {readable(memory[tight])} "
+            "available",
+        )
+    )
+    if need > memory[tight]:
+        lines.append((logging.WARNING, f"{tight}: the memory will not suffice; take more nodes, or a smaller grid"))
+    crowded = [node for node in ranks if threads[node] > max(len(cores[node]), ranks[node])]
+    if crowded:
+        lines.append(
+            (
+                logging.WARNING,
+                f"{crowded[0]}: {threads[crowded[0]]} threads on {_count(len(cores[crowded[0]]), 'core')}; "
+                "set OMP_NUM_THREADS to cores / ranks",
+            )
+        )
+    return lines
+
+
+def available_memory() -> float:
+    """Bytes that this process can still get: what the system says is available, or its control group allows."""
+    found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    found += [1024 * int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemAvailable")]
+    for limit, used in (
+        ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+        ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+    ):
+        numbers = [line.strip() for name in (limit, used) for line in _lines(name)]
+        if len(numbers) == 2 and all(number.isdigit() for number in numbers):
+            found.append(int(numbers[0]) - int(numbers[1]))
+    return float(min(found))
+
+
+def _lines(name: str) -> list[str]:
+    try:
+        with open(name) as file:
+            return file.readlines()
+    except OSError:
+        return []
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"

@@ -1,0 +1,1 @@
+"""The hard wall: a primal–dual active set under nested iteration."""

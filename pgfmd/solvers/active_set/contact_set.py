@@ -1,0 +1,197 @@
+"""The points in contact of one slab, as compressed rows: vectors on them are short, and no array of the size of the
+grid is needed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.grid import kernels
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import Columns
+from pgfmd.solvers.active_set import kernels as set_kernels
+
+HALO = 8  # rows of neighbours: enough for stencils, and for coarser grids whose slabs begin elsewhere
+
+
+class ContactSet:
+    """Points of this rank with p > 0, or with p = 0 and a gap below `level`.
+
+    Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it.  `lists` and `extended` are
+    (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set are arrays (count,), or
+    `SetVector`s where neighbours need them.
+    """
+
+    def __init__(
+        self, grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, level: float, busy: np.ndarray | None = None
+    ):
+        """busy (nx_local, segments): which `kernels.SEGMENT` columns of each row can hold points; all if None."""
+        self.grid = grid
+        rows = grid.local_shape[0]
+        busy = np.ones(segments(grid), bool) if busy is None else busy
+        counts = np.empty(rows, np.int64)
+        grid.threads.deal(lambda a, b: set_kernels.count_contact(pressure, gap, level, busy, a, b, counts), rows)
+        self.offsets = np.concatenate([[0], np.cumsum(counts)])
+        self.count = int(self.offsets[-1])
+        offsets = self._plan_halo(counts)
+        columns = SetVector(self, np.int32)
+        self.columns = columns.own
+        grid.threads.deal(
+            lambda a, b: set_kernels.list_contact(pressure, gap, level, busy, a, b, self.offsets, self.columns), rows
+        )
+        self.extended = columns.exchange(), offsets
+
+    @property
+    def lists(self) -> tuple[np.ndarray, np.ndarray]:
+        """(columns, offsets) of this rank's points."""
+        return self.columns, self.offsets
+
+    def take(self, field: np.ndarray) -> np.ndarray:
+        """The values (count,) of a field (nx_local, ny) on the set."""
+        values = np.empty(self.count, field.dtype)
+        self.grid.threads.deal(
+            lambda a, b: set_kernels.take_rows(field, self.columns, self.offsets, a, b, values), len(field)
+        )
+        return values
+
+    def below(self, level: float, field: np.ndarray) -> SetVector:
+        """level − field (nx_local, ny) on the set, in single precision."""
+        out = SetVector(self)
+        self.grid.threads.deal(
+            lambda a, b: set_kernels.take_below(field, self.columns, self.offsets, a, b, level, out.own), len(field)
+        )
+        return out
+
+    def dot(self, field: np.ndarray, values: np.ndarray) -> float:
+        """Σ field (nx_local, ny) · values (count,) over this rank's points."""
+        parts = self.grid.threads.collect(
+            lambda a, b: set_kernels.dot_rows(field, self.columns, self.offsets, a, b, values), len(field)
+        )
+        return math.fsum(parts)
+
+    def busy(self, least: np.ndarray, level: float) -> np.ndarray:
+        """Which segments (nx_local, segments) hold a point, or have a `least` value below the level."""
+        busy = np.empty(least.shape, bool)
+        self.grid.threads.deal(
+            lambda a, b: set_kernels.mark_busy(self.columns, self.offsets, least, level, a, b, busy), len(least)
+        )
+        return busy
+
+    def contact_sums(self, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray) -> tuple[float, ...]:
+        """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) over this rank's points where p > 0, of fields (nx_local, ny)."""
+        parts = self.grid.threads.collect(
+            lambda a, b: set_kernels.contact_sums(pressure, gap, heights, self.columns, self.offsets, a, b), len(gap)
+        )
+        return tuple(map(math.fsum, zip(*parts, strict=True)))
+
+    def sum(self, field: np.ndarray) -> float:
+        """Σ field (nx_local, ny) over this rank's points."""
+        return math.fsum(
+            self.grid.threads.collect(
+                lambda a, b: set_kernels.sum_rows(field, self.columns, self.offsets, a, b), len(field)
+            )
+        )
+
+    def cut_negative(self, field: np.ndarray) -> tuple[SetVector, int]:
+        """field (nx_local, ny) = max(field, 0) on the set.  Returns its change, and of how many points."""
+        change = SetVector(self)
+        counts = self.grid.threads.collect(
+            lambda a, b: set_kernels.cut_negative(field, self.columns, self.offsets, a, b, change.own), len(field)
+        )
+        return change, sum(counts)
+
+    def put(self, field: np.ndarray, values: np.ndarray) -> None:
+        """Overwrites a field (nx_local, ny) on the set."""
+        self.grid.threads.deal(
+            lambda a, b: set_kernels.put_rows(field, self.columns, self.offsets, a, b, values), len(field)
+        )
+
+    def add(self, field: np.ndarray, values: np.ndarray) -> None:
+        """Adds values (count,) to a field (nx_local, ny) on the set."""
+        self.grid.threads.deal(
+            lambda a, b: set_kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
+        )
+
+    def _plan_halo(self, counts: np.ndarray) -> np.ndarray:
+        """Learn which points lie in the `HALO` rows before and after those of this rank, around the ring, from the
+        `counts` in its rows.  Returns offsets into those rows, its own, and those.  Collective.
+        """
+        grid, comm = self.grid, self.grid.comm
+        self.thin = min(np.diff(grid.starts)) < HALO
+        if self.thin:
+            every = np.concatenate(comm.allgather(counts))
+            rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO) % grid.shape[0]
+            offsets = np.concatenate([[0], np.cumsum(every)])
+            self.taken = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in rows])
+            counts = every[rows]
+        else:
+            ring = np.concatenate([counts[:HALO], counts[-HALO:]])
+            previous, following = (np.empty_like(ring) for _ in range(2))
+            pass_on(comm, ring, previous, ring, following)
+            counts = np.concatenate([previous[HALO:], counts, following[:HALO]])
+            self.top, self.bottom = int(self.offsets[HALO]), int(self.offsets[-1 - HALO])
+            self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
+        return np.concatenate([[0], np.cumsum(counts)])
+
+    def fill(self, values: np.ndarray):
+        """Rows that hold `values` on the set and zero elsewhere (a source for `SlabGrid.convolve`)."""
+
+        def rows(first: int, stop: int, block: np.ndarray):
+            set_kernels.fill_rows(values, self.columns, self.offsets, first, block)
+
+        return rows
+
+    def drain(self, values: np.ndarray):
+        """Takes the values on the set out of rows (a sink for `SlabGrid.convolve`)."""
+
+        def rows(first: int, stop: int, block: np.ndarray):
+            set_kernels.drain_rows(block, self.columns, self.offsets, first, values)
+
+        return rows
+
+    def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out = (kernel ∗ values) on the set, or on `targets`.  Collective."""
+        self.grid.convolve(self.fill(values), action, (targets or self).drain(out), np.float32)
+
+
+def segments(grid: SlabGrid) -> tuple[int, int]:
+    """Rows of this rank, and the segments of a row."""
+    return grid.local_shape[0], -(-grid.shape[1] // kernels.SEGMENT)
+
+
+class SetVector:
+    """A vector (count,) on a set, `own`, in one array with the values of the rows before and after those of this rank.
+
+    Slabs thinner than the halo need values of several ranks, and keep none.
+    """
+
+    def __init__(self, points: ContactSet, dtype=np.float32):
+        self.points = points
+        if points.thin:
+            self.own = np.empty(points.count, dtype)
+        else:
+            self._all = np.empty(points.before + points.count + points.after, dtype)
+            self.own = self._all[points.before : points.before + points.count]
+
+    def exchange(self) -> np.ndarray:
+        """The vector with its halo as it is now, as `ContactSet.extended` lists its points.  Collective."""
+        points, comm = self.points, self.points.grid.comm
+        if points.thin:
+            return np.concatenate(comm.allgather(self.own))[points.taken]
+        before, after = self._all[: points.before], self._all[points.before + points.count :]
+        pass_on(comm, self.own[points.bottom :], before, self.own[: points.top], after)
+        return self._all
+
+
+def pass_on(comm: MPI.Comm, bottom: np.ndarray, before: np.ndarray, top: np.ndarray, after: np.ndarray) -> None:
+    """`bottom` to the next rank, which receives it as `before`; `top` to the previous one, as `after`.  Collective."""
+    if comm.size == 1:
+        before[...], after[...] = bottom, top
+        return
+    kind = MPI._typedict[top.dtype.char]
+    previous, following = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
+    comm.Sendrecv([bottom, kind], following, recvbuf=[before, kind], source=previous)
+    comm.Sendrecv([top, kind], previous, recvbuf=[after, kind], source=following)

@@ -1,0 +1,157 @@
+"""The elastic response between the points of a set at a fraction of a transform: particle–mesh, as in Ewald sums.
+
+Near: with the factor erf(q/2α) the compliance 2/(E'q) falls off in real space like erfc(αr)/r, and the stiffness E'q/2
+as fast; cut to a few pixels it is summed between points of the set only.  Far: the rest, smooth on the scale of two
+pixels, acts on a mesh of half the side.  Values are spread to it by cubic B-splines, transformed, and interpolated back
+by the same splines, with the influence function that is best for them (Hockney and Eastwood, Computer Simulation Using
+Particles, 1988, section 8).
+
+Both parts are symmetric, and their sum differs from the compliance by about a per cent, from the stiffness by a few:
+as good as exact for the inner iterations of a solver whose residuals are computed by full transforms.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.special import erf
+
+from pgfmd.grid import kernels
+from pgfmd.grid.halo import RowWindow
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import Columns
+from pgfmd.solvers.active_set import kernels as set_kernels
+from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
+
+SPLIT = 0.55  # α in 1/pixel: errors of the cut and of the mesh are then about equal
+ROUNDEST = 1.25  # ratio of the two grid spacings up to which a round stencil serves
+COLUMNS = 16  # of the spectrum at a time, so that what NumPy makes on the way stays in cache
+SMALLEST = 256  # points of the shorter side below which transforms cost nothing
+
+
+class MeshResponse:
+    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness."""
+
+    def __init__(self, grid: SlabGrid, half_space, response):
+        """half_space(|q|), response(|q|): of a half-space, which the near part takes, and of the solid itself."""
+        self.grid = grid
+        shape = tuple(-(-n // 2) for n in grid.shape)
+        self.mesh = mesh = SlabGrid(grid.comm, shape, grid.lengths, grid.asked_threads)
+        alpha = SPLIT / math.sqrt(grid.pixel_area)
+
+        def near(q: np.ndarray) -> np.ndarray:
+            q = np.maximum(q, 1e-6 * alpha)  # finite at q = 0
+            return half_space(q) * erf(q / (2 * alpha))
+
+        kernel = lattice_kernel(grid, near)
+        self.stencil = Stencil(grid, kernel)
+        self.influence = self._influence(kernel, response)
+        rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO)
+        self.x_first, self.x_weights = _splines(rows * (shape[0] / grid.shape[0]))
+        self.y_first, self.y_weights = _splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
+        self.window = RowWindow(mesh, int(self.x_first[HALO]), int(self.x_first[-1 - HALO]) + 4)
+
+    @staticmethod
+    def serves(grid: SlabGrid, half_space, response) -> bool:
+        """Whether the split is a good one: for a grid that is large enough, of nearly square pixels, and a solid whose
+        base is not felt at the mesh's wave numbers.
+        """
+        large = min(grid.shape) >= SMALLEST and grid.shape[0] >= 2 * grid.comm.size
+        if not large or max(grid.spacing) > ROUNDEST * min(grid.spacing):
+            return False
+        q = np.array(0.25 * np.pi / max(grid.spacing))
+        return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
+
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out (count,) = the response to `values` on the set, there or on `targets`; both float32.  Collective."""
+        targets = targets or points
+        mesh, own = self.mesh, self.mesh.rows.start
+        extended = values.exchange()
+        self.stencil.apply(points, extended, out, targets)
+
+        def fill(first: int, stop: int, block: np.ndarray):
+            block[...] = 0
+            low, high = np.searchsorted(self.x_first, (own + first - 3, own + stop))
+            set_kernels.spread_points(
+                extended, *points.extended, low, high, *self._splines(0), own + first, block
+            )  # fmt: skip
+
+        def act(block: np.ndarray, first: int, stop: int):
+            kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.influence[first:stop])
+
+        def drain(first: int, stop: int, block: np.ndarray):
+            self.window.own[first:stop] = block
+
+        def add(first: int, stop: int):
+            set_kernels.add_interpolated(
+                self.window.rows, self.window.low, *targets.lists, first, stop, *self._splines(HALO), out
+            )  # fmt: skip
+
+        mesh.convolve(fill, act, drain, np.float32)
+        self.window.exchange()
+        self.grid.threads.deal(add, self.grid.local_shape[0])
+        self.grid.transforms += 0.5 * mesh.size / self.grid.size
+
+    def free(self) -> None:
+        """Give the mesh's memory back.  Collective."""
+        self.mesh.free()
+
+    def _splines(self, first: int) -> tuple[np.ndarray, ...]:
+        return self.x_first[first:], self.x_weights[first:], self.y_first, self.y_weights
+
+    def _influence(self, kernel: np.ndarray, response) -> np.ndarray:
+        """What the mesh's modes (nky_local, nx) are multiplied by: all that the near part, as it was cut, leaves."""
+        mesh, offsets = self.mesh, np.arange(-RADIUS, RADIUS + 1)
+        cos_x, cos_y = (
+            np.cos(np.outer(q, step * offsets))
+            for q, step in zip((mesh.qx[0], mesh.qy[:, 0]), self.grid.spacing, strict=True)
+        )
+        weights = [
+            _spline_response(q * step / (2 * np.pi)) for q, step in zip((mesh.qx, mesh.qy), mesh.spacing, strict=True)
+        ]
+        across, along = kernel.T @ cos_x.T, weights[0] / self.grid.size
+        influence = np.empty(mesh.spectral_shape, np.float32)
+
+        def part(_: int, first: int, stop: int):
+            rest = response(np.sqrt(mesh.q_squared(first, stop))) - cos_y[first:stop] @ across
+            influence[first:stop] = rest * (weights[1][first:stop] * along)
+
+        self.grid.threads.share(part, len(influence), COLUMNS)
+        return influence
+
+
+def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First node and cubic B-spline weights (len(at), 4) of the nodes around each position."""
+    base = np.floor(at).astype(np.int64)
+    t = (at - base)[:, None]
+    weights = np.hstack([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
+    return (base - 1).astype(np.int32), weights.astype(np.float32)
+
+
+def _spline_response(x: np.ndarray) -> np.ndarray:
+    """Ŵ²/(Σ Ŵ²)² at the frequency x in cycles per node, the sum over its aliases: Ŵ = sinc⁴ is the cubic B-spline's."""
+    s = np.sin(np.pi * x) ** 2
+    return np.sinc(x) ** 8 / (1 - 4 / 3 * s + 2 / 5 * s**2 - 4 / 315 * s**3) ** 2
+
+
+class FullResponse:
+    """S A Sᵀ v by full transforms."""
+
+    def __init__(self, action: Columns):
+        self.action = action
+
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
+        """out (count,) = the response to `values` on the set, there or on `targets`.  Collective."""
+        points.convolve(values.own, self.action, out, targets)
+
+    def free(self) -> None:
+        """Nothing to give back."""
+
+
+def inner_response(grid: SlabGrid, half_space, response, action: Columns) -> MeshResponse | FullResponse:
+    """The cheapest that serves; `action` is what full transforms are multiplied by.  Collective."""
+    if MeshResponse.serves(grid, half_space, response):
+        return MeshResponse(grid, half_space, response)
+    return FullResponse(action)

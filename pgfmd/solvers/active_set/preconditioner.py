@@ -1,0 +1,125 @@
+"""An approximate inverse of the compliance on a contact set, in levels.
+
+Near: the stiffness kernel cut to a few pixels, in real space.  The stiffness E'q/2 falls off as −E'/(4π r³), so a
+disc of radius 2 pixels holds most of it; summed over contact points alone it costs a few per cent of a transform.
+Cut off, its rows have positive sums, so it is positive definite; but it takes long waves for far too stiff.  So most
+of that sum is taken off the diagonal.
+
+Far: the mean of the residual over blocks of 4 × 4 pixels is taken out before and after the near part, and treated by
+the stiffness between blocks instead (`blocks`).  Both parts are symmetric and positive, and so is their sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pgfmd.grid.halo import RowWindow
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.solvers.active_set import block_stiffness
+from pgfmd.solvers.active_set import kernels as set_kernels
+from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
+
+BLOCK = 4  # pixels: what the near part can bridge
+NEUTRAL = 0.9  # share of the row sum of the near part taken off its diagonal; below 1 it stays positive definite
+
+
+class MultilevelStiffness:
+    """z = (1 − Q) S K_cut Sᵀ (1 − Q) r + B K_blocks Bᵀ r: S restricts to a contact set, Q = B Bᵀ takes means over
+    blocks.
+    """
+
+    def __init__(self, grid: SlabGrid, half_space, stiffness, dtype=np.float32):
+        """half_space(|q|), stiffness(|q|): without and with the slab's base, which the near part would not bear."""
+        kernel = lattice_kernel(grid, half_space)
+        kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
+        self.near = Stencil(grid, kernel, dtype)
+        far_reaching = min(grid.shape) >= block_stiffness.FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
+        self.far = FarPart(grid, stiffness) if far_reaching else None
+
+    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
+        """out = M · residual on the set.  Collective."""
+        if self.far is None:
+            self.near.apply(points, residual.exchange(), out.own)
+            return
+        rest = self.far.split(points, residual)
+        self.near.apply(points, rest.exchange(), out.own)
+        self.far.join(points, out)
+
+    def free(self) -> None:
+        """Give the memory of its transforms back.  Collective."""
+        if self.far is not None:
+            self.far.stiffness.free()
+
+
+class FarPart:
+    """Between the points of a set and the blocks that they lie in."""
+
+    def __init__(self, grid: SlabGrid, stiffness):
+        self.grid = grid
+        shape = tuple(-(-n // BLOCK) for n in grid.shape)
+        lengths = tuple(n * BLOCK * step for n, step in zip(shape, grid.spacing, strict=True))
+        self.blocks = SlabGrid(grid.comm, shape, lengths, grid.asked_threads)
+        self.stiffness = block_stiffness.BlockStiffness(self.blocks, BLOCK, stiffness, min(grid.spacing))
+        self.window = RowWindow(self.blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
+        self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
+        self.column_block = np.arange(grid.shape[1]) // BLOCK
+        self.points = self.rest = None
+        self.sums, self.loads = np.empty((2, *self.blocks.local_shape), np.float32)
+
+    def split(self, points: ContactSet, residual: SetVector) -> SetVector:
+        """The residual less its means over blocks, whose response is kept for `join`.  Collective."""
+        if points is not self.points:
+            ones = SetVector(points)
+            ones.own[:] = 1
+            counts = np.empty_like(self.sums)
+            self._sum(points, ones, counts, lambda rows: None)
+            self.points, self.rest = points, SetVector(points)
+            self.stiffness.begin(counts)
+
+        def means(rows: slice):
+            np.multiply(self.sums[rows], self.stiffness.shares[rows], out=self.window.own[rows])
+            np.negative(self.window.own[rows], out=self.window.own[rows])
+
+        self._sum(points, residual, self.sums, means)
+        self.stiffness.respond(self.sums, self.loads)
+        self.grid.transforms += 0.5 * self.stiffness.size / self.grid.size
+        self._add(points, residual.own, self.rest.own)
+        return self.rest
+
+    def join(self, points: ContactSet, values: SetVector) -> None:
+        """`values` get the kept loads, shared out evenly, for their means over blocks.  Collective."""
+
+        def change(rows: slice):
+            np.subtract(self.loads[rows], self.sums[rows], out=self.window.own[rows])
+            self.window.own[rows] *= self.stiffness.shares[rows]
+
+        self._sum(points, values, self.sums, change)
+        self._add(points, values.own, values.own)
+
+    def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray, then: Callable[[slice], None]) -> None:
+        """Sums of `values` over this rank's blocks, and what then is to be done on a few rows of them.  Collective."""
+        extended = values.exchange()
+        start, rows = self.grid.rows.start, self.blocks.rows
+
+        def part(first: int, stop: int):
+            low = (rows.start + first) * BLOCK - start + HALO
+            high = min((rows.start + stop) * BLOCK, self.grid.shape[0]) - start + HALO
+            sums = out[first:stop]
+            sums[...] = 0
+            set_kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
+            then(slice(first, stop))
+
+        self.grid.threads.deal(part, len(out), 256 // BLOCK)
+
+    def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
+        """out = values + the window's entry for their block, which may be a neighbour's.  Collective."""
+        self.window.exchange()
+        rows, lists = self.window.rows, points.lists
+
+        def part(first: int, stop: int):
+            set_kernels.add_blocks(values, rows, *lists, first, stop, self.row_block, self.column_block, out)
+
+        self.grid.threads.deal(part, self.grid.local_shape[0])

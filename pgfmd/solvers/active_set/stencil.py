@@ -1,0 +1,46 @@
+"""A short-ranged kernel between the points of a contact set, summed in real space."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.solvers.active_set import kernels as set_kernels
+from pgfmd.solvers.active_set.contact_set import HALO, ContactSet
+
+RADIUS = 2  # pixels: thirteen points
+ROWS = 32  # evaluated together: with the stencil's reach on each side they stay in cache
+
+
+def lattice_kernel(grid: SlabGrid, symbol) -> np.ndarray:
+    """Real-space values of `symbol(|q|)` on the pixel lattice, (5, 5), zero beyond the radius of 2 pixels.
+
+    From a small grid with the same spacing: beyond a few pixels a short-ranged kernel does not know the cell.
+    """
+    n = 64
+    ax, ay = grid.spacing
+    q = np.hypot(2 * np.pi * np.fft.fftfreq(n, ax)[:, None], 2 * np.pi * np.fft.rfftfreq(n, ay)[None, :])
+    kernel = np.fft.irfft2(symbol(q), s=(n, n))
+    offsets = np.arange(-RADIUS, RADIUS + 1)
+    inside = offsets[:, None] ** 2 + offsets[None, :] ** 2 <= RADIUS**2
+    return np.where(inside, kernel[np.ix_(offsets, offsets)], 0.0)
+
+
+class Stencil:
+    """z = S K Sᵀ r: S restricts to a contact set, K is a `lattice_kernel`."""
+
+    def __init__(self, grid: SlabGrid, kernel: np.ndarray, dtype=np.float32):
+        self.grid, self.dtype = grid, np.dtype(dtype)
+        corner = kernel[RADIUS:, RADIUS:]
+        self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(dtype)
+
+    def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None):
+        """out = the kernel applied to a `SetVector` with its halo, on the same set or on `targets`."""
+        lists = (targets or points).lists
+        rows, ny = self.grid.local_shape
+
+        def part(first: int, stop: int):
+            work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), self.dtype)
+            set_kernels.correlate(extended, *points.extended, HALO, self.weights, work, *lists, first, stop, out)
+
+        self.grid.threads.deal(part, rows)

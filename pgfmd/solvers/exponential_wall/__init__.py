@@ -1,0 +1,1 @@
+"""The exponential wall: Newton's method under nested iteration."""

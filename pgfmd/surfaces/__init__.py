@@ -1,0 +1,1 @@
+"""Heights of the rigid surface, one file per kind."""
