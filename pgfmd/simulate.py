@@ -19,7 +19,7 @@ from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.writer import ResultWriter
 from pgfmd.job.job import Config, as_toml, differences, parse
 from pgfmd.job.sections import FILE, PARABOLOID, ROUGH, SINUSOID, Run
-from pgfmd.observables import Observer
+from pgfmd.observables.observer import Observer
 from pgfmd.observables.patches.labelling import label_patches
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.run import machine

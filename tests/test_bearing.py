@@ -7,8 +7,8 @@ import pytest
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables import Observer
 from pgfmd.observables.bearing import threshold_for_count
+from pgfmd.observables.observer import Observer
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.solution import ContactSolution
 from pgfmd.surfaces.topography import self_affine

@@ -13,10 +13,11 @@ from mpi4py import MPI
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io import schema
 from pgfmd.job.sections import OBSERVABLES
-from pgfmd.observables import Observer, kernels, spectra
+from pgfmd.observables import kernels, spectra
 from pgfmd.observables.correlations import Correlator, lag_bins, wave_number_bins
 from pgfmd.observables.histograms import contact_moments, linear_edges, log_edges, pressure_groups
 from pgfmd.observables.lowpass import coarsening, lowpass, lowpass_areas, octaves
+from pgfmd.observables.observer import Observer
 from pgfmd.observables.staircase import contact_area
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall

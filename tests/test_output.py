@@ -176,7 +176,8 @@ def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
 def test_lock_dies_with_its_process(comm, shared_tmp_path):
     """A killed run leaves no lock behind: the lock is the kernel's, the file only a name."""
     if comm.rank == 0:
-        code = f"import os; from pgfmd.io import atomic as a; a.OutputFolder({str(shared_tmp_path / 'o')!r}); os._exit(9)"
+        name = str(shared_tmp_path / "o")
+        code = f"import os; from pgfmd.io import atomic; atomic.OutputFolder({name!r}); os._exit(9)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
         assert (shared_tmp_path / "o" / atomic.LOCK_NAME).exists()
     comm.Barrier()

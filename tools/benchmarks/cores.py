@@ -14,8 +14,8 @@ import sys
 import time
 from pathlib import Path
 
-from pgfmd.case import CONTACT_MODULUS, RMS_SLOPE, SEED, likely_pressure
-from pgfmd.launch import launch
+from .case import CONTACT_MODULUS, RMS_SLOPE, SEED, likely_pressure
+from .launch import launch
 
 PLAN = {  # ranks, threads, copies at once
     "one thread": (1, 1, 1),

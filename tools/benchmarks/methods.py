@@ -10,8 +10,9 @@ from __future__ import annotations
 import contextlib
 
 import numpy as np
-from pgfmd.case import CONTACT_MODULUS, Case
-from pgfmd.recorder import EnoughError, Recorder
+
+from .case import CONTACT_MODULUS, Case
+from .recorder import EnoughError, Recorder
 
 
 def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
@@ -57,10 +58,11 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
 def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: float, threads: int) -> None:
     """Polonsky–Keer on this project's transforms, one rank."""
     from mpi4py import MPI
-    from pgfmd.polonsky_keer import polonsky_keer
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+
+    from .polonsky_keer import polonsky_keer
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)

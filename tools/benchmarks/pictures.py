@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from pgfmd.case import Case
+from .case import Case
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; shapes differ as well.
 STYLES = {

@@ -94,7 +94,7 @@ def report(folder: Path, clock: str = "seconds") -> None:
         cores = f"{row['ranks']}r × {row['threads']}t"
         numbers = f"{row['transforms']:8.1f} {row['seconds']:8.3f} {row['speedup']:8.2f}"
         print(f"{_start(row)} {cores} {row['error']:6.0e} {numbers}")
-    from pgfmd.pictures import draw, overview
+    from .pictures import draw, overview
 
     draw(folder, cases)
     overview(folder, cases)

@@ -31,12 +31,13 @@ def main(folder: Path) -> None:
 
 def _solve(refinement: int) -> tuple:
     from mpi4py import MPI
-    from pgfmd.case import CONTACT_MODULUS, RMS_SLOPE, SEED
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.topography import self_affine
+
+    from .case import CONTACT_MODULUS, RMS_SLOPE, SEED
 
     n = RATIO * refinement
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))

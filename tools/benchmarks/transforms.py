@@ -12,7 +12,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from pgfmd.launch import launch
+
+from .launch import launch
 
 KINDS = (np.float32, np.float64)
 PLAN = [  # (name, ranks, threads)

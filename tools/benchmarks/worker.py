@@ -11,9 +11,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from pgfmd.case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
-from pgfmd.methods import METHODS, PEERS
-from pgfmd.recorder import Recorder
+
+from .case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
+from .methods import METHODS, PEERS
+from .recorder import Recorder
 
 TOLERANCES = {
     "pgfmd": tuple(10.0 ** (-exponent / 2) for exponent in range(4, 23)),  # 1e-2 … 1e-11
