@@ -81,10 +81,10 @@ def _count(text: str) -> int:
 
 
 def _check(options) -> str:
-    from pgfmd.job import job as config
+    from pgfmd.job.job import load
     from pgfmd.run import estimate
 
-    job = config.load(options.job, options.set)
+    job = load(options.job, options.set)
     if options.ranks > job.grid.n[0]:
         raise InputError(f"--ranks {options.ranks}: more ranks than the {job.grid.n[0]} rows of the grid")
     return f"{options.job}: valid\n{estimate.report(job, options.ranks)}"
@@ -107,11 +107,11 @@ def _run(options) -> int:
     farewell = comm.Dup()  # made now: once a rank has failed, it is too late to agree on anything
     _log_on_root(comm.rank)
     try:
-        from pgfmd.job import job as config
+        from pgfmd.job.job import load
         from pgfmd.parallel.collectives import from_root
         from pgfmd.simulate import simulate
 
-        job = from_root(comm, config.load, options.job, options.set)
+        job = from_root(comm, load, options.job, options.set)
         simulate(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
     except Exception as error:  # whatever it is, all ranks must end, and one of them must say why
         return _leave(farewell, error)

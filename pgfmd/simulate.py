@@ -17,8 +17,8 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.writer import ResultWriter
-from pgfmd.job.job import Config, as_toml, differences, parse
-from pgfmd.job.sections import FILE, PARABOLOID, ROUGH, SINUSOID, Run
+from pgfmd.job.job import Job, as_toml, differences, parse
+from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.patches.labelling import label_patches
 from pgfmd.physics.elasticity import Elasticity
@@ -29,14 +29,12 @@ from pgfmd.run.stop import Watch
 from pgfmd.solvers.dispatch import Wall, solve_contact
 from pgfmd.solvers.load_control import Loads
 from pgfmd.solvers.solution import ContactSolution
-from pgfmd.surfaces import file as heightfile
-from pgfmd.surfaces import topography
 
 log = logging.getLogger("pgfmd")
 
 
 def simulate(
-    config: Config, comm: MPI.Comm, directory: str | os.PathLike, *, overwrite: bool = False, restart: bool = False
+    job: Job, comm: MPI.Comm, directory: str | os.PathLike, *, overwrite: bool = False, restart: bool = False
 ) -> None:
     """Solve all loads of a job and write its result folder.  Collective.
 
@@ -44,107 +42,86 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
-    grid = SlabGrid(comm, config.grid.shape, config.grid.lengths)
+    grid = SlabGrid(comm, job.grid.shape, job.grid.lengths)
     with ResultWriter(
-        comm, directory, config.text, as_toml(config),
-        shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(config.load.targets),
-        overwrite=overwrite, restart=restart, precision=config.output.precision,
-        length_unit=config.output.length_unit, pressure_unit=config.output.pressure_unit,
-    ) as writer, Watch(comm, directory, config.run.checkpoint_interval, config.run.time_limit) as watch:  # fmt: skip
-        _refuse_changed_job(config, writer)
+        comm, directory, job.text, as_toml(job),
+        shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(job.load.targets),
+        overwrite=overwrite, restart=restart, precision=job.output.precision,
+        length_unit=job.output.length_unit, pressure_unit=job.output.pressure_unit,
+    ) as writer, Watch(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as watch:  # fmt: skip
+        _refuse_changed_job(job, writer)
         with phases("surface"):
-            heights = make_heights(config, grid)
-        machine.report(comm, estimate(config, comm.size).memory)  # now: a wrong input is answered by one line
-        elasticity = make_elasticity(config)
-        observer = make_observer(config, grid, heights, elasticity)
+            heights = job.surface.heights(grid, job.output.length_unit)
+        machine.report(comm, estimate(job, comm.size).memory)  # now: a wrong input is answered by one line
+        elasticity = make_elasticity(job)
+        observer = make_observer(job, grid, heights, elasticity)
         checkpoints = Checkpoints(
-            comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(config, run=Run()))
+            comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
         )  # fmt: skip
         with phases("write"):
             if writer.former.job is None:
                 checkpoints.remove()
             writer.begin()
-            if "height" in config.output.fields and not writer.former.has_height:
+            if "height" in job.output.fields and not writer.former.has_height:
                 writer.write_field("height", heights)
-        steps = _Steps(config, grid, watch, checkpoints)
-        loads = make_loads(config, grid, heights, elasticity, steps)
+        steps = _Steps(job, grid, watch, checkpoints)
+        loads = make_loads(job, grid, heights, elasticity, steps)
         for index in writer.pending:
             with phases("solve"), steps.of_load(index):
                 loads.resume(checkpoints.load(index))
-                solution = loads.solution(config.load.targets[index])
+                solution = loads.solution(job.load.targets[index])
                 steps.solved(solution)
             with phases("observe"):
                 row, groups = observer.row(solution), observer.groups(solution)
             with phases("write"):
-                writer.write_load(index, row, groups, chosen_fields(config, grid, heights, solution))
+                writer.write_load(index, row, groups, chosen_fields(job, grid, heights, solution))
                 checkpoints.remove()
             watch.load_done()
-            _report(comm, index, len(config.load.targets), row)
+            _report(comm, index, len(job.load.targets), row)
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
 
 
-def make_heights(config: Config, grid: SlabGrid) -> np.ndarray:
-    """Heights (nx_local, ny) of the job's surface.  Collective."""
-    surface = config.surface
-    if surface.kind == ROUGH:
-        lambda_s, lambda_l, lambda_r = config.wavelengths
-        rolloff = None if surface.lambda_r is None else lambda_r
-        return topography.self_affine(
-            grid, surface.hurst, lambda_s, surface.rms_slope, surface.seed, lambda_l, rolloff
-        )  # fmt: skip
-    if surface.kind == FILE:
-        path, dataset = surface.source
-        return heightfile.read_heights(
-            grid, path, dataset, surface.detrend, surface.height_scale, surface.periodic, config.output.length_unit
-        )  # fmt: skip
-    if surface.kind == SINUSOID:
-        waves = (surface.waves, surface.waves if surface.two_dimensional else 0)
-        return topography.sinusoid(grid, surface.amplitude, waves)
-    assert surface.kind == PARABOLOID
-    return topography.paraboloid(grid, surface.radius)
-
-
-def make_elasticity(config: Config) -> Elasticity:
+def make_elasticity(job: Job) -> Elasticity:
     """The job's solid."""
-    solid = config.solid
+    solid = job.solid
     poisson = 0.0 if solid.poisson is None else solid.poisson  # without it only solids are accepted that do not need it
     return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 
-def make_observer(config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity) -> Observer:
+def make_observer(job: Job, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity) -> Observer:
     """What the job asks to measure.  Collective."""
-    output = config.output
-    shortest = config.wavelengths[0] if config.surface.kind == ROUGH else 0.0
-    q_max = 2 * math.pi / shortest if shortest > min(grid.spacing) * (1 + 1e-9) else None
+    output = job.output
+    shortest = job.surface.shortest_wavelength(job.grid)
+    q_max = 2 * math.pi / shortest if shortest else None
     return Observer(
         grid, heights, elasticity, q_max=q_max, names=output.observables,
         histogram_bins=output.histogram.bins,
         spectra=(output.spectra.spacing, output.spectra.bins), acf=(output.acf.spacing, output.acf.bins),
-        connectivity=output.patches.connectivity, lowpass_q=output.lowpass.q, tolerance=config.solver.tolerance,
+        connectivity=output.patches.connectivity, lowpass_q=output.lowpass.q, tolerance=job.solver.tolerance,
     )  # fmt: skip
 
 
-def chosen_fields(config: Config, grid: SlabGrid, heights: np.ndarray, solution: ContactSolution) -> dict:
+def chosen_fields(job: Job, grid: SlabGrid, heights: np.ndarray, solution: ContactSolution) -> dict:
     """The fields (nx_local, ny) of one load that the job asks for.  Collective."""
     fields = {}
-    for name in config.output.fields:
+    for name in job.output.fields:
         if name in ("pressure", "gap"):
             fields[name] = getattr(solution, name)
         elif name == "displacement":
             position = solution.gap + heights
             fields[name] = position - grid.reduction.sum(position) / grid.size
         elif name == "labels":
-            connectivity = config.output.patches.connectivity
+            connectivity = job.output.patches.connectivity
             fields[name] = label_patches(grid.comm, solution.pressure > 0, grid.starts, connectivity).label_field()
     return fields
 
 
 def make_loads(
-    config: Config, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, steps: _Steps
+    job: Job, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, steps: _Steps
 ) -> Loads:  # fmt: skip
     """The job's loads, solved by its method with its wall.  Collective."""
-    wall = Wall(config.wall.kind, config.wall.zeta, config.wall.sigma_ref)
-    solver, load = config.solver, config.load
+    wall = Wall(job.wall.kind, getattr(job.wall, "zeta", None), getattr(job.wall, "sigma_ref", None))
+    solver, load = job.solver, job.load
 
     def solve(mean_pressure: float, start: np.ndarray | None, tolerance: float) -> ContactSolution:
         return solve_contact(
@@ -159,8 +136,8 @@ def make_loads(
 class _Steps:
     """What happens between two steps of a solver: progress is shown, checkpoints are written, the run may stop."""
 
-    def __init__(self, config: Config, grid: SlabGrid, watch: Watch, checkpoints: Checkpoints):
-        self.count, self.tolerance = len(config.load.targets), config.solver.tolerance
+    def __init__(self, job: Job, grid: SlabGrid, watch: Watch, checkpoints: Checkpoints):
+        self.count, self.tolerance = len(job.load.targets), job.solver.tolerance
         self.grid, self.watch, self.checkpoints = grid, watch, checkpoints
         self.index = self.progress = None
 
@@ -194,10 +171,10 @@ class _Steps:
         self.checkpoints.save(self.index, unit * pressure)
 
 
-def _refuse_changed_job(config: Config, writer: ResultWriter) -> None:
+def _refuse_changed_job(job: Job, writer: ResultWriter) -> None:
     """A run is continued by the same job only."""
     if writer.former.job is not None:
-        changed = differences(parse(writer.former.job, "results"), config)
+        changed = differences(parse(writer.former.job, "results"), job)
         if changed:
             raise InputError(f"{writer.directory}: cannot be continued, the job differs: {'; '.join(changed)}")
 

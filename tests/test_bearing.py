@@ -11,7 +11,7 @@ from pgfmd.observables.bearing import threshold_for_count
 from pgfmd.observables.observer import Observer
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.solution import ContactSolution
-from pgfmd.surfaces.topography import self_affine
+from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
 

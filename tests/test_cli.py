@@ -21,9 +21,10 @@ JOB = '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]
 STAND_IN = """
 import sys, types
 import numpy as np
-from pgfmd import InputError, SolverError, config
-from pgfmd.output import ResultWriter
-from pgfmd.parallel import raise_together, slab
+from pgfmd import InputError, SolverError
+from pgfmd.job import job as config
+from pgfmd.io.writer import ResultWriter
+from pgfmd.parallel.collectives import raise_together, slab
 
 def simulate(job, comm, folder, overwrite=False, restart=False):
     rows = slab(job.grid.n[0], comm.size, comm.rank)

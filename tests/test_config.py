@@ -41,7 +41,7 @@ def test_values_and_defaults():
     assert job.load.control == "pressure" and job.load.targets == (0.0032,)
     assert job.wall.kind == "hard" and job.solid.thickness == math.inf and job.solver.tolerance == 1e-6
     assert job.output.fields == () and job.output.patches.connectivity == 8
-    assert job.wavelengths == (16.0, 64.0, 64.0)
+    assert job.surface.wavelengths(job.grid) == (16.0, 64.0, 64.0)
 
 
 def test_cell_from_length_or_spacing():
@@ -49,7 +49,7 @@ def test_cell_from_length_or_spacing():
     job = config.parse(ROUGH, overrides=["grid.n=[64, 32]", "grid.spacing=[0.5, 1]"])
     same = config.parse(ROUGH, overrides=["grid.n=[64, 32]", "grid.length=32"])
     assert job.grid.lengths == same.grid.lengths == (32.0, 32.0) and job.grid.steps == same.grid.steps == (0.5, 1.0)
-    assert job.wavelengths == (8.0, 32.0, 32.0)
+    assert job.surface.wavelengths(job.grid) == (8.0, 32.0, 32.0)
 
 
 @pytest.mark.parametrize(
@@ -87,6 +87,7 @@ def test_contradicting_moduli_are_refused():
     [
         [],
         ["wall.kind=exponential", "wall.zeta=0.25", "solver.method=newton"],
+        ["wall.zeta=0.25"],
         ["solid.contact_modulus=3", "solid.poisson=0.1", "solid.thickness=64", "solid.base=free"],
         ["solid.young=0.1", "solid.poisson=0.4999", "run.time_limit=3600", "grid.spacing=1e-7"],
         ["surface.lambda_l=32", "surface.lambda_r=48", "output.fields=height", "output.lowpass.q=[0.5, 1]"],
@@ -128,7 +129,7 @@ REFUSED = {
     "solid.base=glued": 'must be one of "bonded", "free", "sliding"',
     "solid.thickness=-inf": "solid.thickness = -inf: must be a number > 0 (inf included)",
     "wall.kind=exponential": "wall.zeta is missing: it must be a number > 0",
-    "wall.zeta=0.25": 'wall.zeta = 0.25: belongs to kind = "exponential" only',
+    "wall.zeta=-1": "wall.zeta = -1: must be a number > 0",
     "load.pressure=-0.1": "load.pressure = -0.1: must be a list that is not empty, of: a number ≥ 0",
     "load.pressure=[]": "load.pressure = []: must be a list that is not empty",
     'load.pressure=["a"]': 'load.pressure = ["a"]: must be',

@@ -36,7 +36,7 @@ fields = ["pressure"]
 MEASURE = """
 import ctypes, gc, sys, tempfile
 from mpi4py import MPI
-from pgfmd.config import parse
+from pgfmd.job.job import parse
 from pgfmd.simulate import simulate
 
 def peak():

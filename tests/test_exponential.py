@@ -13,7 +13,8 @@ from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
-from pgfmd.surfaces.topography import self_affine, sinusoid
+from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.theory.exponential import response
 
 pytestmark = pytest.mark.mpi

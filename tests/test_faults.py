@@ -28,7 +28,7 @@ sys.exit(cli.main())
 FAULTS = {
     # where a rank fails alone: inside a thread in the middle of a transform, between transforms, in the observables
     "in a thread": """
-from pgfmd import set_kernels
+from pgfmd.solvers.active_set import kernels as set_kernels
 original, calls = set_kernels.contact_sums, []
 def failing(*arguments):
     calls.append(1)
@@ -38,7 +38,7 @@ def failing(*arguments):
 set_kernels.contact_sums = failing
 """,
     "in a transform": """
-from pgfmd import strips
+from pgfmd.grid import transpose as strips
 original, calls = strips.SharedStrips.put, []
 def failing(self, *arguments):
     calls.append(1)
@@ -48,7 +48,7 @@ def failing(self, *arguments):
 strips.SharedStrips.put = failing
 """,
     "in the output": """
-from pgfmd import files
+from pgfmd.io import atomic as files
 original = files.reserve
 def failing(path, size):
     if "load_0001" in path.name:
@@ -57,7 +57,7 @@ def failing(path, size):
 files.reserve = failing
 """,
     "in a checkpoint": """
-from pgfmd import slabfile
+from pgfmd.io import hdf5_slabs as slabfile
 original, calls = slabfile.Field.block, []
 def failing(self, *arguments):
     calls.append(1)

@@ -12,6 +12,7 @@ import pytest
 from conftest import ROOT, SIZE
 
 from pgfmd.errors import InputError
+from pgfmd.surfaces.file import FromFile
 
 SHAPE = (12, 10)
 SAID = "cannot be read as heights (.npy or HDF5), perhaps truncated: "
@@ -21,14 +22,14 @@ WORKER = """
 import sys, time
 from mpi4py import MPI
 from pgfmd.errors import InputError
-from pgfmd.grid import SlabGrid
-from pgfmd.heightfile import read_heights
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.surfaces.file import FromFile
 import numpy as np
 grid = SlabGrid(MPI.COMM_SELF, (12, 10))
 for path in sys.stdin.read().splitlines():
     began = time.monotonic()
     try:
-        heights = read_heights(grid, path)
+        heights = FromFile(path=path).heights(grid, None)
         assert heights.shape == (12, 10) and heights.dtype == float and np.isfinite(heights).all()
         verdict = "heights"
     except InputError as error:
@@ -166,12 +167,11 @@ def test_whole_files_that_are_no_heights(tmp_path):
 def test_things_that_are_no_files(comm, tmp_path):
     """A folder, a missing file, a device, an empty name: one line."""
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.surfaces.file import read_heights
 
     grid = SlabGrid(comm, SHAPE)
     for path in (tmp_path, tmp_path / "none.npy", "/dev/null", "", "nul\0.npy", "/proc/self/mem"):
         with pytest.raises(InputError) as caught:
-            read_heights(grid, path)
+            FromFile(path=str(path)).heights(grid, None)
         assert "\n" not in str(caught.value)
 
 

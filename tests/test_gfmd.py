@@ -14,7 +14,8 @@ from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.dispatch import Wall, solve_contact
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
-from pgfmd.surfaces.topography import self_affine, sinusoid
+from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.sinusoid import sinusoid
 
 pytestmark = pytest.mark.mpi
 

@@ -12,7 +12,10 @@ from pgfmd.solvers.active_set import nested_iteration
 from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.active_set.primal import PressureSteps
-from pgfmd.surfaces.topography import coordinates, paraboloid, self_affine, sinusoid
+from pgfmd.surfaces.paraboloid import paraboloid
+from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.sinusoid import sinusoid
+from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import exact, hertz
 
 pytestmark = pytest.mark.mpi

@@ -12,13 +12,17 @@ from conftest import ROOT
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.surfaces import instruments
-from pgfmd.surfaces.file import read_heights
+from pgfmd.surfaces.file import FromFile
 
 pytestmark = pytest.mark.mpi
 
 SHAPE = (11, 24)
 SDF, NPY = ROOT / "jobs" / "data" / "measured.sdf", ROOT / "jobs" / "data" / "measured.npy"
 SDF_SHAPE, SDF_LENGTHS = (128, 96), (12.8e-6, 11.52e-6)
+
+
+def read_heights(grid, path, length_unit=None, **options):
+    return FromFile(path=str(path), **options).heights(grid, length_unit)
 
 
 @pytest.fixture
@@ -76,7 +80,7 @@ def test_plane(comm, shared_tmp_path, tilted, periodic):
     path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, tilted))
     expected = without_plane(tilted) if periodic == "as-is" else four_images(without_plane(tilted))
     grid = SlabGrid(comm, expected.shape)
-    found = whole(grid, read_heights(grid, path, detrend="plane", scale=-2.0, periodic=periodic))
+    found = whole(grid, read_heights(grid, path, detrend="plane", height_scale=-2.0, periodic=periodic))
     assert np.allclose(found, -2 * expected, rtol=0, atol=1e-11)
 
 
@@ -141,7 +145,7 @@ def test_instrument_s_file(comm, package, unit, metre):
 def test_instrument_s_file_is_mirrored_and_levelled_like_any_other(comm, package):
     """The same numbers as from .npy, to rounding of the units."""
     grid = SlabGrid(comm, (256, 192), (25.6e-6, 23.04e-6))
-    found, expected = (read_heights(grid, path, None, "plane", 1.0, "mirror", "m") for path in (SDF, NPY))
+    found, expected = (read_heights(grid, path, "m", detrend="plane", periodic="mirror") for path in (SDF, NPY))
     assert np.allclose(found, expected, rtol=0, atol=1e-14 * 1.7e-7)
 
 

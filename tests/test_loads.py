@@ -12,7 +12,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.dispatch import Wall, solve_contact
 from pgfmd.solvers.load_control import Loads
-from pgfmd.surfaces.topography import self_affine, sinusoid
+from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.sinusoid import sinusoid
 
 pytestmark = pytest.mark.mpi
 

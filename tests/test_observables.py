@@ -22,7 +22,9 @@ from pgfmd.observables.staircase import contact_area
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.solution import ContactSolution
-from pgfmd.surfaces.topography import coordinates, self_affine, sinusoid
+from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.sinusoid import sinusoid
+from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import persson
 
 pytestmark = pytest.mark.mpi

@@ -12,7 +12,7 @@ def contact(request, comm):
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-    from pgfmd.surfaces.topography import self_affine
+    from pgfmd.surfaces.self_affine import self_affine
 
     hurst, lambda_s = request.param
     grid = SlabGrid(comm, (N, N))

@@ -16,7 +16,8 @@ from pgfmd.physics.elasticity import Elasticity
 from pgfmd.simulate import simulate
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
-from pgfmd.surfaces.topography import coordinates, self_affine
+from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import exact
 
 pytestmark = pytest.mark.mpi

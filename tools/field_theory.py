@@ -24,7 +24,7 @@ BANDS = ((1, 1), (2, 3), (4, 7), (8, 15), (16, 32))  # waves per cell, both ends
 def make(folders: list[Path], output: Path) -> Findings:
     """The ratio to full contact with G₁², and in bands the ratio to field theory, for each ζ."""
     walls: dict[float, list[Case]] = {}
-    for case in sorted(cases(folders), key=lambda case: case.config.wall.zeta or 0.0):
+    for case in sorted(cases(folders), key=lambda case: getattr(case.config.wall, "zeta", 0.0)):
         if case.config.wall.kind == "exponential":
             walls.setdefault(case.config.wall.zeta, []).append(case)
     sheet, findings = Sheet(1, 2), Findings()

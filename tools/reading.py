@@ -74,12 +74,12 @@ class Case:
     @property
     def hurst(self) -> float | None:
         """H of a self-affine surface."""
-        return self.config.surface.hurst
+        return getattr(self.config.surface, "hurst", None)
 
     @property
     def seed(self) -> int | None:
         """Seed of a self-affine surface."""
-        return self.config.surface.seed
+        return getattr(self.config.surface, "seed", None)
 
     @cached_property
     def rms_slope(self) -> float:
@@ -97,7 +97,7 @@ class Case:
     @property
     def wavelengths(self) -> tuple[float, float]:
         """λ_s and λ_l as lengths."""
-        return self.config.wavelengths[:2]
+        return self.config.surface.wavelengths(self.config.grid)[:2]
 
     @property
     def q_limits(self) -> tuple[float, float]:

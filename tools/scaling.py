@@ -31,7 +31,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     from pgfmd.parallel.collectives import Reduction
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-    from pgfmd.surfaces import topography
+    from pgfmd.surfaces.self_affine import self_affine
 
     comm = MPI.COMM_WORLD
     grid = SlabGrid(comm, (n, n), shared=False if exchanged else None)
@@ -39,8 +39,8 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     for kind in (np.float32, np.float64):
         found |= {f"{name} {np.dtype(kind).name}": value for name, value in _transform_parts(grid, kind).items()}
     small = SlabGrid(comm, (64 * comm.size, 64), shared=grid._shared)  # so that nothing is compiled or loaded later
-    solve_hard_wall(small, topography.self_affine(small, 0.8, 8.0, 0.031, 1), 0.0036, Elasticity(2.66667))
-    heights = topography.self_affine(grid, 0.8, n / 64, 0.031, 1, None, None)
+    solve_hard_wall(small, self_affine(small, 0.8, 8.0, 0.031, 1), 0.0036, Elasticity(2.66667))
+    heights = self_affine(grid, 0.8, n / 64, 0.031, 1, None, None)
     reductions = _Counter(Reduction, ("sum", "sums", "max", "min", "dot"))
     fetches = _Counter(SlabGrid, ("fetch",))
     fine = grid.transforms

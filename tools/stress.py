@@ -20,7 +20,7 @@ from pgfmd import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.dispatch import Wall, solve_contact
-from pgfmd.surfaces.topography import self_affine
+from pgfmd.surfaces.self_affine import self_affine
 
 TOLERANCE = 1e-6
 SLOW = 60.0  # seconds for a case of at most 128² points

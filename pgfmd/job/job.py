@@ -1,4 +1,4 @@
-"""The job: a TOML file (or Python values) as one frozen, validated Config.  No MPI here.
+"""The job: a TOML file (or Python values) as one frozen, validated Job.  No MPI here.
 
 The sections and their keys are described in `sections`.
 """
@@ -6,61 +6,51 @@ The sections and their keys are described in `sections`.
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 import tomllib
 from dataclasses import dataclass
 
 from pgfmd.errors import InputError
-from pgfmd.job.sections import CONTROLS, FILE, ROUGH, SINUSOID, Grid, Load, Output, Run, Solid, Solver, Surface, Wall
-from pgfmd.options.rules import Section, as_toml_value, build, guess, printable, show, wrong
+from pgfmd.grid.cell import Cell
+from pgfmd.job.sections import CONTROLS, LAWS, HardWall, Load, Output, Run, Solid, Solver, Wall
+from pgfmd.options import section as tables
+from pgfmd.options.section import Kinds, Section, build, wrong
+from pgfmd.options.text import guess, printable, show
+from pgfmd.surfaces.file import FromFile
+from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.table import SURFACES
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
+class Job:
     """A whole job.  Making one checks what sections must obey together; raises InputError."""
 
-    grid: Grid
+    grid: Cell
     surface: Surface
     solid: Solid = dataclasses.field(default_factory=Solid)
-    wall: Wall = dataclasses.field(default_factory=Wall)
+    wall: Wall = dataclasses.field(default_factory=HardWall)
     load: Load
     solver: Solver = dataclasses.field(default_factory=Solver)
     output: Output = dataclasses.field(default_factory=Output)
     run: Run = dataclasses.field(default_factory=Run)
     text: str = dataclasses.field(default="", compare=False, repr=False)  # the TOML file as the user wrote it
 
-    def __post_init__(self):
-        grid, surface, method, wall = self.grid, self.surface, self.solver.method, self.wall.kind
-        if surface.kind == SINUSOID and surface.waves > grid.n[0] / 2:
-            raise wrong(surface, "waves", f"{grid.n[0]} points in x resolve no more than {grid.n[0] // 2}")
-        if surface.kind == SINUSOID and surface.two_dimensional and surface.waves > grid.n[1] / 2:
-            raise wrong(surface, "waves", f"{grid.n[1]} points in y resolve no more than {grid.n[1] // 2}")
-        if surface.kind == ROUGH:
-            cell = max(grid.lengths) / min(grid.steps)
-            for name in ("lambda_s", "lambda_l", "lambda_r"):
-                if (getattr(surface, name) or 0) > cell and getattr(surface, name) != math.inf:
-                    raise wrong(surface, name, f"must not exceed the cell, {cell:g} grid spacings")
+    def __post_init__(self) -> None:
+        self.surface.check_in(self.grid)
+        method, wall = self.solver.method, self.wall.kind
         for name, walls in (("active-set", "hard"), ("newton", "exponential")):
             if method == name and wall != walls:
                 raise wrong(self.solver, "method", f'is for wall.kind = "{walls}"; here it is "{wall}"')
         if wall == "exponential" and 0.0 in (self.load.pressure or ()):
             raise wrong(self.load, "pressure", "must be > 0 under an exponential wall, which never lets go")
 
-    @property
-    def wavelengths(self) -> tuple[float, float, float]:
-        """lambda_s, lambda_l and lambda_r of a self-affine surface as lengths, defaults filled in."""
-        step, cell = min(self.grid.steps), max(self.grid.lengths)
-        shortest = self.surface.lambda_s * step
-        longest = cell if self.surface.lambda_l is None else min(self.surface.lambda_l * step, cell)
-        rolloff = longest if self.surface.lambda_r is None else min(self.surface.lambda_r * step, cell)
-        return shortest, longest, rolloff
+
+SECTIONS: dict[str, type[Section] | Kinds] = {
+    kind.where: kind for kind in (Cell, SURFACES, Solid, LAWS, Load, Solver, Output, Run)
+}
 
 
-SECTIONS = {kind.where: kind for kind in (Grid, Surface, Solid, Wall, Load, Solver, Output, Run)}
-
-
-def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Config:
+def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:
     """The job in the TOML file `path`, changed by `overrides` ("section.key=value"); raises InputError.
 
     A relative path of a heights file counts from the TOML file's folder, in an override from the working directory; the
@@ -74,15 +64,15 @@ def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -
         raise InputError(f"{printable(name, 400)}: not a text in UTF-8 (byte {error.start})") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{printable(name, 400)}: cannot be read: {getattr(error, 'strerror', '') or error}") from None
-    config = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
-    if config.surface.kind == FILE and not os.path.isfile(config.surface.source[0]):
-        raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(config.surface.path, 400)}")
-    return config
+    job = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
+    if isinstance(job.surface, FromFile) and not os.path.isfile(job.surface.source[0]):
+        raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(job.surface.path, 400)}")
+    return job
 
 
 def parse(
     source: str, name: str = "job", overrides: list[str] | tuple[str, ...] = (), folder: str | None = None
-) -> Config:
+) -> Job:
     """The job in a TOML text; `name` stands in error messages.  Relative paths count from `folder` if it is given."""
     try:
         document = tomllib.loads(source)
@@ -104,7 +94,7 @@ def parse(
         for section in ("grid", "surface", "load"):
             if section not in sections:
                 raise InputError(f"[{section}] is missing: it must say {MISSING[section]}")
-        return Config(**sections, text=source)
+        return Job(**sections, text=source)
     except InputError as error:
         at_fault = "--set" if str(error).split(" ")[0].rstrip(":") in overridden else printable(name, 400)
         raise InputError(f"{at_fault}: {error}") from None
@@ -144,23 +134,12 @@ def _anchor(document: dict, folder: str):
         surface["path"] = os.path.join(folder, surface["path"])
 
 
-def as_toml(config: Config) -> str:
-    """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Config."""
-    return "\n".join(_table(section, getattr(config, section)) for section in SECTIONS)
+def as_toml(job: Job) -> str:
+    """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Job."""
+    return "\n".join(tables.as_toml(section, getattr(job, section)) for section in SECTIONS)
 
 
-def _table(title: str, section: Section) -> str:
-    values = {field.name: getattr(section, field.name) for field in dataclasses.fields(section)}
-    lines = [
-        f"{name} = {as_toml_value(value)}"
-        for name, value in values.items()
-        if value is not None and not isinstance(value, Section)
-    ]
-    tables = [_table(f"{title}.{name}", value) for name, value in values.items() if isinstance(value, Section)]
-    return "\n".join([f"[{title}]", *lines, "", *tables])
-
-
-def differences(before: Config, after: Config) -> list[str]:
+def differences(before: Job, after: Job) -> list[str]:
     """What distinguishes two jobs, as "section.key: old → new".  [run] does not count: it does not change results."""
     old, new = _flat(before), _flat(after)
     return [
@@ -170,14 +149,14 @@ def differences(before: Config, after: Config) -> list[str]:
     ]
 
 
-def _flat(config: Config) -> dict:
+def _flat(job: Job) -> dict:
     """Every key of the effective job, dotted, without those of [run]."""
     found = {}
-    tables = {name: table for name, table in tomllib.loads(as_toml(config)).items() if name != "run"}
-    while tables:
-        name, value = tables.popitem()
+    rest = {name: table for name, table in tomllib.loads(as_toml(job)).items() if name != "run"}
+    while rest:
+        name, value = rest.popitem()
         if isinstance(value, dict):
-            tables |= {f"{name}.{key}": entry for key, entry in value.items()}
+            rest |= {f"{name}.{key}": entry for key, entry in value.items()}
         else:
             found[name] = value
     return dict(sorted(found.items()))

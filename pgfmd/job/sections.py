@@ -1,108 +1,18 @@
-"""The sections of a job as frozen, validated dataclasses: the reference of the TOML file.  No MPI here.
+"""The sections of a job that belong to no door: solid, load, solver, output, run.  No MPI here.
 
 The fields of a class are the keys of its TOML table; the comment beside a key is its meaning.  All numbers are in one
-consistent set of units, chosen by the user; only the wavelengths of a self-affine surface are counted in grid spacings
-(the smaller one, where the two differ).
+consistent set of units, chosen by the user.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass
 
 from pgfmd.errors import InputError
-from pgfmd.options.rules import Section, choice, flag, integer, key, many, number, pair, show, text, wrong
-
-POSITIVE = number(above=0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Grid(Section):
-    """The periodic cell: `shape` (nx, ny) points, `lengths` (lx, ly)."""
-
-    where = "grid"
-    n: tuple[int, int] = key(pair(integer(1)), needed=True)  # points [nx, ny]; one number: both
-    length: tuple[float, float] | None = key(pair(POSITIVE))  # cell [lx, ly]; or
-    spacing: tuple[float, float] | None = key(pair(POSITIVE))  # grid spacing [ax, ay]; 1 if neither is given
-
-    def check(self):
-        if max(self.n) < 2:
-            raise wrong(self, "n", "at least one direction must have 2 points")
-        if self.length and self.spacing:
-            raise wrong(self, "spacing", f"give either length or spacing, not both (length = {show(self.length)})")
-        if not all(0 < value < math.inf for value in (*self.lengths, *self.steps, math.prod(self.lengths))):
-            raise wrong(self, "length" if self.length else "spacing", "cell or spacing is out of range of a float64")
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Points (nx, ny)."""
-        return self.n
-
-    @property
-    def lengths(self) -> tuple[float, float]:
-        """Cell (lx, ly)."""
-        if self.length:
-            return self.length
-        steps = self.spacing or (1.0, 1.0)
-        return self.n[0] * steps[0], self.n[1] * steps[1]
-
-    @property
-    def steps(self) -> tuple[float, float]:
-        """Grid spacings (ax, ay)."""
-        return self.spacing or (self.lengths[0] / self.n[0], self.lengths[1] / self.n[1])
-
-
-ROUGH, FILE, SINUSOID, PARABOLOID = "self-affine", "file", "sinusoid", "paraboloid"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Surface(Section):
-    """Heights of the rigid surface, peaks positive."""
-
-    where = "surface"
-    kind: str = key(choice(ROUGH, FILE, SINUSOID, PARABOLOID), needed=True)
-    hurst: float | None = key(number(low=0, high=1), only=(ROUGH,), needed=True)  # C_h ∝ q^(−2(1+H))
-    # Shortest wavelength in grid spacings.  1 or less: every mode of the grid, the corners |q| ≤ √2 π/a included.
-    lambda_s: float | None = key(POSITIVE, only=(ROUGH,), needed=True)
-    lambda_l: float | None = key(number(above=0, infinite=True), only=(ROUGH,))  # longest self-affine one; the cell
-    # Roll-off: the spectrum is constant from lambda_l up to lambda_r (≥ lambda_l, at most the cell); none if not given.
-    lambda_r: float | None = key(number(above=0, infinite=True), only=(ROUGH,))
-    rms_slope: float | None = key(number(low=0), only=(ROUGH,), needed=True)  # √⟨|∇h|²⟩, exact, spectral
-    seed: int | None = key(integer(0), 1, only=(ROUGH,))
-    # .npy, HDF5 (file.h5:dataset), or any format that SurfaceTopography reads; relative to the TOML's folder.  The cell
-    # is that of [grid]; what a file says of its size must agree, and of its unit is converted to output.length_unit.
-    path: str | None = key(text(), only=(FILE,), needed=True)
-    dataset: str | None = key(text(), only=(FILE,))  # the same as the part of the path after the colon
-    detrend: str | None = key(choice("none", "mean", "plane"), "none", only=(FILE,))
-    # What the periodic cell repeats: the heights; the heights and their mirror images, in a cell twice as long either
-    # way; the heights, led to their mean over the outer tenth of each side.
-    periodic: str | None = key(choice("as-is", "mirror", "taper"), "as-is", only=(FILE,))
-    height_scale: float | None = key(number(), 1.0, only=(FILE,))  # factor on the heights; negative turns them over
-    amplitude: float | None = key(number(), only=(SINUSOID,), needed=True)  # Δ of Δ cos(qx) or Δ cos(qx) cos(qy)
-    waves: int | None = key(integer(1), 1, only=(SINUSOID,))  # wavelengths in the cell
-    two_dimensional: bool | None = key(flag(), False, only=(SINUSOID,))
-    radius: float | None = key(POSITIVE, only=(PARABOLOID,), needed=True)  # R of −r²/(2R), apex in the cell's centre
-
-    def check(self):
-        if self.kind == FILE and self.height_scale == 0:
-            raise wrong(self, "height_scale", "must not be zero")
-        if self.kind != ROUGH:
-            return
-        longest = math.inf if self.lambda_l is None else self.lambda_l
-        if self.lambda_s > longest:
-            raise wrong(self, "lambda_s", f"must not exceed lambda_l = {show(longest)}")
-        if self.lambda_r is not None and self.lambda_r < longest:
-            least = "the cell" if self.lambda_l is None else show(longest)
-            raise wrong(self, "lambda_r", f"must not be below lambda_l = {least}")
-
-    @property
-    def source(self) -> tuple[str, str | None]:
-        """The heights file and the dataset in it (None: not said), from path, "path:dataset" or dataset."""
-        path, colon, dataset = self.path.rpartition(":")
-        if self.dataset or not colon or os.path.isfile(self.path):
-            return self.path, self.dataset
-        return path, dataset or None
+from pgfmd.options.rules import POSITIVE, choice, integer, many, number, text
+from pgfmd.options.section import Kinds, Section, key, wrong
+from pgfmd.options.text import show
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,9 +86,25 @@ class Wall(Section):
     """The law between the gap and the pressure."""
 
     where = "wall"
-    kind: str = key(choice("hard", "exponential"), "hard")
-    zeta: float | None = key(POSITIVE, only=("exponential",), needed=True)  # σ = sigma_ref exp(−gap/ζ)
-    sigma_ref: float | None = key(POSITIVE, only=("exponential",))  # the contact modulus if not given
+
+
+@dataclass(frozen=True, kw_only=True)
+class HardWall(Wall):
+    """No penetration."""
+
+    kind = "hard"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExponentialWall(Wall):
+    """σ = sigma_ref exp(−gap/ζ)."""
+
+    kind = "exponential"
+    zeta: float | None = key(POSITIVE, needed=True)  # σ = sigma_ref exp(−gap/ζ)
+    sigma_ref: float | None = key(POSITIVE)  # the contact modulus if not given
+
+
+LAWS = Kinds("wall", (HardWall, ExponentialWall), default=HardWall)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,22 +1,15 @@
-"""A small declarative validator: each key of a section is a dataclass field that carries its rule.
-
-A rule converts a TOML value and says in words what it allows, so that one line can name the key, the value and what is
-allowed.  Sections validate themselves when they are made, from a file or from Python alike.
-"""
+"""Rules for one value: each converts a TOML value and says in words what it allows."""
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from pgfmd.errors import InputError
+from pgfmd.options.text import show
 
 
 @dataclass(frozen=True)
@@ -64,6 +57,9 @@ def number(
     bounds = [f"> {above:g}"] * (above > -math.inf) + [f"≥ {low:g}"] * (low > -math.inf)
     bounds += [f"< {below:g}"] * (below < math.inf) + [f"≤ {high:g}"] * (high < math.inf)
     return Rule(" ".join(["a number", " and ".join(bounds)]).strip() + (" (inf included)" if infinite else ""), convert)
+
+
+POSITIVE = number(above=0)
 
 
 def text() -> Rule:
@@ -133,102 +129,3 @@ def pair(rule: Rule) -> Rule:
 
 def _entries(value) -> list:
     return list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
-
-
-def key(rule: Rule | type[Section], default=None, *, only: tuple[str, ...] = (), needed: bool = False):
-    """A dataclass field with its rule.
-
-    `only`: the kinds of the section that know the key; `needed`: it has no default.  A default of None means that the
-    key may be left out; in sections with kinds, a key of another kind is None.
-    """
-    metadata = {"rule": rule, "default": default, "only": only, "needed": needed}
-    if isinstance(rule, type):
-        return dataclasses.field(default_factory=rule, metadata=metadata)
-    return dataclasses.field(default=None if only else default, metadata=metadata)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """A table of the TOML file.  Making one validates it; raises InputError."""
-
-    where: ClassVar[str] = ""
-
-    def __post_init__(self):
-        kind = getattr(self, "kind", None)
-        for field in dataclasses.fields(self):
-            rule, only = field.metadata["rule"], field.metadata["only"]
-            value = getattr(self, field.name)
-            if only and kind not in only:
-                if value is not None:
-                    raise wrong(self, field.name, "belongs to kind = " + " or ".join(map(show, only)) + " only")
-                continue
-            if value is None:
-                if field.metadata["needed"]:
-                    raise InputError(f"{self.where}.{field.name} is missing: it must be {rule.allowed}")
-                value = field.metadata["default"]
-            if value is not None and isinstance(rule, Rule):
-                try:
-                    value = rule.convert(value)
-                except ValueError:
-                    raise wrong(self, field.name, f"must be {rule.allowed}") from None
-            object.__setattr__(self, field.name, value)
-        self.check()
-
-    def check(self):
-        """What several keys of this section must obey together; raises InputError."""
-
-
-def wrong(section: Section, name: str, allowed: str) -> InputError:
-    """The error for one key: where, its value, what is allowed."""
-    return InputError(f"{section.where}.{name} = {show(getattr(section, name))}: {allowed}")
-
-
-def build(kind: type[Section], table: Any) -> Section:
-    """A section of the dataclass `kind` from a TOML table; raises InputError for unknown keys and wrong values."""
-    if not isinstance(table, dict):
-        raise InputError(f"{kind.where} = {show(table)}: must be a table, [{kind.where}]")
-    fields = {field.name: field for field in dataclasses.fields(kind)}
-    values = {}
-    for name, value in table.items():
-        if name not in fields:
-            raise InputError(f"{kind.where}.{printable(name)} is not known{guess(name, list(fields))}")
-        rule = fields[name].metadata["rule"]
-        values[name] = build(rule, value) if isinstance(rule, type) else value
-    return kind(**values)
-
-
-def guess(name: str, allowed: list[str]) -> str:
-    """The end of a message on an unknown name: the nearest known ones first."""
-    near = difflib.get_close_matches(name, allowed, n=1)
-    return (f"; did you mean {near[0]}?" if near else ".") + f" Allowed: {', '.join(allowed)}"
-
-
-def printable(name: str, longest: int = 60) -> str:
-    """Text without line breaks and control characters, cut to a readable length."""
-    clean = "".join(letter if letter.isprintable() else "?" for letter in name)
-    return clean if len(clean) <= longest else clean[: longest - 1] + "…"
-
-
-def show(value) -> str:
-    """A value as TOML writes it, on one line, cut to a readable length."""
-    try:
-        return printable(as_toml_value(value))
-    except (TypeError, RecursionError):
-        return printable(str(type(value).__name__))
-
-
-def as_toml_value(value) -> str:
-    """A TOML literal of a bool, number, text, list or table; raises TypeError for anything else."""
-    if isinstance(value, (bool, np.bool_)):
-        return "true" if value else "false"
-    if isinstance(value, (int, np.integer)):
-        return hex(value) if abs(value) >= 2**63 else str(int(value))  # hex: Python refuses to print huge decimals
-    if isinstance(value, (float, np.floating)):
-        return repr(float(value))
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return "[" + ", ".join(as_toml_value(entry) for entry in value) + "]"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{name} = {as_toml_value(entry)}" for name, entry in value.items()) + "}"
-    raise TypeError(f"no TOML value: {type(value).__name__}")

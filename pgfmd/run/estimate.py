@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pgfmd.job.job import Config
+from pgfmd.job.job import Job
 
 # The arrays that live at the peak of a run, in bytes per grid point, summed over ranks.
 ARRAYS = {
@@ -47,55 +47,55 @@ class Estimate:
     seconds: float
 
 
-def estimate(config: Config, ranks: int) -> Estimate:
+def estimate(job: Job, ranks: int) -> Estimate:
     """Memory per rank, size of the files and time of the job on `ranks` ranks with one core each, roughly."""
-    points = config.grid.n[0] * config.grid.n[1]
-    rows = -(-config.grid.n[0] // ranks)
-    loads = len(config.load.targets)
-    width = 4 if config.output.precision == "float32" else 8
-    fields = sum(1 if name == "height" else loads for name in config.output.fields)
-    solves = loads * (1 if config.load.control == "pressure" else SOLVES_PER_AREA)
-    work = TRANSFORMS[config.wall.kind] * solves + 2 * len(config.output.observables) * loads
+    points = job.grid.n[0] * job.grid.n[1]
+    rows = -(-job.grid.n[0] // ranks)
+    loads = len(job.load.targets)
+    width = 4 if job.output.precision == "float32" else 8
+    fields = sum(1 if name == "height" else loads for name in job.output.fields)
+    solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_AREA)
+    work = TRANSFORMS[job.wall.kind] * solves + 2 * len(job.output.observables) * loads
     return Estimate(
-        memory=bytes_per_point(config) * rows * config.grid.n[1] + PER_RANK,
+        memory=bytes_per_point(job) * rows * job.grid.n[1] + PER_RANK,
         files=fields * points * width,
         seconds=work * points * SECONDS_PER_POINT / ranks,
     )
 
 
-def bytes_per_point(config: Config) -> float:
+def bytes_per_point(job: Job) -> float:
     """Bytes per grid point at the peak, over all ranks."""
-    if config.wall.kind == "exponential":
+    if job.wall.kind == "exponential":
         return sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
-    sets = (PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area) for area in contact_areas(config))
+    sets = (PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area) for area in contact_areas(job))
     return sum(ARRAYS.values()) + sum(HARD.values()) + max(sets)
 
 
-def contact_areas(config: Config) -> list[float]:
+def contact_areas(job: Job) -> list[float]:
     """The relative contact area of each load: that asked for, or by Persson's theory and by how much more there is, or
     the dearest if neither helps.
     """
-    targets = config.load.targets
-    if config.load.control == "contact_area":
+    targets = job.load.targets
+    if job.load.control == "contact_area":
         return list(targets)
-    if config.load.control != "pressure" or not config.surface.rms_slope:
+    if job.load.control != "pressure" or not job.surface.rms_slope:
         return [MOSTLY]
-    full = config.solid.contact_modulus * config.surface.rms_slope / math.sqrt(2)
+    full = job.solid.contact_modulus * job.surface.rms_slope / math.sqrt(2)
     areas = [math.erf(target / full) for target in targets]
     return [area * (1 + MORE * (1 - area)) for area in areas]
 
 
-def report(config: Config, ranks: int) -> str:
+def report(job: Job, ranks: int) -> str:
     """The estimate as text, one line per quantity."""
-    found = estimate(config, ranks)
-    nx, ny = config.grid.shape
-    loads = len(config.load.targets)
+    found = estimate(job, ranks)
+    nx, ny = job.grid.shape
+    loads = len(job.load.targets)
     lines = {
-        "grid": f"{nx} × {ny} points, cell {config.grid.lengths[0]:g} × {config.grid.lengths[1]:g}",
-        "surface": config.surface.kind,
-        "loads": f"{loads} by {config.load.control}",
+        "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",
+        "surface": job.surface.kind,
+        "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
-        f"({bytes_per_point(config):.0f} bytes per grid point)",
+        f"({bytes_per_point(job):.0f} bytes per grid point)",
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
     }

@@ -1,172 +1,72 @@
-"""Heights from a file: NumPy or HDF5, each rank reading its own rows, or what an instrument wrote, read by rank 0."""
+"""Heights that a file holds: measured ones, or made by another program."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
-from mpi4py import MPI
 
-from pgfmd.errors import InputError
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.options.rules import printable
-from pgfmd.parallel.collectives import from_root, raise_together
-from pgfmd.surfaces import instruments
+from pgfmd.options.rules import choice, number, text
+from pgfmd.options.section import key, wrong
+from pgfmd.surfaces.mirror import folded
+from pgfmd.surfaces.surface import Surface
 
-HDF5_SUFFIXES = (".h5", ".hdf5")
+if TYPE_CHECKING:
+    from pgfmd.grid.slab_grid import SlabGrid
+
 MARGIN = 10  # a taper takes the tenth part of a side at each edge
 
 
-def read_heights(
-    grid: SlabGrid,
-    path: str | os.PathLike,
-    dataset: str | None = None,
-    detrend: str = "none",
-    scale: float = 1.0,
-    periodic: str = "as-is",
-    length_unit: str | None = None,
-) -> np.ndarray:
-    """Heights (nx_local, ny) in float64, times `scale`, from a file.  Collective.
+@dataclass(frozen=True, kw_only=True)
+class FromFile(Surface):
+    """The heights in a file.
 
-    .npy and HDF5 files with a two-dimensional dataset are bare numbers, in the job's units; each rank reads its own
-    rows.  dataset may be left out if the file holds just one two-dimensional dataset (or one named "height" or
-    "heights").  Any other file goes to SurfaceTopography on rank 0.  The cell is always the grid's; where such a file
-    says how large it is, it must agree to 0.1 %, else the error says which n and length to write.  Where it says its
-    unit, heights and size are converted to length_unit, which must then be a length ("m", "mm", "µm", "nm", …); None
-    leaves them as they are.
-
-    detrend takes out the mean, or the plane that fits best by least squares.  A periodic cell repeats the heights:
-    as they are, with a cliff wherever opposite edges differ ("as-is"); after its mirror images, in a cell of twice the
-    size ("mirror": heights are continuous and none is changed); or led to their mean over the outer tenth of each side
-    ("taper": the size stays, the heights there are not the measured ones).
-    Raises InputError on all ranks: file missing, unreadable, truncated, of another shape or size than the grid, in an
-    unknown unit, not finite, or the package for it is not installed.
+    A periodic cell repeats the heights: as they are, with a cliff wherever opposite edges differ ("as-is"); after its
+    mirror images, in a cell of twice the size ("mirror": heights are continuous and none is changed); or led to their
+    mean over the outer tenth of each side ("taper": the size stays, the heights there are not the measured ones).
     """
-    path, copies = os.fspath(path), 2 if periodic == "mirror" else 1
-    if any(count % copies for count in grid.shape):
-        raise InputError(
-            f'surface.periodic = "mirror": doubles the file, the grid of {grid.shape[0]} x {grid.shape[1]} points '
-            "cannot be halved"
-        )
-    folds = [_folded(count, copies) for count in grid.shape]
-    if from_root(grid.comm, _from_instrument, path, dataset):
-        heights = _scattered(grid, path, folds, copies, length_unit)
-    else:
-        with raise_together(grid.comm):
-            heights = _rows(path, dataset, [len(fold) // copies for fold in folds], folds, grid.rows)
-    with raise_together(grid.comm):
-        _scale(heights, scale, path, grid.rows)
-    if detrend == "mean":
-        heights -= grid.reduction.sum(heights) / grid.size
-    elif detrend == "plane":
-        _subtract_plane(grid, heights, folds)
-    if periodic == "taper":
-        mean = grid.reduction.sum(heights) / grid.size
-        weights = [_edge_weights(count) for count in grid.shape]
-        heights[:] = mean + (heights - mean) * weights[0][grid.rows, None] * weights[1]
-    return heights
 
+    kind = "file"
+    # .npy, HDF5 (file.h5:dataset), or any format that SurfaceTopography reads; relative to the TOML's folder.  The cell
+    # is that of [grid]; what a file says of its size must agree, and of its unit is converted to output.length_unit.
+    path: str = key(text(), needed=True)
+    dataset: str | None = key(text())  # the same as the part of the path after the colon
+    detrend: str = key(choice("none", "mean", "plane"), "none")
+    periodic: str = key(choice("as-is", "mirror", "taper"), "as-is")
+    height_scale: float = key(number(), 1.0)  # factor on the heights; negative turns them over
 
-def _folded(count: int, copies: int) -> np.ndarray:
-    """Index in the file of each of `count` grid points: 0 … m−1, and back to 0 if there are mirror images."""
-    index = np.arange(count)
-    return np.minimum(index, 2 * (count // copies) - 1 - index)
+    def check(self) -> None:
+        if self.height_scale == 0:
+            raise wrong(self, "height_scale", "must not be zero")
 
+    @property
+    def source(self) -> tuple[str, str | None]:
+        """The heights file and the dataset in it (None: not said), from path, "path:dataset" or dataset."""
+        path, colon, dataset = self.path.rpartition(":")
+        if self.dataset or not colon or os.path.isfile(self.path):
+            return self.path, self.dataset
+        return path, dataset or None
 
-def _from_instrument(path: str, dataset: str | None) -> bool:
-    """Whether the file is neither .npy nor HDF5 with heights in it; serial."""
-    if dataset is not None or path.endswith((".npy", *HDF5_SUFFIXES)) or not os.path.isfile(path):
-        return False
-    try:
-        if not h5py.is_hdf5(path):
-            return True
-        with h5py.File(path, "r", locking=False) as file:
-            return not _two_dimensional(file)
-    except Exception:  # damaged HDF5: the reader says so
-        return False
+    def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
+        """Read, scaled, levelled and made periodic, as the keys say; see `heights_file.read_heights`.  Collective.
 
+        detrend takes out the mean, or the plane that fits best by least squares.
+        """
+        from pgfmd.surfaces.heights_file import read_heights  # needs MPI
 
-def _scattered(grid: SlabGrid, path: str, folds: list, copies: int, length_unit: str | None) -> np.ndarray:
-    """Rows of what rank 0 reads with SurfaceTopography.  Collective."""
-    message = None
-    counts = np.diff(grid.starts) * grid.shape[1]
-    with raise_together(grid.comm):
-        if grid.comm.rank == 0:
-            try:
-                measured = instruments.read(path).converted(length_unit)
-                measured.check(grid.shape, grid.lengths, copies)
-            except InputError as error:
-                raise InputError(f"{path}: {error}") from None
-            message = [measured.heights[np.ix_(*folds)], counts, grid.starts[:-1] * grid.shape[1], MPI.DOUBLE]
-    heights = np.empty(grid.local_shape)
-    grid.comm.Scatterv(message, heights)
-    return heights
-
-
-def _rows(path: str, dataset: str | None, shape: list[int], folds: list, rows: slice) -> np.ndarray:
-    """Rows of the array in the file, as float64."""
-    try:
-        if path.endswith(".npy"):
-            return _checked(np.load(path, mmap_mode="r", allow_pickle=False), path, shape, folds, rows)
-        with h5py.File(path, "r", locking=False) as file:
-            return _checked(_dataset(file, path, dataset), path, shape, folds, rows)
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except Exception as error:  # whatever a damaged file makes NumPy or HDF5 raise
-        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
-        raise InputError(f"{path}: cannot be read as heights (.npy or HDF5), perhaps truncated: {reason}") from None
-
-
-def _two_dimensional(file: h5py.File) -> list[str]:
-    """Names of the two-dimensional datasets."""
-    found = []
-    file.visititems(lambda key, item: found.append(key) if isinstance(item, h5py.Dataset) and item.ndim == 2 else None)
-    return found
-
-
-def _dataset(file: h5py.File, path: str, name: str | None) -> h5py.Dataset:
-    if name is not None:
-        if not isinstance(file.get(name), h5py.Dataset):
-            raise InputError(f"{path}: holds no dataset {name!r}")
-        return file[name]
-    found = _two_dimensional(file)
-    usual = [key for key in found if key in ("height", "heights")]
-    choice = usual or found
-    if len(choice) != 1:
-        listed = ", ".join(found[:5]) or "none"
-        raise InputError(f'{path}: say which dataset holds the heights (path = "file.h5:dataset"); found: {listed}')
-    return file[choice[0]]
-
-
-def _checked(array, path: str, shape: list[int], folds: list, rows: slice) -> np.ndarray:
-    """The grid's rows of an array that is mapped or in the file; only those are read."""
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"{path}: heights must be real numbers, not {array.dtype}")
-    nx, ny = map(len, folds)
-    if list(array.shape) != list(shape):
-        wanted = "" if [nx, ny] == list(shape) else f", mirror images of {shape[0]} x {shape[1]}"
-        raise InputError(f"{path}: array of shape {tuple(array.shape)}; the grid has {nx} x {ny} points{wanted}")
-    wanted = folds[0][rows]
-    first = wanted.min(initial=shape[0])
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is named later
-        block = np.array(array[first : max(first, wanted.max(initial=-1) + 1)], dtype=np.float64, order="C")
-    return block if [nx, ny] == list(shape) else block[np.ix_(wanted - first, folds[1])]
-
-
-def _scale(heights: np.ndarray, scale: float, path: str, rows: slice) -> None:
-    """Multiply in place; raises InputError at a height that is not finite."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        heights *= scale
-    bad = np.argwhere(~np.isfinite(heights))
-    if len(bad):
-        row, column = bad[0]
-        raise InputError(
-            f"{path}: the height at [{row + rows.start}, {column}] is {heights[row, column]}; "
-            "all heights must be finite"
-        )
+        copies = 2 if self.periodic == "mirror" else 1
+        heights = read_heights(grid, self.source, copies, self.height_scale, length_unit)
+        if self.detrend == "mean":
+            heights -= grid.reduction.sum(heights) / grid.size
+        elif self.detrend == "plane":
+            _subtract_plane(grid, heights, [folded(count, copies) for count in grid.shape])
+        if self.periodic == "taper":
+            mean = grid.reduction.sum(heights) / grid.size
+            weights = [_edge_weights(count) for count in grid.shape]
+            heights[:] = mean + (heights - mean) * weights[0][grid.rows, None] * weights[1]
+        return heights
 
 
 def _subtract_plane(grid: SlabGrid, heights: np.ndarray, folds: list) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.options.rules import printable
+from pgfmd.options.text import printable
 
 # Powers of ten of a metre.
 UNITS = {"km": 3, "m": 0, "cm": -2, "mm": -3, "µm": -6, "nm": -9, "Å": -10, "pm": -12}

@@ -58,7 +58,7 @@ def prepare(case: Case, folder: Path) -> None:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-    from pgfmd.surfaces.topography import self_affine
+    from pgfmd.surfaces.self_affine import self_affine
 
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n))
     elasticity = Elasticity(CONTACT_MODULUS)

@@ -100,7 +100,7 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-    from pgfmd.surfaces.topography import self_affine
+    from pgfmd.surfaces.self_affine import self_affine
 
     comm, seconds = MPI.COMM_WORLD, []
     for size, runs in ((min(n, 512), 1), (n, 2)):

@@ -35,7 +35,7 @@ def _solve(refinement: int) -> tuple:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-    from pgfmd.surfaces.topography import self_affine
+    from pgfmd.surfaces.self_affine import self_affine
 
     from .case import CONTACT_MODULUS, RMS_SLOPE, SEED
 

@@ -1,18 +1,71 @@
-"""Surface heights on a `SlabGrid`: self-affine, sinusoidal, paraboloidal, or an array that is given.
-
-Heights are float64 of shape (nx_local, ny) in units of length; peaks are positive and touch first.
-"""
+"""Randomly rough, self-affine surfaces."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.collectives import Reduction
+from pgfmd.grid.cell import Cell
+from pgfmd.options.rules import POSITIVE, integer, number
+from pgfmd.options.section import key, wrong
+from pgfmd.options.text import show
+from pgfmd.surfaces.surface import Surface
+
+if TYPE_CHECKING:
+    from pgfmd.grid.slab_grid import SlabGrid
+
+@dataclass(frozen=True, kw_only=True)
+class SelfAffine(Surface):
+    """C(q) ∝ q^(−2(1+H)) in a band of wavelengths, scaled to an exact rms slope.
+
+    Wavelengths are counted in grid spacings (the smaller one, where the two differ).
+    """
+
+    kind = "self-affine"
+    hurst: float = key(number(low=0, high=1), needed=True)  # C_h ∝ q^(−2(1+H))
+    # Shortest wavelength.  1 or less: every mode of the grid, the corners |q| ≤ √2 π/a included.
+    lambda_s: float = key(POSITIVE, needed=True)
+    lambda_l: float | None = key(number(above=0, infinite=True))  # longest self-affine one; the cell if not given
+    # Roll-off: the spectrum is constant from lambda_l up to lambda_r (≥ lambda_l, at most the cell); none if not given.
+    lambda_r: float | None = key(number(above=0, infinite=True))
+    rms_slope: float = key(number(low=0), needed=True)  # √⟨|∇h|²⟩, exact, spectral
+    seed: int = key(integer(0), 1)
+
+    def check(self) -> None:
+        longest = math.inf if self.lambda_l is None else self.lambda_l
+        if self.lambda_s > longest:
+            raise wrong(self, "lambda_s", f"must not exceed lambda_l = {show(longest)}")
+        if self.lambda_r is not None and self.lambda_r < longest:
+            least = "the cell" if self.lambda_l is None else show(longest)
+            raise wrong(self, "lambda_r", f"must not be below lambda_l = {least}")
+
+    def check_in(self, cell: Cell) -> None:
+        longest = max(cell.lengths) / min(cell.steps)
+        for name in ("lambda_s", "lambda_l", "lambda_r"):
+            if (getattr(self, name) or 0) > longest and getattr(self, name) != math.inf:
+                raise wrong(self, name, f"must not exceed the cell, {longest:g} grid spacings")
+
+    def wavelengths(self, cell: Cell) -> tuple[float, float, float]:
+        """lambda_s, lambda_l and lambda_r as lengths, defaults filled in."""
+        step, side = min(cell.steps), max(cell.lengths)
+        longest = side if self.lambda_l is None else min(self.lambda_l * step, side)
+        rolloff = longest if self.lambda_r is None else min(self.lambda_r * step, side)
+        return self.lambda_s * step, longest, rolloff
+
+    def shortest_wavelength(self, cell: Cell) -> float:
+        shortest = self.wavelengths(cell)[0]
+        return shortest if shortest > min(cell.steps) * (1 + 1e-9) else 0.0
+
+    def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
+        lambda_s, lambda_l, lambda_r = self.wavelengths(Cell(n=grid.shape, length=grid.lengths))
+        rolloff = None if self.lambda_r is None else lambda_r
+        return self_affine(grid, self.hurst, lambda_s, self.rms_slope, self.seed, lambda_l, rolloff)
+
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
@@ -104,7 +157,7 @@ def self_affine(
         heights[first:stop] = rows
 
     grid.make_field(spectrum, keep)
-    slope = math.sqrt(Reduction(grid.comm).sum([value for _, value in sorted(squares)]))
+    slope = math.sqrt(grid.reduction.sum([value for _, value in sorted(squares)]))
     if not slope > 0:
         raise InputError(
             f"surface: no mode of the {nx} x {ny} grid lies between lambda_l = {lambda_l:g} and "
@@ -112,22 +165,3 @@ def self_affine(
         )
     heights *= rms_slope / slope
     return heights
-
-
-def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Positions x (nx_local, 1) and y (1, ny) of the grid points, from 0 on."""
-    x = grid.spacing[0] * np.arange(grid.rows.start, grid.rows.stop)[:, None]
-    return x, grid.spacing[1] * np.arange(grid.shape[1])[None, :]
-
-
-def sinusoid(grid: SlabGrid, amplitude: float, waves: tuple[int, int] = (1, 0)) -> np.ndarray:
-    """Δ cos(2π m x/lx) cos(2π n y/ly) with waves = (m, n): a 1-D wave for n = 0, the 2-D sinusoid for (1, 1)."""
-    x, y = coordinates(grid)
-    (lx, ly), (m, n) = grid.lengths, waves
-    return amplitude * np.cos(2 * np.pi * m / lx * x) * np.cos(2 * np.pi * n / ly * y)
-
-
-def paraboloid(grid: SlabGrid, radius: float) -> np.ndarray:
-    """−r²/2R about the centre of the cell, r the distance to it."""
-    x, y = coordinates(grid)
-    return -((x - grid.lengths[0] / 2) ** 2 + (y - grid.lengths[1] / 2) ** 2) / (2 * radius)

@@ -1,0 +1,46 @@
+"""The periodic cell as a job describes it: points, and their spacing or the cell's size.  No MPI here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pgfmd.options.rules import POSITIVE, integer, pair
+from pgfmd.options.section import Section, key, wrong
+from pgfmd.options.text import show
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell(Section):
+    """The periodic cell: `shape` (nx, ny) points, `lengths` (lx, ly)."""
+
+    where = "grid"
+    n: tuple[int, int] = key(pair(integer(1)), needed=True)  # points [nx, ny]; one number: both
+    length: tuple[float, float] | None = key(pair(POSITIVE))  # cell [lx, ly]; or
+    spacing: tuple[float, float] | None = key(pair(POSITIVE))  # grid spacing [ax, ay]; 1 if neither is given
+
+    def check(self) -> None:
+        if max(self.n) < 2:
+            raise wrong(self, "n", "at least one direction must have 2 points")
+        if self.length and self.spacing:
+            raise wrong(self, "spacing", f"give either length or spacing, not both (length = {show(self.length)})")
+        if not all(0 < value < math.inf for value in (*self.lengths, *self.steps, math.prod(self.lengths))):
+            raise wrong(self, "length" if self.length else "spacing", "cell or spacing is out of range of a float64")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Points (nx, ny)."""
+        return self.n
+
+    @property
+    def lengths(self) -> tuple[float, float]:
+        """Cell (lx, ly)."""
+        if self.length:
+            return self.length
+        steps = self.spacing or (1.0, 1.0)
+        return self.n[0] * steps[0], self.n[1] * steps[1]
+
+    @property
+    def steps(self) -> tuple[float, float]:
+        """Grid spacings (ax, ay)."""
+        return self.spacing or (self.lengths[0] / self.n[0], self.lengths[1] / self.n[1])

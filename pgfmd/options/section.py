@@ -1,0 +1,144 @@
+"""Tables of the TOML file as frozen dataclasses: each key is a field that carries its rule.
+
+A `Section` checks itself when it is made, from a file or from Python alike, so that one line can name the key, its
+value and what is allowed.  Where a table may be one of several sections, `Kinds` lists them: a contact law, a surface.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from pgfmd.errors import InputError
+from pgfmd.options.rules import Rule
+from pgfmd.options.text import as_toml_value, guess, printable, show
+
+
+def key(rule: Rule | type[Section] | Kinds, default: Any = None, *, needed: bool = False) -> Any:
+    """A dataclass field with its rule.
+
+    needed: it has no default.  A default of None means that the key may be left out.
+    """
+    metadata = {"rule": rule, "needed": needed}
+    if isinstance(rule, type):
+        return dataclasses.field(default_factory=rule, metadata=metadata)
+    if isinstance(rule, Kinds) and rule.default is not None:
+        return dataclasses.field(default_factory=rule.default, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A table of the TOML file.  Making one validates it; raises InputError.
+
+    where: the name of the table, as in [where].  kind: the value of the key `kind` that chooses this section among
+    others, "" if it is the only one.
+    """
+
+    where: ClassVar[str] = ""
+    kind: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            rule, value = field.metadata["rule"], getattr(self, field.name)
+            if value is None and field.metadata["needed"]:
+                raise InputError(f"{self.where}.{field.name} is missing: it must be {rule.allowed}")
+            if value is not None and isinstance(rule, Rule):
+                try:
+                    value = rule.convert(value)
+                except ValueError:
+                    raise wrong(self, field.name, f"must be {rule.allowed}") from None
+            object.__setattr__(self, field.name, value)
+        self.check()
+
+    def check(self) -> None:
+        """What several keys of this section must obey together; raises InputError."""
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """The sections that one table may be.
+
+    where: the name of the table.  choices: the sections; several may share a kind if their needed keys differ.
+    default: the section of a table that is left out; None: the table and its `kind` are needed.
+    """
+
+    where: str
+    choices: tuple[type[Section], ...]
+    default: type[Section] | None = None
+
+    @property
+    def allowed(self) -> str:
+        """The values of `kind`, in words."""
+        return "one of " + ", ".join(show(kind) for kind in dict.fromkeys(choice.kind for choice in self.choices))
+
+    def choose(self, table: Mapping[str, Any]) -> type[Section]:
+        """The section for the keys of a table; raises InputError for a kind that is unknown or missing.
+
+        Among the choices of that kind, or among all if there is a default and no kind is said, it is the one that knows
+        most of the keys and whose needed ones are there.
+        """
+        if "kind" in table:
+            found = [choice for choice in self.choices if choice.kind == table["kind"]]
+            if not found:
+                raise InputError(f"{self.where}.kind = {show(table['kind'])}: must be {self.allowed}")
+        elif self.default is None:
+            raise InputError(f"{self.where}.kind is missing: it must be {self.allowed}")
+        else:
+            found = [self.default, *self.choices]
+        return max(found, key=lambda choice: (_fits(choice, table), -len(dataclasses.fields(choice))))
+
+    def others(self, name: str, table: Mapping[str, Any]) -> list[str]:
+        """The kinds that know a key which the chosen section does not."""
+        return [choice.kind for choice in self.choices if name in _names(choice) and choice is not self.choose(table)]
+
+
+def _names(kind: type[Section]) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
+
+
+def _fits(kind: type[Section], table: Mapping[str, Any]) -> int:
+    """How many keys of the table a section knows; −1 if a needed one is missing."""
+    needed = [field.name for field in dataclasses.fields(kind) if field.metadata["needed"]]
+    return len(table.keys() & set(_names(kind))) if table.keys() >= set(needed) else -1
+
+
+def wrong(section: Section, name: str, allowed: str) -> InputError:
+    """The error for one key: where, its value, what is allowed."""
+    return InputError(f"{section.where}.{name} = {show(getattr(section, name))}: {allowed}")
+
+
+def build(kind: type[Section] | Kinds, table: Any) -> Section:
+    """A section from a TOML table; raises InputError for unknown keys and wrong values."""
+    if not isinstance(table, dict):
+        raise InputError(f"{kind.where} = {show(table)}: must be a table, [{kind.where}]")
+    chosen = kind.choose(table) if isinstance(kind, Kinds) else kind
+    fields = {field.name: field for field in dataclasses.fields(chosen)}
+    values = {}
+    for name, value in table.items():
+        if name == "kind" and isinstance(kind, Kinds):
+            continue
+        if name not in fields:
+            if isinstance(kind, Kinds) and (kinds := kind.others(name, table)):
+                places = " or ".join(map(show, kinds))
+                raise InputError(f"{kind.where}.{name} = {show(value)}: belongs to kind = {places} only")
+            known = ["kind", *fields] if isinstance(kind, Kinds) else list(fields)
+            raise InputError(f"{kind.where}.{printable(name)} is not known{guess(name, known)}")
+        rule = fields[name].metadata["rule"]
+        values[name] = value if isinstance(rule, Rule) else build(rule, value)
+    return chosen(**values)
+
+
+def as_toml(title: str, section: Section) -> str:
+    """A section as a TOML table with all its keys, those that are None left out."""
+    values = {name: getattr(section, name) for name in _names(type(section))}
+    lines = [f"kind = {show(section.kind)}"] if section.kind else []
+    lines += [
+        f"{name} = {as_toml_value(value)}"
+        for name, value in values.items()
+        if value is not None and not isinstance(value, Section)
+    ]
+    tables = [as_toml(f"{title}.{name}", value) for name, value in values.items() if isinstance(value, Section)]
+    return "\n".join([f"[{title}]", *lines, "", *tables])

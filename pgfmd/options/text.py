@@ -1,0 +1,45 @@
+"""Values and names as text: in messages, on one line, and in TOML."""
+
+from __future__ import annotations
+
+import difflib
+import json
+
+import numpy as np
+
+
+def guess(name: str, allowed: list[str]) -> str:
+    """The end of a message on an unknown name: the nearest known ones first."""
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return (f"; did you mean {near[0]}?" if near else ".") + f" Allowed: {', '.join(allowed)}"
+
+
+def printable(name: str, longest: int = 60) -> str:
+    """Text without line breaks and control characters, cut to a readable length."""
+    clean = "".join(letter if letter.isprintable() else "?" for letter in name)
+    return clean if len(clean) <= longest else clean[: longest - 1] + "…"
+
+
+def show(value) -> str:
+    """A value as TOML writes it, on one line, cut to a readable length."""
+    try:
+        return printable(as_toml_value(value))
+    except (TypeError, RecursionError):
+        return printable(str(type(value).__name__))
+
+
+def as_toml_value(value) -> str:
+    """A TOML literal of a bool, number, text, list or table; raises TypeError for anything else."""
+    if isinstance(value, (bool, np.bool_)):
+        return "true" if value else "false"
+    if isinstance(value, (int, np.integer)):
+        return hex(value) if abs(value) >= 2**63 else str(int(value))  # hex: Python refuses to print huge decimals
+    if isinstance(value, (float, np.floating)):
+        return repr(float(value))
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return "[" + ", ".join(as_toml_value(entry) for entry in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name} = {as_toml_value(entry)}" for name, entry in value.items()) + "}"
+    raise TypeError(f"no TOML value: {type(value).__name__}")

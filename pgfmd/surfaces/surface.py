@@ -1,0 +1,46 @@
+"""What a surface of a job is: options that make heights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from pgfmd.grid.cell import Cell
+from pgfmd.options.section import Section
+
+if TYPE_CHECKING:
+    from pgfmd.grid.slab_grid import SlabGrid
+
+
+@dataclass(frozen=True, kw_only=True)
+class Surface(Section):
+    """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface].
+
+    rms_slope: √⟨|∇h|²⟩ if the options tell it (for estimates before the run), else None.
+    """
+
+    where = "surface"
+    rms_slope: ClassVar[float | None] = None
+
+    def check_in(self, cell: Cell) -> None:
+        """Raise InputError, naming the key, if this surface does not fit into that cell."""
+
+    def shortest_wavelength(self, cell: Cell) -> float:
+        """Wavelength (length) below which the spectrum is zero; 0 if every mode of the grid may count."""
+        return 0.0
+
+    def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
+        """Heights (nx_local, ny) in units of length, float64.  Collective.
+
+        length_unit: name of the job's unit, for sources that know their own; None converts nothing.  Raises InputError
+        on all ranks.
+        """
+        raise NotImplementedError
+
+
+def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Positions x (nx_local, 1) and y (1, ny) of the grid points, from 0 on."""
+    x = grid.spacing[0] * np.arange(grid.rows.start, grid.rows.stop)[:, None]
+    return x, grid.spacing[1] * np.arange(grid.shape[1])[None, :]

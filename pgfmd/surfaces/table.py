@@ -1,0 +1,17 @@
+"""The surfaces that a job can ask for."""
+
+from pgfmd.options.section import Kinds
+from pgfmd.surfaces.file import FromFile
+from pgfmd.surfaces.paraboloid import Paraboloid
+from pgfmd.surfaces.self_affine import SelfAffine
+from pgfmd.surfaces.sinusoid import Sinusoid
+
+SURFACES = Kinds(
+    "surface",
+    (
+        SelfAffine,
+        FromFile,
+        Sinusoid,
+        Paraboloid,
+    ),
+)
