@@ -42,7 +42,7 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
-    grid = SlabGrid(comm, job.grid.shape, job.grid.lengths)
+    grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     with ResultWriter(
         comm, directory, job.text, as_toml(job),
         shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(job.load.targets),

@@ -9,6 +9,8 @@ from pgfmd.options.rules import POSITIVE, integer, pair
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
+TRANSFORMS = ("blocked", "mpi4py-fft")  # of a grid: blocks in cache over FFTW's plans, or the library's whole arrays
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cell(Section):

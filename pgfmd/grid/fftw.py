@@ -1,7 +1,4 @@
-"""One-dimensional FFTW plans for blocks of rows, and the wisdom that makes planning instant the second time.
-
-The planner is pyFFTW, which brings the fastest FFTW there is as a package; where it is missing, mpi4py-fft's.
-"""
+"""One-dimensional FFTW plans for blocks of rows, and the wisdom that makes planning instant the second time."""
 
 from __future__ import annotations
 
@@ -15,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pgfmd.errors import InputError
+
 try:
     import pyfftw
 except ImportError:
@@ -27,36 +26,14 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool):
     """A function without arguments that transforms `source` into `target` along the last axis, unnormalised.
 
     Real to complex, complex to complex (also in place) or complex to real, as the types say.  Overwrites `source`
-    and, when planning, both.  The planner is not thread-safe; the plans are.
+    and, when planning, both.  The planner is not thread-safe; the plans are.  Raises InputError without pyfftw.
     """
     if pyfftw is None:
-        return _plan_mpi4py_fft(source, target, forward)
+        raise InputError('solver.transform = "blocked": needs the package pyfftw; install it, or choose "mpi4py-fft"')
     _load_wisdom()
     direction = "FFTW_FORWARD" if forward else "FFTW_BACKWARD"
     flags = ("FFTW_MEASURE", "FFTW_DESTROY_INPUT")
     return pyfftw.FFTW(source, target, axes=(source.ndim - 1,), direction=direction, flags=flags, threads=1).execute
-
-
-def _plan_mpi4py_fft(source: np.ndarray, target: np.ndarray, forward: bool):
-    from mpi4py_fft import fftw
-
-    real = np.result_type(source, target).type(0).real.dtype
-    # These planners want contiguous arrays of their own; blocks have padded rows.
-    inside = fftw.aligned(source.shape, dtype=source.dtype)
-    outside = fftw.aligned(target.shape, dtype=target.dtype)
-    options = ((source.ndim - 1,), 1, (fftw.FFTW_MEASURE, fftw.FFTW_DESTROY_INPUT))
-    if inside.dtype == outside.dtype:
-        made = (fftw.fftn if forward else fftw.ifftn)(inside, None, *options, outside)
-    elif inside.dtype == real:
-        made = fftw.rfftn(inside, None, *options, outside)
-    else:
-        made = fftw.irfftn(inside, target.shape[-1:], *options, outside)
-
-    def execute() -> None:
-        made.input_array[...] = source
-        target[...] = made(normalize=False)
-
-    return execute
 
 
 def wisdom_file() -> Path:

@@ -17,7 +17,9 @@ import numpy as np
 from mpi4py import MPI
 
 from pgfmd.errors import InputError
-from pgfmd.grid.transforms import Columns, Rows, Transform
+from pgfmd.grid.callbacks import Columns, Rows, sink, source
+from pgfmd.grid.library_transform import LibraryTransform
+from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import make_strips
 from pgfmd.parallel.collectives import Reduction, fetch_rows, slab, slab_starts
 from pgfmd.parallel.threads import Threads, threads_per_rank
@@ -44,8 +46,12 @@ class SlabGrid:
         shape: tuple[int, int],
         lengths: tuple[float, float] | None = None,
         threads: int | None = None,
+        transform: str = "blocked",
         shared: bool | None = None,
     ):
+        """lengths: the number of points if None.  threads: of this rank, `threads_per_rank` if None.  transform: one of
+        `cell.TRANSFORMS`.  shared: whether blocked transforms may use memory that ranks share, None where they can.
+        """
         nx, ny = (int(n) for n in shape)
         if min(nx, ny) < 1:
             raise InputError(f"grid: {nx} × {ny} points, at least 1 × 1 are needed")
@@ -70,16 +76,18 @@ class SlabGrid:
         threads = self.asked_threads = threads_per_rank() if threads is None else threads
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
-        self._shared, self._strips, self._made = shared, None, {}
+        self._transform, self._shared, self._strips, self._made = transform, shared, None, {}
 
     def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
         """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
         return self.qx**2 + self.qy[first:stop] ** 2
 
-    def transform(self, dtype=np.float64) -> Transform:
+    def transform(self, dtype=np.float64) -> Transform | LibraryTransform:
         """The passes in that precision, planned on first use.  Collective then."""
         dtype = np.dtype(dtype)
-        if dtype not in self._made:
+        if dtype not in self._made and self._transform == "mpi4py-fft":
+            self._made[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
+        elif dtype not in self._made:
             if self._strips is None:
                 self._strips = make_strips(self.comm, self.shape, self._shared)
             self._made[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
@@ -93,7 +101,7 @@ class SlabGrid:
         def keep(block: np.ndarray, first: int, stop: int):
             out[first:stop] = block
 
-        self.read_spectrum(_source(field), keep, field.dtype)
+        self.read_spectrum(source(field), keep, field.dtype)
         return out
 
     def backward(self, spectrum: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
@@ -107,7 +115,7 @@ class SlabGrid:
         def copy(block: np.ndarray, first: int, stop: int):
             np.multiply(spectrum[first:stop], normalisation, out=block)
 
-        self.make_field(copy, _sink(out), real)
+        self.make_field(copy, sink(out), real)
         return out
 
     def read_spectrum(self, fill: Rows, action: Columns, dtype=np.float64, count: int | None = None) -> None:
@@ -148,7 +156,8 @@ class SlabGrid:
         """
         shape = tuple(-(-n // factor) for n in self.shape)
         thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
-        return SlabGrid(MPI.COMM_SELF if thin else self.comm, shape, self.lengths, self.asked_threads, self._shared)
+        comm = MPI.COMM_SELF if thin else self.comm
+        return SlabGrid(comm, shape, self.lengths, self.asked_threads, self._transform, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
@@ -174,21 +183,9 @@ class SlabGrid:
 
     def free(self) -> None:
         """Give the transform memory back (it returns on next use).  Collective."""
+        for transform in self._made.values():
+            transform.free()
         self._made = {}
         if self._strips is not None:
             self._strips.free()
             self._strips = None
-
-
-def _source(field: np.ndarray) -> Rows:
-    def fill(first: int, stop: int, rows: np.ndarray):
-        rows[...] = field[first:stop]
-
-    return fill
-
-
-def _sink(field: np.ndarray) -> Rows:
-    def drain(first: int, stop: int, rows: np.ndarray):
-        field[first:stop] = rows
-
-    return drain

@@ -18,19 +18,13 @@ Transforms are unnormalised in both directions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import Columns, Rows
 from pgfmd.grid.fftw import plan
 from pgfmd.grid.transpose import ALIGNMENT, Strips, aligned, with_padding
 from pgfmd.parallel.threads import Threads
-
-Rows = Callable[[int, int, np.ndarray], None]
-"""(first local row, stop, rows of shape (stop − first, ny)) to fill or to read."""
-Columns = Callable[[np.ndarray, int, int], None]
-"""(block of shape (stop − first, nx), first local column, stop) to act on in place."""
 
 ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it stays in the second-level cache beside its transform
 COLUMN_BLOCK = 1 << 19  # bytes of a block of columns: half of that cache, which two threads of a core share
@@ -117,6 +111,9 @@ class Transform:
 
         self.strips.to_rows(self.complex)
         self.threads.share(one, self.strips.rows, self.row_block)
+
+    def free(self) -> None:
+        """The memory goes with the strips."""
 
 
 def _block(budget: int, row_bytes: int, count: int, threads: int, multiple: int = 1) -> int:

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 from pgfmd.errors import InputError
+from pgfmd.grid.cell import TRANSFORMS
 from pgfmd.options.rules import POSITIVE, choice, integer, many, number, text
 from pgfmd.options.section import Kinds, Section, key, wrong
 from pgfmd.options.text import show
@@ -147,6 +148,7 @@ class Solver(Section):
     method: str = key(choice("auto", "active-set", "newton", "gfmd"), "auto")
     tolerance: float = key(number(above=0, below=1), 1e-6)
     max_iterations: int = key(integer(1), 10000)
+    transform: str = key(choice(*TRANSFORMS), "blocked")  # who transforms: blocks in cache, or the library mpi4py-fft
 
 
 @dataclass(frozen=True, kw_only=True)

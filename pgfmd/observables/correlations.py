@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from mpi4py import MPI
 
+from pgfmd.grid.callbacks import Columns, Rows
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import Columns, Rows
 from pgfmd.observables.kernels import bin_geometry, bin_rows, power_in_place
 from pgfmd.observables.spectra import HAIR, bin_edges, lag_edges
 

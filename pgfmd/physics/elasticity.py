@@ -14,8 +14,8 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import Columns
 
 BASES = ("bonded", "free", "sliding")
 

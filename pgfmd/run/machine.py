@@ -8,7 +8,6 @@ import platform
 from collections import Counter
 
 import h5py
-import pyfftw
 from mpi4py import MPI
 
 from pgfmd import __version__
@@ -29,7 +28,7 @@ def report(comm: MPI.Comm, per_rank: float) -> None:
         mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
         form = "with MPI" if h5py.get_config().mpi else "without MPI"
         log.info("pgfmd %s, commit %s", __version__, git_commit()[:12])
-        log.info("%s, HDF5 %s %s, FFTW %s", mpi, h5py.version.hdf5_version, form, pyfftw.fftw_version)
+        log.info("%s, HDF5 %s %s", mpi, h5py.version.hdf5_version, form)
         log.info("%s", ", ".join(versions().split("\n")))
         for level, line in describe(found, per_rank):
             log.log(level, "%s", line)

@@ -24,8 +24,8 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import Rows
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import Rows
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.active_set.contact_set import segments
 

@@ -10,8 +10,8 @@ import numpy as np
 from mpi4py import MPI
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import Columns
 from pgfmd.solvers.active_set import kernels as set_kernels
 
 HALO = 8  # rows of neighbours: enough for stencils, and for coarser grids whose slabs begin elsewhere

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.special import erf
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import Columns
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import Rows
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import Rows
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.active_set.active_set import MOST_INNER, SINGLE_LIMIT, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import solve_on_set

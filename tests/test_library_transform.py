@@ -1,0 +1,109 @@
+"""Transforms by mpi4py-fft give what the blocked ones give."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from pgfmd.errors import InputError
+from pgfmd.grid.callbacks import sink, source
+from pgfmd.grid.slab_grid import SlabGrid
+
+SHAPES = [(24, 20), (17, 13), (9, 64)]
+SEED = 20
+
+
+def field_on(grid):
+    """The rows of one random field, the same on any rank count."""
+    return np.random.default_rng(SEED).normal(size=grid.shape)[grid.rows].copy()
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_both_transforms_agree(comm, shape, dtype):
+    """Spectrum, field and a convolution in place agree to rounding: √(log N) ε of the largest value."""
+    ours, theirs = SlabGrid(comm, shape), SlabGrid(comm, shape, transform="mpi4py-fft")
+    field = field_on(ours).astype(dtype)
+    close = {"rtol": 0, "atol": 20 * np.finfo(dtype).eps}
+    expected = ours.forward(field)
+    found = theirs.forward(field)
+    scale = np.sqrt(ours.size)
+    np.testing.assert_allclose(found / scale, expected / scale, **close)
+    np.testing.assert_allclose(theirs.backward(found), field, **close)
+
+    results = []
+    for grid in (ours, theirs):
+        factor = (1 / (1 + grid.q_squared()) / grid.size).astype(dtype)
+
+        def smooth(block, first, stop, factor=factor):
+            block *= factor[first:stop]
+
+        out = np.empty(grid.local_shape)
+        grid.convolve(source(field), smooth, sink(out), dtype)
+        results.append(out)
+    np.testing.assert_allclose(*results, **close)
+
+
+@pytest.mark.mpi
+def test_a_job_solves_alike(comm, shared_tmp_path):
+    """A whole run with either transform gives the same fields to 1e-12 of their size."""
+    from pgfmd.io.results import Results
+    from pgfmd.job.job import parse
+    from pgfmd.simulate import simulate
+
+    text = """
+        [grid]
+        n = 128
+        [surface]
+        kind = "self-affine"
+        hurst = 0.8
+        lambda_s = 8.0
+        rms_slope = 0.1
+        [load]
+        pressure = [0.02]
+        [solver]
+        tolerance = 1e-12
+        [output]
+        fields = ["pressure", "gap"]
+    """
+    for name in ("blocked", "mpi4py-fft"):
+        simulate(parse(text, "job", [f"solver.transform={name}"]), comm, shared_tmp_path / name)
+    for name in ("pressure", "gap"):
+        expected, found = (Results(shared_tmp_path / by).field(name, 0) for by in ("blocked", "mpi4py-fft"))
+        assert np.abs(found - expected).max() <= 1e-6 * expected.max()  # √tolerance: both stop within it
+        assert np.linalg.norm(found - expected) <= 1e-6 * np.linalg.norm(expected)
+
+
+@pytest.mark.mpi
+def test_too_many_ranks_are_refused(comm):
+    """Ranks without a column of the spectrum: one line instead of an assertion inside the library."""
+    if comm.size < 3:
+        pytest.skip("needs three ranks")
+    with pytest.raises(InputError, match=r"mpi4py-fft.*at most 2 can take part"):
+        SlabGrid(comm, (8, 2), transform="mpi4py-fft").transform()
+
+
+def test_no_pyfftw_is_needed():
+    """With the library's transforms a contact is solved where pyfftw is not installed; the blocked ones say so."""
+    code = """
+import sys
+sys.modules["pyfftw"] = None
+import numpy as np
+from mpi4py import MPI
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.simulate import simulate
+grid = SlabGrid(MPI.COMM_SELF, (8, 8), transform="mpi4py-fft")
+assert abs(grid.forward(np.ones((8, 8)))[0, 0] - 64) < 1e-12
+try:
+    SlabGrid(MPI.COMM_SELF, (8, 8)).transform()
+except InputError as error:
+    assert "pyfftw" in str(error)
+else:
+    raise AssertionError
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
