@@ -15,7 +15,7 @@ class RowWindow:
     Attributes: low; rows (high − low, ny), widened to hold all own rows; own: those, a view of `rows`.
     """
 
-    def __init__(self, grid: SlabGrid, low: int, high: int, dtype=np.float32):
+    def __init__(self, grid: SlabGrid, low: int, high: int, dtype=np.float32) -> None:
         comm = grid.comm
         first, stop = grid.rows.start, grid.rows.stop
         self.comm, self.kind = comm, MPI._typedict[np.dtype(dtype).char]

@@ -18,7 +18,7 @@ u = np.uintp  # of indices: spares the test for negative ones, without which loo
 
 
 @jit
-def rows_to_tiles(half, start, count, at, tiles):
+def rows_to_tiles(half: np.ndarray, start: int, count: int, at: int, tiles: np.ndarray) -> None:
     """tiles[c // w, at + i, c % w] = half[i, start + c] for c < count, where w = tiles.shape[2]."""
     size = tiles.shape[2]
     for t in range(tiles.shape[0]):
@@ -30,7 +30,7 @@ def rows_to_tiles(half, start, count, at, tiles):
 
 
 @jit
-def tiles_to_rows(tiles, at, half, start, count):
+def tiles_to_rows(tiles: np.ndarray, at: int, half: np.ndarray, start: int, count: int) -> None:
     """half[i, start + c] = tiles[c // w, at + i, c % w] for c < count, where w = tiles.shape[2]."""
     size = tiles.shape[2]
     for t in range(tiles.shape[0]):
@@ -42,7 +42,7 @@ def tiles_to_rows(tiles, at, half, start, count):
 
 
 @jit
-def gather_columns(tiles, nx, first, count, block):
+def gather_columns(tiles: np.ndarray, nx: int, first: int, count: float, block: np.ndarray) -> None:
     """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2] — 16
     rows at a time, so that both sides stay in cache.
     """
@@ -59,7 +59,7 @@ def gather_columns(tiles, nx, first, count, block):
 
 
 @jit
-def scatter_columns(block, nx, first, count, tiles):
+def scatter_columns(block: np.ndarray, nx: int, first: int, count: float, tiles: np.ndarray) -> None:
     """tiles[(first + c) // w, i, (first + c) % w] = block[c, i]"""
     size, done = tiles.shape[2], 0
     while done < count:
@@ -74,7 +74,7 @@ def scatter_columns(block, nx, first, count, tiles):
 
 
 @jit
-def divide_by_q(block, qx_squared, qy_squared, factor):
+def divide_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float) -> None:
     """block[j, i] *= factor / sqrt(qx²[i] + qy²[j]), and 0 at q = 0; the last axis of `block` holds (real,
     imaginary).
     """
@@ -91,7 +91,7 @@ def divide_by_q(block, qx_squared, qy_squared, factor):
 
 
 @jit
-def multiply_by_q(block, qx_squared, qy_squared, factor):
+def multiply_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float) -> None:
     """block[j, i] *= factor · sqrt(qx²[i] + qy²[j]); the last axis of `block` holds (real, imaginary)."""
     scale = np.empty_like(qx_squared)
     for j in range(qy_squared.size):
@@ -104,7 +104,7 @@ def multiply_by_q(block, qx_squared, qy_squared, factor):
 
 
 @jit
-def scale_modes(block, scale):
+def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
     """block *= scale; the last axis of `block` holds (real, imaginary)."""
     for j in range(scale.shape[0]):
         for i in range(scale.shape[1]):
@@ -113,7 +113,7 @@ def scale_modes(block, scale):
 
 
 @jit
-def add_rows(a, b, out):
+def add_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """out = a + b, of any precisions: NumPy converts in passes of its own."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -121,7 +121,7 @@ def add_rows(a, b, out):
 
 
 @jit
-def subtract_rows(a, b, out):
+def subtract_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     """out = a − b, of any precisions."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -129,7 +129,7 @@ def subtract_rows(a, b, out):
 
 
 @jit
-def sums_about(origin, field):
+def sums_about(origin: float, field: np.ndarray):
     """(Σ (f − origin), Σ (f − origin)²)"""
     total = squares = 0.0
     for i in range(field.shape[0]):
@@ -141,7 +141,7 @@ def sums_about(origin, field):
 
 
 @jit
-def squares_of_steps(field):
+def squares_of_steps(field: np.ndarray):
     """Σ (f[i, j + 1] − f[i, j])²"""
     total = 0.0
     for i in range(field.shape[0]):
@@ -153,7 +153,7 @@ def squares_of_steps(field):
 
 
 @jit
-def _blend_rows(coarse, first, weights, line):
+def _blend_rows(coarse: np.ndarray, first: int, weights: float, line: np.ndarray) -> None:
     """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
     width = coarse.shape[1]
     a, b, c, d = weights
@@ -166,7 +166,7 @@ def _blend_rows(coarse, first, weights, line):
 
 
 @numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")  # as if no NaN: else minima are slow
-def least_of_segments(field, least):
+def least_of_segments(field: np.ndarray, least: np.ndarray) -> None:
     """least[i, s] = the smallest of field[i, s · SEGMENT:(s + 1) · SEGMENT]"""
     for i in range(field.shape[0]):
         row = field[i]
@@ -178,7 +178,14 @@ def least_of_segments(field, least):
 
 
 @jit
-def interpolate_rows(coarse, first_index, weights, columns_first, column_weights, out):
+def interpolate_rows(
+    coarse: np.ndarray,
+    first_index: np.ndarray,
+    weights: np.ndarray,
+    columns_first: np.ndarray,
+    column_weights: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
     interpolation by four points; columns from −1 on, wrapping.
     """
@@ -193,7 +200,14 @@ def interpolate_rows(coarse, first_index, weights, columns_first, column_weights
 
 
 @jit
-def interpolate_doubled(coarse, first_index, weights, columns_first, column_weights, out):
+def interpolate_doubled(
+    coarse: np.ndarray,
+    first_index: np.ndarray,
+    weights: np.ndarray,
+    columns_first: float,
+    column_weights: np.ndarray,
+    out: np.ndarray,
+) -> None:
     """The same where out has twice the columns of `coarse`, so that all even ones and all odd ones are alike."""
     line = np.empty(coarse.shape[1] + 4, coarse.dtype)
     a, b, c, d = column_weights[1]
@@ -206,7 +220,7 @@ def interpolate_doubled(coarse, first_index, weights, columns_first, column_weig
 
 
 @jit
-def contact_sums(pressure, gap, heights, first, stop):
+def contact_sums(pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, first: int, stop: int):
     """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) of rows first … stop−1, where p > 0."""
     work = energy = load = 0.0
     count = 0
@@ -223,7 +237,7 @@ def contact_sums(pressure, gap, heights, first, stop):
 
 
 @jit
-def open_gap(pressure, gap, level, first, stop):
+def open_gap(pressure: np.ndarray, gap: np.ndarray, level: float, first: int, stop: int) -> None:
     """gap = 0 where p > 0, max(gap − level, 0) elsewhere, in rows first … stop−1."""
     for i in range(first, stop):
         for j in range(gap.shape[1]):
@@ -231,7 +245,7 @@ def open_gap(pressure, gap, level, first, stop):
 
 
 @jit
-def close_pressure(pressure, gap, first, stop):
+def close_pressure(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int):
     """p = 0 where the gap is not 0, max(p, 0) elsewhere, in rows first … stop−1; returns Σ p."""
     total = 0.0
     for i in range(first, stop):
@@ -243,7 +257,7 @@ def close_pressure(pressure, gap, first, stop):
 
 
 @jit
-def finish_rows(pressure, gap, level, unit, height):
+def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float):
     """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
     where p > 0 and level − gap elsewhere, as they were.
     """
@@ -261,7 +275,9 @@ def finish_rows(pressure, gap, level, unit, height):
 
 
 @jit
-def start_rows(coarse_pressure, displacement, heights, reach, pressure):
+def start_rows(
+    coarse_pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, reach: float, pressure: np.ndarray
+):
     """p = max(coarse p, tiny) where reach · p exceeds the gap u − h, else 0; returns Σ p and #{p > 0}."""
     total = 0.0
     count = 0
@@ -279,7 +295,7 @@ def start_rows(coarse_pressure, displacement, heights, reach, pressure):
 
 
 @jit
-def start_gap(pressure, displacement, heights, gap):
+def start_gap(pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, gap: np.ndarray) -> None:
     """gap = 0 where p > 0, max(u − h, 0) elsewhere."""
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
@@ -287,7 +303,7 @@ def start_gap(pressure, displacement, heights, gap):
 
 
 @jit
-def sum_over_blocks(field, start, size, sums):
+def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) -> None:
     """sums[(start + i) // size, j // size] += field[i, j] — whole rows first, which compilers make fast."""
     line = np.zeros(sums.shape[1] * size, sums.dtype)
     for i in range(field.shape[0]):
@@ -303,7 +319,7 @@ def sum_over_blocks(field, start, size, sums):
 
 
 @jit
-def _repeat(means, size, line):
+def _repeat(means: np.ndarray, size: int, line: np.ndarray) -> None:
     """line[j] = means[j // size]"""
     for block in range(means.size):
         for j in range(block * size, min((block + 1) * size, line.size)):
@@ -311,7 +327,9 @@ def _repeat(means, size, line):
 
 
 @jit
-def rest_in_blocks(sums, shares, weights, means, start, size, out):
+def rest_in_blocks(
+    sums: np.ndarray, shares: np.ndarray, weights: np.ndarray, means: np.ndarray, start: int, size: int, out: np.ndarray
+) -> None:
     """out[i, j] = weights[i, j] (sums[i, j] shares[i, j] − means[(start + i) // size, j // size])"""
     line, current = np.empty(out.shape[1], out.dtype), -1
     for i in range(out.shape[0]):
@@ -324,7 +342,7 @@ def rest_in_blocks(sums, shares, weights, means, start, size, out):
 
 
 @jit
-def add_from_blocks(means, counts, start, size, out):
+def add_from_blocks(means: np.ndarray, counts: np.ndarray, start: int, size: int, out: np.ndarray) -> None:
     """out[i, j] += counts[i, j] means[(start + i) // size, j // size]"""
     line, current = np.empty(out.shape[1], out.dtype), -1
     for i in range(out.shape[0]):

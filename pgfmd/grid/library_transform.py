@@ -22,7 +22,7 @@ class LibraryTransform:
     Unnormalised in both directions.  Raises InputError if there are more ranks than columns ky.
     """
 
-    def __init__(self, comm: MPI.Comm, shape: tuple[int, int], dtype: np.dtype, threads: Threads):
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int], dtype: np.dtype, threads: Threads) -> None:
         from mpi4py_fft import PFFT
 
         columns = shape[1] // 2 + 1

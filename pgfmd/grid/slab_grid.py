@@ -48,7 +48,7 @@ class SlabGrid:
         threads: int | None = None,
         transform: str = "blocked",
         shared: bool | None = None,
-    ):
+    ) -> None:
         """lengths: the number of points if None.  threads: of this rank, `threads_per_rank` if None.  transform: one of
         `cell.TRANSFORMS`.  shared: whether blocked transforms may use memory that ranks share, None where they can.
         """
@@ -98,7 +98,7 @@ class SlabGrid:
         transform = self.transform(field.dtype)
         out = np.empty(self.spectral_shape, transform.complex) if out is None else out
 
-        def keep(block: np.ndarray, first: int, stop: int):
+        def keep(block: np.ndarray, first: int, stop: int) -> None:
             out[first:stop] = block
 
         self.read_spectrum(source(field), keep, field.dtype)
@@ -112,7 +112,7 @@ class SlabGrid:
         out = np.empty(self.local_shape, real) if out is None else out
         normalisation = real.type(1 / self.size)
 
-        def copy(block: np.ndarray, first: int, stop: int):
+        def copy(block: np.ndarray, first: int, stop: int) -> None:
             np.multiply(spectrum[first:stop], normalisation, out=block)
 
         self.make_field(copy, sink(out), real)

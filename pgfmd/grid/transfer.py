@@ -22,10 +22,10 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
     mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
     scale = np.dtype(dtype).type(1 / fine.size)
 
-    def fill(first: int, stop: int, block: np.ndarray):
+    def fill(first: int, stop: int, block: np.ndarray) -> None:
         block[...] = field[first:stop]
 
-    def keep(block: np.ndarray, first: int, stop: int):
+    def keep(block: np.ndarray, first: int, stop: int) -> None:
         part = mine[first:stop]
         np.multiply(block[:, : rows + 1], scale, out=part[:, : rows + 1])
         part[:, rows + 1 : nx - rows] = 0
@@ -37,12 +37,12 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
     spectrum = fetch_rows(fine.comm, mine, starts, low, high, fine.threads)
     out = np.empty(coarse.local_shape)
 
-    def copy(block: np.ndarray, first: int, stop: int):
+    def copy(block: np.ndarray, first: int, stop: int) -> None:
         part = spectrum[first:stop]
         block[: len(part)] = part
         block[len(part) :] = 0
 
-    def drain(first: int, stop: int, block: np.ndarray):
+    def drain(first: int, stop: int, block: np.ndarray) -> None:
         out[first:stop] = block
 
     coarse.make_field(copy, drain, dtype)
@@ -55,7 +55,7 @@ class Interpolation:
     `rows` gives a few fine rows of a field at a time, so that no fine array is needed.
     """
 
-    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], shifts=(0, 0)):
+    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], shifts=(0, 0)) -> None:
         """shifts: row i of the coarse and of the fine fields is row i + shift of that grid."""
         margin = 2
         at = (np.arange(fine.rows.start, fine.rows.stop) + shifts[1]) * (coarse.shape[0] / fine.shape[0]) - shifts[0]

@@ -33,7 +33,7 @@ COLUMN_BLOCK = 1 << 19  # bytes of a block of columns: half of that cache, which
 class _Worker:
     """Blocks and plans of one thread."""
 
-    def __init__(self, transform: Transform):
+    def __init__(self, transform: Transform) -> None:
         nx, ny = transform.shape
         real, cplx = transform.real, transform.complex
         self.rows = aligned((transform.row_block, ny), real, apart=False)
@@ -51,7 +51,7 @@ class _Worker:
 class Transform:
     """The three passes in one precision, over the strips of a grid of shape (nx, ny)."""
 
-    def __init__(self, strips: Strips, shape: tuple[int, int], dtype, threads: Threads):
+    def __init__(self, strips: Strips, shape: tuple[int, int], dtype, threads: Threads) -> None:
         self.strips, self.shape = strips, shape
         self.real = np.dtype(dtype)
         self.complex = np.result_type(self.real, np.complex64)
@@ -68,7 +68,7 @@ class Transform:
     def rows_forward(self, fill: Rows) -> None:
         """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  Collective."""
 
-        def one(thread: int, first: int, stop: int):
+        def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
             fill(first, stop, worker.rows[: stop - first])
             worker.rows_forward()
@@ -87,7 +87,7 @@ class Transform:
         if not forward:
             self.strips.begin(self.complex)
 
-        def one(thread: int, first: int, stop: int):
+        def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
             block = worker.block[: stop - first]
             if forward:
@@ -103,7 +103,7 @@ class Transform:
     def rows_backward(self, drain: Rows) -> None:
         """Strips to real rows, each block handed to `drain(first, stop, block)`.  Collective."""
 
-        def one(thread: int, first: int, stop: int):
+        def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
             self.strips.get(self.views, first, worker.whole_half[: stop - first])
             worker.rows_backward()

@@ -74,7 +74,7 @@ class Strips:
     `put` and `get` move blocks of rows in and out; between them the ranks meet in `to_columns` and `to_rows`.
     """
 
-    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         self.comm, self.nx = comm, shape[0]
         self.row_starts = slab_starts(shape[0], comm.size)
         self.column_starts = slab_starts(shape[1] // 2 + 1, comm.size)
@@ -102,7 +102,7 @@ class SharedStrips(Strips):
     load.
     """
 
-    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
         self.first_row = int(self.row_starts[comm.rank])  # of this rank in every strip
         count = self.nbytes(comm.rank)
@@ -191,7 +191,7 @@ class SharedStrips(Strips):
 class ExchangedStrips(Strips):
     """Strips in memory of their own: blocks are packed for each rank and cross in one `Alltoallv`."""
 
-    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]):
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
         self.first_row = 0  # of this rank in what is packed
         self.own = aligned_bytes(self.nbytes(comm.rank, self.nx))

@@ -127,7 +127,7 @@ def _override(document: dict, entry: str) -> str:
     return dotted
 
 
-def _anchor(document: dict, folder: str):
+def _anchor(document: dict, folder: str) -> None:
     """Make the heights file's path absolute, in place."""
     surface = document.get("surface")
     if isinstance(surface, dict) and isinstance(surface.get("path"), str) and surface["path"]:

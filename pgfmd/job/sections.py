@@ -34,7 +34,7 @@ class Solid(Section):
     thickness: float = key(number(above=0, infinite=True), math.inf)
     base: str = key(choice("bonded", "free", "sliding"), "bonded")  # of a slab: bonded to, or sliding on, a rigid plane
 
-    def check(self):
+    def check(self) -> None:
         given = {name: getattr(self, name) for name in MODULI if getattr(self, name) is not None}
         known = _moduli(given or {"lame_lambda": 1.0, "lame_mu": 1.0})
         if known is None:
@@ -120,7 +120,7 @@ class Load(Section):
     displacement: tuple[float, ...] | None = key(many(number(), least=1))
     area_tolerance: float = key(number(above=0, below=1), 0.005)  # relative, for contact_area
 
-    def check(self):
+    def check(self) -> None:
         given = [name for name in CONTROLS if getattr(self, name) is not None]
         if len(given) != 1:
             found = f"found {' and '.join(given)}" if given else "found none"

@@ -34,7 +34,7 @@ class Reduction:
     float.
     """
 
-    def __init__(self, comm: MPI.Comm):
+    def __init__(self, comm: MPI.Comm) -> None:
         self.comm = comm
 
     def sum(self, local) -> float:

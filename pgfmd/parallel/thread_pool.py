@@ -22,7 +22,7 @@ _give_way = numba.types.ExternalFunction("sched_yield", numba.types.intc())
 
 
 @numba.njit(nogil=True, cache=True)
-def _watch(number, value, turns):
+def _watch(number: np.ndarray, value: float, turns: int) -> None:
     """Until number[0] is no longer `value`, or so many turns are over."""
     for _ in range(turns):
         if number[0] != value:
@@ -33,7 +33,7 @@ def _watch(number, value, turns):
 class _Number:
     """One thread sets it, another waits until it changes."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._value = np.zeros(1, np.int64)
         self._asleep, self._changed = False, threading.Condition()
 
@@ -60,7 +60,7 @@ class _Number:
 class _Helper:
     """A thread: the number of the task that it is asked for, and whether it is at work."""
 
-    def __init__(self, work: Callable[[], None]):
+    def __init__(self, work: Callable[[], None]) -> None:
         self.asked, self.busy = _Number(), _Number()
         self._work = work
         threading.Thread(target=self._help, daemon=True).start()
@@ -77,7 +77,7 @@ class _Helper:
 class Team:
     """The calling thread, number 0, and as many helpers as were ever needed."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._task: tuple[Callable[[int], None] | None, int] = None, 0
         self._failures: list[BaseException] = []
         self._used = threading.Lock()

@@ -21,7 +21,7 @@ class Threads:
     anything.
     """
 
-    def __init__(self, count: int):
+    def __init__(self, count: int) -> None:
         self.count = count
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:

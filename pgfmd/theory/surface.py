@@ -24,7 +24,7 @@ class SelfAffine:
     rms_slope: float
     lambda_r: float | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0 < self.lambda_s < self.lambda_l < np.inf:
             raise InputError(f"lambda_s = {self.lambda_s:g}: must be positive and below lambda_l = {self.lambda_l:g}")
         if self.lambda_r is not None and not self.lambda_s <= self.lambda_r <= self.lambda_l:
