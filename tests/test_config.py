@@ -90,7 +90,7 @@ def test_contradicting_moduli_are_refused():
         ["wall.zeta=0.25"],
         ["solid.contact_modulus=3", "solid.poisson=0.1", "solid.thickness=64", "solid.base=free"],
         ["solid.young=0.1", "solid.poisson=0.4999", "run.time_limit=3600", "grid.spacing=1e-7"],
-        ["surface.lambda_l=32", "surface.lambda_r=48", "output.fields=height", "output.lowpass.q=[0.5, 1]"],
+        ["surface.lambda_l=32", "surface.lambda_r=24", "output.fields=height", "output.lowpass.q=[0.5, 1]"],
         ['output.length_unit="µ\\"\\\\\\u007f\\tm"', "output.observables=[]", "grid.n=[64, 48]"],
     ],
 )
@@ -121,7 +121,9 @@ REFUSED = {
     "surface.kind=fractal": 'surface.kind = "fractal": must be one of "self-affine", "file", "sinusoid", "paraboloid"',
     "surface.lambda_s=65": "surface.lambda_s = 65.0: must not exceed the cell, 64 grid spacings",
     "surface.lambda_l=8": "surface.lambda_s = 16.0: must not exceed lambda_l = 8.0",
-    "surface.lambda_r=8": "surface.lambda_r = 8.0: must not be below lambda_l",
+    "surface.lambda_r=8": "surface.lambda_r = 8.0: must not be below lambda_s = 16.0",
+    "surface.lambda_r=65": "surface.lambda_r = 65.0: must not exceed the cell, 64 grid spacings",
+    "surface.lambda_r=inf": "surface.lambda_r = inf: must be a number > 0",
     "surface.seed=-1": "surface.seed = -1: must be a whole number ≥ 0",
     "surface.amplitude=1": 'surface.amplitude = 1: belongs to kind = "sinusoid" only',
     "solid.poisson=0.5": "solid.poisson = 0.5: must be a number > -1 and < 0.5",
@@ -229,6 +231,23 @@ def test_differences_name_what_changed():
     new = config.parse(ROUGH, overrides=["surface.seed=2", "run.time_limit=60", "output.patches.connectivity=4"])
     assert config.differences(old, old) == []
     assert config.differences(old, new) == ["output.patches.connectivity: 8 → 4", "surface.seed: 1 → 2"]
+
+
+def test_roll_off_of_an_old_run_is_refused():
+    """Results of format_version 1 say lambda_l where the field says lambda_r: --restart, which parses that, refuses
+    them with the key; where both are equal they mean the same.
+    """
+    old = ROUGH.replace("lambda_s = 16.0", "lambda_s = 6\nlambda_l = {}\nlambda_r = 48")
+    assert config.parse(old.format(48)).surface.lambda_r == 48
+    with pytest.raises(InputError, match=r"surface.lambda_r = 48.0: must not exceed lambda_l = 24.0, the longest"):
+        config.parse(old.format(24), "results")
+
+
+def test_reference_job_of_the_readme_is_accepted():
+    """The one job that shows all sections."""
+    blocks = (JOBS.parent / "README.md").read_text().split("```toml\n")[1:]
+    (reference,) = [block.partition("```")[0] for block in blocks if "[solver]" in block]
+    assert config.parse(reference).surface.lambda_r == 1024
 
 
 def test_fuzzed_jobs_end_in_a_job_or_one_line(request):

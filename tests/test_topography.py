@@ -1,5 +1,8 @@
 """Surfaces: spectrum, slope, and the same surface on every rank count and grid."""
 
+import cmath
+import math
+
 import numpy as np
 import pytest
 from mpi4py import MPI
@@ -8,9 +11,11 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.surfaces.paraboloid import paraboloid
-from pgfmd.surfaces.self_affine import hermitian_noise, self_affine, self_affine_amplitude
+from pgfmd.surfaces.random_modes import RandomModes
+from pgfmd.surfaces.self_affine import SelfAffine, self_affine, self_affine_amplitude
 from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.surfaces.surface import coordinates
+from pgfmd.theory import surface as theory
 
 pytestmark = pytest.mark.mpi
 
@@ -52,32 +57,90 @@ def test_spectrum_falls_as_a_power_law(comm, hurst):
     assert abs(np.log(means[0] / means[1])) < 5 * error
 
 
-def test_roll_off_is_flat(comm):
-    """Between λ_l and λ_r the spectrum is a plateau at its value at λ_l."""
-    q = np.array([0.05, 0.1, 0.3, 0.5, 1.0, 4.0])
-    found = self_affine_amplitude(q, 0.5, q_l=0.5, q_s=3.0, q_r=0.1)
-    assert np.allclose(found, [0, 0.5**-1.5, 0.5**-1.5, 0.5**-1.5, 1, 0])
+def test_roll_off_is_flat():
+    """C is constant for 2π/λ_l ≤ q < 2π/λ_r, falls from its value there on, and is zero elsewhere."""
+    k = np.array([0, 0.05, 0.1, 0.3, 0.5, 1.0, 3.0, 4.0])
+    found = self_affine_amplitude(0.5, k_l=0.1, k_r=0.5, k_s=3.0)(k**2)
+    assert np.allclose(found, [0, 0, 1, 1, 1, 0.5**1.5, 6**-1.5, 0], rtol=1e-14)
 
 
-def test_noise_is_bitwise_the_same_on_any_rank_count(comm):
-    """Noise depends on (seed, kx, ky) alone: a rank's modes are bit for bit those of one process."""
-    shape = (31, 26)
-    grid, alone = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
-    mine, whole = np.empty(grid.spectral_shape, complex), np.empty(alone.spectral_shape, complex)
-    hermitian_noise(4, *shape, grid.columns.start, np.ones(grid.spectral_shape), mine)
-    hermitian_noise(4, *shape, 0, np.ones(alone.spectral_shape), whole)
-    assert np.array_equal(mine, whole[grid.columns])
+def ones(k_squared):
+    return np.ones_like(k_squared)
 
 
-def test_noise_is_gaussian_of_variance_one():
+def test_modes_are_bitwise_the_same_on_any_rank_count_and_grid(comm):
+    """Modes depend on (seed, kx, ky) alone: a rank's are bit for bit those of one process, however many columns are
+    made at once, and those of a grid of more points.
+    """
+    for shape in ((31, 26), (32, 27), (8, 1), (67, 2)):
+        grid, alone = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
+        fine = SlabGrid(MPI.COMM_SELF, tuple(2 * count + 3 for count in shape))
+        mine, whole, more = (np.empty(each.spectral_shape, complex) for each in (grid, alone, fine))
+        for column in range(len(mine)):
+            RandomModes(grid, 4, ones).fill(mine[column : column + 1], column)
+        RandomModes(alone, 4, ones).fill(whole, 0)
+        RandomModes(fine, 4, ones).fill(more, 0)
+        assert np.array_equal(mine, whole[grid.columns])
+        inside = slice(1, (shape[1] + 1) // 2)  # without ky = 0 and ny/2, and kx = nx/2 which stands for two modes
+        half = (shape[0] - 1) // 2
+        assert np.array_equal(more[inside, : half + 1], whole[inside, : half + 1])
+        assert np.array_equal(more[inside, -half:], whole[inside, -half:])
+
+
+def brute_mode(seed, kx, ky):
+    """The number of a mode from its definition, with Python's integers and libm: splitmix64 of seed, kx, ky in turn
+    gives 53 bits each for the modulus √−ln u and the phase.
+    """
+
+    def mix(z):
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EB % 2**64
+        return z ^ (z >> 31)
+
+    golden = 0x9E3779B97F4A7C15
+    state = mix((seed + golden) % 2**64)
+    state = mix(state ^ (kx * golden % 2**64))
+    state = mix((state + ky * 0xD1342543DE82EF95) % 2**64)
+    first = ((mix((state + golden) % 2**64) >> 11) + 1) / 2**53
+    second = (mix((state + 2 * golden) % 2**64) >> 11) / 2**53
+    return math.sqrt(-math.log(first)) * cmath.exp(2j * math.pi * second)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**63 - 1])
+def test_modes_are_those_of_their_definition(seed):
+    """Each mode is its number times the amplitude, to rounding (4 ulp), so that a seed names the same surface in every
+    version; modes that mirror themselves are Hermitian, and real with the same variance where they stand alone.
+    """
+    grid = SlabGrid(MPI.COMM_SELF, (12, 10), (3.0, 4.0))
+
+    def amplitude(k_squared):
+        return np.exp(-k_squared / 50)
+
+    block = np.empty(grid.spectral_shape, complex)
+    moment = RandomModes(grid, seed, amplitude).fill(block, 0)
+    total = 0.0
+    for ky in range(6):
+        for i in range(12):
+            kx, number = i if i <= 6 else i - 12, None
+            if ky in (0, 5):
+                number = brute_mode(seed, abs(kx), ky)
+                number = math.sqrt(2) * number.real if kx in (0, 6) else number if kx > 0 else number.conjugate()
+            else:
+                number = brute_mode(seed, kx, ky)
+            k_squared = (kx * 4 / 3) ** 2 + ky**2
+            expected = number * math.exp(-k_squared / 50)
+            assert abs(block[ky, i] - expected) <= 4 * 2.2e-16 * abs(expected)
+            total += (1 if ky in (0, 5) else 2) * k_squared * abs(expected) ** 2
+    assert moment == pytest.approx(total, rel=1e-13)
+
+
+def test_modes_are_gaussian_of_variance_one():
     """Moments ⟨|z|²⟩ = 1, ⟨|z|⁴⟩ = 2, ⟨z²⟩ = 0 within 5 standard errors, and different seeds are independent."""
-    block = np.empty((2, 200, 201), complex)
+    grid = SlabGrid(MPI.COMM_SELF, (401, 400))
+    blocks = np.empty((2, *grid.spectral_shape), complex)
     for seed in (0, 1):
-        hermitian_noise(seed, 401, 400, 1, np.ones((199, 401)), np.empty((199, 401), complex))
-        wide = np.empty((199, 401), complex)
-        hermitian_noise(seed, 401, 400, 1, np.ones((199, 401)), wide)
-        block[seed, :199] = wide[:, :201]
-    z = block[:, :199]
+        RandomModes(grid, seed, ones).fill(blocks[seed], 0)
+    z = blocks[:, 1:200]
     error = 5 / np.sqrt(z[0].size)
     assert abs(np.mean(np.abs(z[0]) ** 2) - 1) < error
     assert abs(np.mean(np.abs(z[0]) ** 4) - 2) < error * np.sqrt(20)
@@ -108,3 +171,33 @@ def test_simple_shapes(comm):
     assert np.allclose(sinusoid(grid, 2.0, (1, 1)), 2 * np.cos(np.pi * x / 4) * np.cos(np.pi * y / 3))
     expected = -((x - 4) ** 2 + (y - 3) ** 2) / 20
     assert np.allclose(paraboloid(grid, 10.0), expected)
+
+
+def test_generator_and_theory_mean_the_same_wavelengths(comm):
+    """Mean |h̃|² in the plateau and in three bands of the power law is (2π)² C/A₀ of the continuum theory with the same
+    λ_s, λ_r, λ_l and slope: to 5 standard errors, after the one factor by which the sum over the modes of this surface
+    differs from the integral that the theory is scaled with.
+    """
+    grid = SlabGrid(comm, (256, 192), (128.0, 96.0))
+    options = {"hurst": 0.7, "lambda_s": 4.0, "lambda_r": 32.0, "lambda_l": 96.0, "rms_slope": 0.2}
+    power, q = modes(grid, SelfAffine(**{**options, "lambda_s": 8, "lambda_r": 64, "lambda_l": 192}).heights(grid))
+    expected = (2 * np.pi) ** 2 / (128 * 96) * theory.SelfAffine(**options).density(q)
+    factor = 0.2**2 / grid.reduction.sum(grid.hermitian_weight * q**2 * expected)
+    assert abs(factor - 1) < 0.05
+    edges = 2 * np.pi / np.array([96.0, 32.0, 16.0, 8.0, 4.0])
+    for low, high in zip(edges, edges[1:], strict=False):
+        band = (q > low * 1.001) & (q < high * 0.999)
+        count = grid.reduction.sum(band * grid.hermitian_weight)
+        ratio = grid.reduction.sum((grid.hermitian_weight * power)[band] / expected[band]) / count
+        assert abs(ratio / factor - 1) < 5 * np.sqrt(2 / count)
+    outside = (q < edges[0] * 0.999) | (q > edges[-1] * 1.001)
+    assert grid.reduction.max(power[outside]) < 1e-20 * grid.reduction.max(power)
+
+
+@pytest.mark.parametrize("exponent", [-100, 100])
+def test_any_unit_of_length(comm, exponent):
+    """The same heights, in units from 1e-100 to 1e100 of the length; to rounding."""
+    unit = 10.0**exponent
+    expected = self_affine(SlabGrid(comm, (16, 12), (2.0, 1.0)), 0.8, 0.5, 0.1, 3)
+    found = self_affine(SlabGrid(comm, (16, 12), (2.0 * unit, unit)), 0.8, 0.5 * unit, 0.1, 3)
+    assert np.allclose(found / unit, expected, rtol=1e-12, atol=1e-14 * np.abs(expected).max(initial=0))

@@ -40,7 +40,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
         found |= {f"{name} {np.dtype(kind).name}": value for name, value in _transform_parts(grid, kind).items()}
     small = SlabGrid(comm, (64 * comm.size, 64), shared=grid._shared)  # so that nothing is compiled or loaded later
     solve_hard_wall(small, self_affine(small, 0.8, 8.0, 0.031, 1), 0.0036, Elasticity(2.66667))
-    heights = self_affine(grid, 0.8, n / 64, 0.031, 1, None, None)
+    heights = self_affine(grid, 0.8, n / 64, 0.031, 1)
     reductions = _Counter(Reduction, ("sum", "sums", "max", "min", "dot"))
     fetches = _Counter(SlabGrid, ("fetch",))
     fine = grid.transforms

@@ -1,0 +1,147 @@
+"""Heights whose Fourier modes are independent Gaussian numbers of given variance.
+
+The number of mode (kx, ky) depends on (seed, kx, ky) alone, so that one seed is one surface on every rank count and on
+every grid.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numba
+import numpy as np
+
+if TYPE_CHECKING:
+    from pgfmd.grid.slab_grid import SlabGrid
+
+Amplitude = Callable[[np.ndarray], np.ndarray]
+"""Root of the variance ⟨|h̃|²⟩ of modes, from their k² = (q L/2π)², L the longer side of the cell; 0 at k = 0."""
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_ODD = np.uint64(0xD1342543DE82EF95)
+
+
+@dataclass(frozen=True)
+class RandomModes:
+    """Modes of one seed; amplitude: of the modes, not asked beyond k_max, where it must be 0."""
+
+    grid: SlabGrid
+    seed: int
+    amplitude: Amplitude
+    k_max: float = math.inf
+
+    def fill(self, block: np.ndarray, first: int) -> float:
+        """Columns of this rank from number `first` on into `block` (count, nx); Σ k²|h̃|² of them and their conjugates.
+
+        The field of the modes is real: the columns ky = 0 and ny/2 are their own mirror images.
+        """
+        nx, ny = self.grid.shape
+        longest = max(self.grid.lengths)
+        kx = np.arange(nx)
+        kx[kx > nx // 2] -= nx
+        unit_x, unit_y = (longest / length for length in self.grid.lengths)
+        squares_x, moment = (kx * unit_x) ** 2, 0.0
+        block[...] = 0
+        for column, ky in zip(block, itertools.count(self.grid.columns.start + first), strict=False):
+            square_y = (ky * unit_y) ** 2
+            if square_y > self.k_max**2:
+                break
+            widest = math.sqrt(self.k_max**2 - square_y) / unit_x + 1
+            own_mirror = ky == 0 or 2 * ky == ny
+            for part in _within(nx, widest, own_mirror):
+                modes = squares_x[part] + square_y
+                power = _fill(self.seed, kx[part], ky, self.amplitude(modes), column[part])
+                moment += 0.0 if own_mirror else 2 * float(np.dot(modes, power))
+            if own_mirror:
+                _mirror(column)
+                moment += float(np.dot(squares_x + square_y, column.real**2 + column.imag**2))
+        return moment
+
+    def heights(self) -> tuple[np.ndarray, float]:
+        """Heights (nx_local, ny), and their spectral rms slope √Σ q²|h̃|² times L/2π.  Collective."""
+        moments: list[tuple[int, float]] = []
+        heights = np.empty(self.grid.local_shape)
+
+        def spectrum(block: np.ndarray, first: int, stop: int) -> None:
+            moments.append((first, self.fill(block, first)))
+
+        def keep(first: int, stop: int, rows: np.ndarray) -> None:
+            heights[first:stop] = rows
+
+        self.grid.make_field(spectrum, keep)
+        return heights, math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)]))
+
+
+def _within(nx: int, widest: float, own_mirror: bool) -> list[slice]:
+    """Places of the modes |kx| ≤ widest in a column; without kx < 0 in one whose modes are their own mirror images."""
+    count = min(int(min(widest, nx)), nx // 2) + 1
+    if own_mirror:
+        return [slice(0, count)]
+    return [slice(0, nx)] if 2 * count > nx else [slice(0, count), slice(nx - count + 1, nx)]
+
+
+def _fill(seed: int, kx: np.ndarray, ky: int, scale: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Random modes of variance scale² into `out`, all of shape (count,); returns |h̃|² of each."""
+    power, cosine, sine = np.empty((3, len(kx)))
+    _uniform(seed, kx, ky, power, cosine, sine)
+    np.log(power, out=power)
+    power *= -(scale**2)
+    modulus = np.sqrt(power)
+    np.multiply(modulus, cosine, out=out.real)
+    np.multiply(modulus, sine, out=out.imag)
+    return power
+
+
+def _mirror(column: np.ndarray) -> None:
+    """Modes of ky = 0 or ny/2 from those of kx ≥ 0: conjugates at −kx, real of the same variance at kx = 0 and nx/2."""
+    nx = len(column)
+    pairs = np.arange(1, (nx + 1) // 2)
+    column[nx - pairs] = column[pairs].conj()
+    alone = [0] if nx % 2 else [0, nx // 2]
+    column[alone] = math.sqrt(2.0) * column[alone].real
+
+
+@numba.njit(inline="always")
+def _mix(z):
+    """Finaliser of splitmix64 (Steele, Lea, Flood 2014, doi:10.1145/2714064.2660195): 64 well-mixed bits."""
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@numba.njit(nogil=True, cache=True)
+def _uniform(seed, kx, ky, radius, cosine, sine):
+    """For modes kx[i], ky: a number in (0, 1], and cosine and sine of a phase, both evenly distributed.
+
+    Cosine and sine are Taylor polynomials over an eighth of the circle, exact to 2e-16: a loop without branches and
+    calls works on whole vector registers, with bitwise the result of one number at a time.
+    """
+    start = _mix(np.uint64(seed) + _GOLDEN)
+    row = np.uint64(np.int64(ky)) * _ODD
+    for i in range(len(kx)):
+        state = _mix(_mix(start ^ (np.uint64(kx[i]) * _GOLDEN)) + row)
+        radius[i] = np.float64(np.int64((_mix(state + _GOLDEN) >> np.uint64(11)) + np.uint64(1))) * 2.0**-53
+        turn = np.float64(np.int64(_mix(state + np.uint64(2) * _GOLDEN) >> np.uint64(11))) * 2.0**-53
+        quarter = np.floor(4 * turn + 0.5)
+        angle = 2 * np.pi * (turn - 0.25 * quarter)
+        x = angle * angle
+        s = -7.647163731819816e-13 * x + 1.605904383682161e-10  # (−1)ⁿ/(2n+1)!
+        s = s * x - 2.505210838544172e-08
+        s = s * x + 2.755731922398589e-06
+        s = s * x - 1.984126984126984e-04
+        s = s * x + 8.333333333333333e-03
+        s = (s * x - 1.666666666666667e-01) * x * angle + angle
+        c = 4.779477332387385e-14 * x - 1.147074559772973e-11  # (−1)ⁿ/(2n)!
+        c = c * x + 2.087675698786810e-09
+        c = c * x - 2.755731922398589e-07
+        c = c * x + 2.480158730158730e-05
+        c = c * x - 1.388888888888889e-03
+        c = c * x + 4.166666666666666e-02
+        c = (c * x - 0.5) * x + 1.0
+        side = np.int64(quarter) & 3
+        cosine[i] = (s if side & 1 else c) * (1 - ((side + 1) & 2))
+        sine[i] = (c if side & 1 else s) * (1 - (side & 2))
