@@ -15,7 +15,6 @@ from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.primal import PressureSteps
-from pgfmd.solvers.active_set.rolling import RolledBack, best_shift, roll
 from pgfmd.solvers.active_set.tension import cut_tension
 
 pytestmark = pytest.mark.mpi
@@ -217,59 +216,10 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
     assert answer(8) / answer(1) < 2
 
 
-@pytest.mark.parametrize("nx", [41, 600])
-@pytest.mark.parametrize("part", [0.0, 0.02, 0.3, 0.5, 0.7, 0.98, -0.1])
-def test_rows_roll_in_place(nx, part):
-    """Row i becomes row i + shift, around the cell, as in NumPy."""
-    grid, shift = SlabGrid(comm, (nx, 8)), round(part * nx)
-    whole = np.arange(8.0 * nx).reshape(nx, 8)
-    field = whole[grid.rows].copy()
-    roll(grid, field, shift)
-    assert np.array_equal(field, np.roll(whole, -shift, axis=0)[grid.rows])
-
-
-@pytest.mark.parametrize("nx", [256, 300])
-@pytest.mark.parametrize("opened", [False, True])
-def test_rows_are_rolled_to_share_the_contact(nx, opened):
-    """Where one slab has most of the points, another beginning gives each rank its part, whatever beginning and grid
-    tell of them; rolled back, all is as it was.
-    """
-    grid, coarse = SlabGrid(comm, (nx, 8)), SlabGrid(comm, (nx // 2, 8))
-
-    def pressure(grid, shift=0):
-        rows = (np.arange(grid.rows.start, grid.rows.stop) + shift) % grid.shape[0] / grid.shape[0]
-        return np.where((rows > 0.02) & (rows < 1 / comm.size) ^ opened, 1.0 + rows, 0.0)[:, None] * np.ones(8)
-
-    field = pressure(grid)
-    for shift in (best_shift(grid, grid, field, opened), best_shift(grid, coarse, pressure(coarse, 5), opened, 5)):
-        moved = field.copy()
-        roll(grid, moved, shift)
-        counts = comm.allgather(np.count_nonzero((moved > 0) ^ opened))
-        assert (shift != 0) == (comm.size > 1)
-        assert max(counts) < (1.2 if comm.size == 2 else 0.9 * comm.size) * sum(counts) / comm.size or comm.size == 1
-        state = RolledBack(grid, State(moved, moved.copy(), level=3.0, shift=shift))
-        assert np.array_equal(state.pressure, field)
-        assert np.array_equal(state.gap, field)
-        assert state.level == 3.0
-        roll(grid, moved, -shift)
-        assert np.array_equal(moved, field)
-
-
-def test_even_contact_is_left_where_it_is():
-    """No rows move for a few points; how many are worth it does not depend on how many are in contact."""
-    grid = SlabGrid(comm, (256, 64))
-    assert best_shift(grid, grid, np.ones(grid.local_shape)) == 0
-    slab = 256 // comm.size
-    for more, moves in ((1, False), (8, True)):  # points in each row of the first slab, of 64
-        whole = np.zeros((256, 64))
-        whole[:, :2] = whole[:slab, : 2 + more] = 1
-        assert (best_shift(grid, grid, whole[grid.rows]) != 0) == (moves and comm.size > 1)
-
-
 @pytest.mark.parametrize("n", [256, 640])
 def test_a_mountain_in_one_slab(n):
-    """Rolled or not, on this grid and on coarser ones that are distributed or not, the same pressure as on one rank,
-    also from a start; the monitor sees it where it belongs.
+    """All contact in one slab, coarser grids distributed or not: the same pressure as on one rank, also from a start;
+    the monitor sees it where it belongs.
     """
     seen = []
     x, y = (np.arange(n) / n - 0.16)[:, None], (np.arange(n) / n - 0.5)[None, :]

@@ -11,7 +11,6 @@ DFT convention, once and for all: forward is the plain sum over points, backward
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
@@ -163,23 +162,7 @@ class SlabGrid:
         """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
         Collective.
         """
-        return self.begin_fetch(field, first, stop)()
-
-    def begin_fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[..., np.ndarray]:
-        """The same in two steps: others have what they need of the field; what is returned brings the rows, once,
-        also into a given array, such as a part of the field.  Collective.
-        """
-        if self.comm.size > 1 and self._strips is not None and self._strips.carries(field):
-            return self._strips.begin_fetch(field, first, stop)
-        rows = fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
-
-        def bring(out: np.ndarray | None = None) -> np.ndarray:
-            if out is None:
-                return rows
-            out[...] = rows
-            return out
-
-        return bring
+        return fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
 
     def free(self) -> None:
         """Give the transform memory back (it returns on next use).  Collective."""

@@ -55,10 +55,9 @@ class Interpolation:
     `rows` gives a few fine rows of a field at a time, so that no fine array is needed.
     """
 
-    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray], shifts=(0, 0)) -> None:
-        """shifts: row i of the coarse and of the fine fields is row i + shift of that grid."""
+    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
         margin = 2
-        at = (np.arange(fine.rows.start, fine.rows.stop) + shifts[1]) * (coarse.shape[0] / fine.shape[0]) - shifts[0]
+        at = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
         low, high = int(np.floor(at[0])) - margin, int(np.floor(at[-1])) + margin + 2
         self._fields = [coarse.fetch(field, low, high) for field in fields]
         self._x = _weights(at - low)

@@ -11,13 +11,12 @@ tile.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
 
 from pgfmd.grid import kernels
-from pgfmd.parallel.collectives import overlaps, slab_starts
+from pgfmd.parallel.collectives import slab_starts
 
 TILE = 256  # bytes of a row in one tile: longer runs in the passes along rows, or along columns if it were less
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
@@ -92,10 +91,6 @@ class Strips:
         for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
             kernels.tiles_to_rows(view, self.first_row + first, half, start, width)
 
-    def carries(self, field: np.ndarray) -> bool:
-        """Whether fields cross the ranks faster through the strips than in messages."""
-        return False
-
 
 class SharedStrips(Strips):
     """Strips in memory that all ranks see (the ranks of one node, or one rank alone): the all-to-all is a store and a
@@ -135,40 +130,6 @@ class SharedStrips(Strips):
     def strip(self, dtype) -> np.ndarray:
         """The strip of this rank."""
         return self.views(dtype)[self.comm.rank]
-
-    def carries(self, field: np.ndarray) -> bool:
-        """Whether the strips have room for a field (nx_local, ny) like this one, on every rank."""
-        row = field.shape[1] * field.itemsize
-        counts = np.diff(self.row_starts) * row
-        return all(count <= self.nbytes(rank) for rank, count in enumerate(counts))
-
-    def begin_fetch(self, field: np.ndarray, first: int, stop: int) -> Callable[[np.ndarray | None], np.ndarray]:
-        """Rows first … stop−1 (global, periodic) of a field (nx_local, ny) that the strips can carry: a store, and
-        what loads them, once, into a given or a new array.  Others have what they need of the field by then.  What the
-        strips held is lost.  Collective.
-        """
-        rank, starts, ny = self.comm.rank, self.row_starts, field.shape[1]
-        shown = [
-            raw[: (stop - start) * ny * field.itemsize].view(field.dtype).reshape(-1, ny)
-            for raw, start, stop in zip(self.raw, starts, starts[1:], strict=False)
-        ]
-        wanted = self.comm.allgather((first, stop))
-        self.meet()
-        for other, (low, high) in enumerate(wanted):
-            for _, length, row in overlaps(low, high, starts[rank], starts[rank + 1], self.nx) if other != rank else ():
-                mine = slice(row - starts[rank], row - starts[rank] + length)
-                shown[rank][mine] = field[mine]
-        shown[rank] = field
-        self.meet()
-
-        def load(out: np.ndarray | None = None) -> np.ndarray:
-            out = np.empty((max(stop - first, 0), ny), field.dtype) if out is None else out
-            for owner, rows in enumerate(shown):
-                for at, length, row in overlaps(first, stop, starts[owner], starts[owner + 1], self.nx):
-                    out[at : at + length] = rows[row - starts[owner] : row - starts[owner] + length]
-            return out
-
-        return load
 
     def meet(self, dtype=None) -> None:
         """All ranks have done their part, and see that of the others.  Collective."""

@@ -39,7 +39,7 @@ PATIENCE = 12  # outer steps without halving the best error, before giving up
 @dataclass
 class State:
     """Pressure and gap (nx_local, ny) on one grid, with the level at which contact lies and the certified relative
-    error.  Their global row i is row i + shift of the surface.
+    error.
     """
 
     pressure: np.ndarray
@@ -49,7 +49,6 @@ class State:
     error: float = np.inf
     contact: int = 0
     iterations: int = 0
-    shift: int = 0
 
 
 class Relaxation:

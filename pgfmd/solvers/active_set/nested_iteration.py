@@ -20,7 +20,6 @@ from pgfmd.solvers import nondimensional
 from pgfmd.solvers.active_set.active_set import INNER_REDUCTION, State
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.primal import PressureSteps
-from pgfmd.solvers.active_set.rolling import RolledBack, best_shift, roll, rolled
 from pgfmd.solvers.solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
@@ -66,9 +65,7 @@ def solve_hard_wall(
         state, extra = _cascade(grid, heights, scaled, load, tolerance, monitor)
     elif (state := _full_contact(grid, heights, scaled, load)) is None:
         contact = reduce.sum(np.count_nonzero(start)) / grid.size
-        shift = best_shift(grid, grid, start, contact > MOSTLY)
-        roll(grid, heights, shift)
-        state = State(rolled(grid, start, shift) / unit, np.empty(grid.local_shape), shift=shift)
+        state = State(start / unit, np.empty(grid.local_shape))
         np.maximum(state.pressure, 0, out=state.pressure)
         state.pressure *= load * grid.size / reduce.sum(state.pressure)
         state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact)
@@ -77,8 +74,6 @@ def solve_hard_wall(
         return kernels.finish_rows(state.pressure[first:stop], state.gap[first:stop], state.level, unit, height)
 
     violation = reduce.max(grid.threads.collect(finish, grid.local_shape[0]))
-    roll(grid, state.pressure, -state.shift)
-    roll(grid, state.gap, -state.shift)
     return ContactSolution(
         pressure=state.pressure,
         gap=state.gap,
@@ -170,15 +165,15 @@ def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: floa
     solver = steps(grid, heights, scaled, load * grid.size, exact)
     if steps is GapSteps and state.energy > 0:  # the coarse grid's gap is better than any that its pressure makes
         solver.improve(state, INNER_REDUCTION, tolerance, np.float32)
-    seen = None if monitor is None else lambda state: monitor(grid, RolledBack(grid, state))
+    seen = None if monitor is None else lambda state: monitor(grid, state)
     state = solver.relax(state, tolerance, seen)
     solver.free()
     return state
 
 
 def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True) -> tuple[State, float]:
-    """Solve this grid from the next coarser one.  Returns the state, to whose rows the heights are rolled, and the
-    transforms spent on coarser grids, weighted by size.
+    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser
+    grids, weighted by size.
     """
     if (state := _full_contact(grid, heights, scaled, load, PRESSED)) is not None:
         return state, 0.0
@@ -192,9 +187,7 @@ def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True
     contact, iterations = found.contact / coarse.size, found.iterations
     state = full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
     if full is None:
-        shift = best_shift(grid, coarse, found.pressure, contact > MOSTLY, found.shift)
-        roll(grid, heights, shift)
-        state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled, shift)
+        state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
     extra = (extra + coarse.transforms) * coarse.size / grid.size
     coarse.free()
     del found, coarse_heights
@@ -215,7 +208,7 @@ def _coarser(grid: SlabGrid, heights: np.ndarray) -> tuple[SlabGrid | None, np.n
     return coarse, coarse_heights
 
 
-def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load, scaled: _Scaled, shift: int) -> State:
+def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load, scaled: _Scaled) -> State:
     """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the
     interpolated gap.
 
@@ -225,7 +218,7 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
     displacement = found.gap  # whose memory is not needed any more
     displacement += coarse_heights
     displacement -= found.level
-    interpolation = Interpolation(coarse, grid, [displacement, found.pressure], (found.shift, shift))
+    interpolation = Interpolation(coarse, grid, [displacement, found.pressure])
     reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
     gaps_matter = found.contact > MOSTLY * coarse.size
@@ -244,4 +237,4 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
         grid.threads.scale(pressure, load * grid.size / total)
     else:  # the coarse grid says nothing about this one
         pressure[...] = load
-    return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0, shift=shift)
+    return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0)
