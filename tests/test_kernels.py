@@ -282,17 +282,6 @@ def test_interpolate_rows():
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13)
 
 
-def test_interpolate_doubled():
-    """The general kernel, for as many columns between those of the coarse field."""
-    coarse, index, weights = rng.random((8, 6)), np.array([0, 3, 4]), rng.random((3, 4))
-    first, halfway = np.arange(12) // 2 - 1, np.arange(12) % 2 == 1
-    column_weights = np.where(halfway[:, None], rng.random(4), (0, 1, 0, 0))
-    out, wanted = np.empty((2, 3, 12))
-    kernels.interpolate_doubled(coarse, index, weights, first, column_weights, out)
-    kernels.interpolate_rows(coarse, index, weights, first, column_weights, wanted)
-    assert np.allclose(out, wanted, rtol=1e-13)
-
-
 def test_sums_over_listed_points(points):
     """Σ f v and Σ f over the points of some rows; Σ f and Σ max(f, 0) by blocks of columns."""
     mask, offsets, columns = points

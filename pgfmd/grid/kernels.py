@@ -200,26 +200,6 @@ def interpolate_rows(
 
 
 @jit
-def interpolate_doubled(
-    coarse: np.ndarray,
-    first_index: np.ndarray,
-    weights: np.ndarray,
-    columns_first: float,
-    column_weights: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """The same where out has twice the columns of `coarse`, so that all even ones and all odd ones are alike."""
-    line = np.empty(coarse.shape[1] + 4, coarse.dtype)
-    a, b, c, d = column_weights[1]
-    for i in range(out.shape[0]):
-        _blend_rows(coarse, first_index[i], weights[i], line)
-        target = out[i]
-        for j in range(coarse.shape[1]):
-            target[u(2 * j)] = line[u(j + 1)]
-            target[u(2 * j + 1)] = b * line[u(j + 1)] + c * line[u(j + 2)] + a * line[u(j)] + d * line[u(j + 3)]
-
-
-@jit
 def contact_sums(pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, first: int, stop: int):
     """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) of rows first … stop−1, where p > 0."""
     work = energy = load = 0.0

@@ -63,8 +63,6 @@ class Interpolation:
         self._x = _weights(at - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
         self._room = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
-        doubled = fine.shape[1] == 2 * coarse.shape[1]
-        self._interpolate = kernels.interpolate_doubled if doubled else kernels.interpolate_rows
 
     def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
         """Rows first … stop−1 (local to the fine grid; at most its `band`) of field number `which`, shape
@@ -72,7 +70,7 @@ class Interpolation:
         """
         index, weights = self._x
         out = self._room[thread, which, : stop - first]
-        self._interpolate(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
+        kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
         return out
 
 
