@@ -8,6 +8,7 @@ import os
 import pickle
 import platform
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ except ImportError:
 _loaded = False
 
 
-def plan(source: np.ndarray, target: np.ndarray, forward: bool):
+def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], None]:
     """A function without arguments that transforms `source` into `target` along the last axis, unnormalised.
 
     Real to complex, complex to complex (also in place) or complex to real, as the types say.  Overwrites `source`

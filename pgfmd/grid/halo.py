@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from mpi4py import MPI
+from mpi4py.util import dtlib
+from numpy.typing import DTypeLike
 
 from pgfmd.grid.slab_grid import SlabGrid
 
@@ -15,10 +19,10 @@ class RowWindow:
     Attributes: low; rows (high − low, ny), widened to hold all own rows; own: those, a view of `rows`.
     """
 
-    def __init__(self, grid: SlabGrid, low: int, high: int, dtype=np.float32) -> None:
+    def __init__(self, grid: SlabGrid, low: int, high: int, dtype: DTypeLike = np.float32) -> None:
         comm = grid.comm
         first, stop = grid.rows.start, grid.rows.stop
-        self.comm, self.kind = comm, MPI._typedict[np.dtype(dtype).char]
+        self.comm, self.kind = comm, dtlib.from_numpy_dtype(dtype)
         self.low, high = min(low, first), max(high, stop)
         self.rows = np.zeros((high - self.low, grid.shape[1]), dtype)
         self.own = self.rows[first - self.low : stop - self.low]
@@ -28,13 +32,13 @@ class RowWindow:
             (target, rows)
             for target, ranges in enumerate(wanted)
             for piece in ranges
-            for owner, rows, _ in _pieces(*piece, grid.starts)
+            for owner, rows, _ in _pieces(piece[0], piece[1], grid.starts)
             if owner == comm.rank and target != comm.rank
         ]
         mine = [
             (owner, rows, at - self.low)
             for piece in wanted[comm.rank]
-            for owner, rows, at in _pieces(*piece, grid.starts)
+            for owner, rows, at in _pieces(piece[0], piece[1], grid.starts)
         ]
         self._copied = [(rows, at) for owner, rows, at in mine if owner == comm.rank]
         self._received = [(owner, rows.stop - rows.start, at) for owner, rows, at in mine if owner != comm.rank]
@@ -48,7 +52,7 @@ class RowWindow:
         MPI.Request.Waitall(requests)
 
 
-def _pieces(low: int, high: int, starts: np.ndarray):
+def _pieces(low: int, high: int, starts: np.ndarray) -> Iterator[tuple[int, slice, int]]:
     """The periodic range low … high−1 cut at the edges of slabs: (owner, local rows, first row as asked)."""
     nx = int(starts[-1])
     while low < high:

@@ -129,7 +129,7 @@ def subtract_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
 
 
 @jit
-def sums_about(origin: float, field: np.ndarray):
+def sums_about(origin: float, field: np.ndarray) -> tuple[float, float]:
     """(Σ (f − origin), Σ (f − origin)²)"""
     total = squares = 0.0
     for i in range(field.shape[0]):
@@ -141,7 +141,7 @@ def sums_about(origin: float, field: np.ndarray):
 
 
 @jit
-def squares_of_steps(field: np.ndarray):
+def squares_of_steps(field: np.ndarray) -> float:
     """Σ (f[i, j + 1] − f[i, j])²"""
     total = 0.0
     for i in range(field.shape[0]):
@@ -153,7 +153,7 @@ def squares_of_steps(field: np.ndarray):
 
 
 @jit
-def _blend_rows(coarse: np.ndarray, first: int, weights: float, line: np.ndarray) -> None:
+def _blend_rows(coarse: np.ndarray, first: int, weights: np.ndarray, line: np.ndarray) -> None:
     """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
     width = coarse.shape[1]
     a, b, c, d = weights
@@ -200,7 +200,9 @@ def interpolate_rows(
 
 
 @jit
-def contact_sums(pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, first: int, stop: int):
+def contact_sums(
+    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, first: int, stop: int
+) -> tuple[float, float, float, int]:
     """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) of rows first … stop−1, where p > 0."""
     work = energy = load = 0.0
     count = 0
@@ -225,7 +227,7 @@ def open_gap(pressure: np.ndarray, gap: np.ndarray, level: float, first: int, st
 
 
 @jit
-def close_pressure(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int):
+def close_pressure(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> float:
     """p = 0 where the gap is not 0, max(p, 0) elsewhere, in rows first … stop−1; returns Σ p."""
     total = 0.0
     for i in range(first, stop):
@@ -237,7 +239,7 @@ def close_pressure(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int)
 
 
 @jit
-def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float):
+def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float) -> float:
     """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
     where p > 0 and level − gap elsewhere, as they were.
     """
@@ -257,7 +259,7 @@ def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float
 @jit
 def start_rows(
     coarse_pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, reach: float, pressure: np.ndarray
-):
+) -> tuple[float, int]:
     """p = max(coarse p, tiny) where reach · p exceeds the gap u − h, else 0; returns Σ p and #{p > 0}."""
     total = 0.0
     count = 0

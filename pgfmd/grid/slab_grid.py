@@ -14,12 +14,13 @@ import math
 
 import numpy as np
 from mpi4py import MPI
+from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import Columns, Rows, sink, source
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
-from pgfmd.grid.transpose import make_strips
+from pgfmd.grid.transpose import Strips, make_strips
 from pgfmd.parallel.collectives import Reduction, fetch_rows, slab, slab_starts
 from pgfmd.parallel.threads import Threads, threads_per_rank
 
@@ -75,13 +76,15 @@ class SlabGrid:
         threads = self.asked_threads = threads_per_rank() if threads is None else threads
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
-        self._transform, self._shared, self._strips, self._made = transform, shared, None, {}
+        self._transform, self._shared = transform, shared
+        self._strips: Strips | None = None
+        self._made: dict[np.dtype, Transform | LibraryTransform] = {}
 
     def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
         """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
         return self.qx**2 + self.qy[first:stop] ** 2
 
-    def transform(self, dtype=np.float64) -> Transform | LibraryTransform:
+    def transform(self, dtype: DTypeLike = np.float64) -> Transform | LibraryTransform:
         """The passes in that precision, planned on first use.  Collective then."""
         dtype = np.dtype(dtype)
         if dtype not in self._made and self._transform == "mpi4py-fft":
@@ -117,7 +120,9 @@ class SlabGrid:
         self.make_field(copy, sink(out), real)
         return out
 
-    def read_spectrum(self, fill: Rows, action: Columns, dtype=np.float64, count: int | None = None) -> None:
+    def read_spectrum(
+        self, fill: Rows, action: Columns, dtype: DTypeLike = np.float64, count: int | None = None
+    ) -> None:
         """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block; if a
         `count` is given, only the first ky of this rank.  Collective.
         """
@@ -126,7 +131,7 @@ class SlabGrid:
         transform.rows_forward(fill)
         transform.columns(action, backward=False, count=count)
 
-    def make_field(self, action: Columns, drain: Rows, dtype=np.float64) -> None:
+    def make_field(self, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:
         """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.
         Collective.
 
@@ -137,7 +142,7 @@ class SlabGrid:
         transform.columns(action, forward=False)
         transform.rows_backward(drain)
 
-    def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype=np.float64) -> None:
+    def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:
         """Rows from `fill`, their spectrum changed in place by `action`, back to rows for `drain`; no 1/N.
         Collective.
         """
@@ -153,7 +158,7 @@ class SlabGrid:
         Once its slabs would be thin it is held whole by every rank, which then all do the same work: no messages at
         all.
         """
-        shape = tuple(-(-n // factor) for n in self.shape)
+        shape = -(-self.shape[0] // factor), -(-self.shape[1] // factor)
         thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
         comm = MPI.COMM_SELF if thin else self.comm
         return SlabGrid(comm, shape, self.lengths, self.asked_threads, self._transform, self._shared)

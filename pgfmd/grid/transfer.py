@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import fetch_rows, slab_starts
 
 
-def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float64) -> np.ndarray:
+def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
     """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
     Collective.
 
@@ -20,7 +21,7 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype=np.float
     rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
     mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
-    scale = np.dtype(dtype).type(1 / fine.size)
+    scale = np.asarray(1 / fine.size, dtype)[()]
 
     def fill(first: int, stop: int, block: np.ndarray) -> None:
         block[...] = field[first:stop]

@@ -1,24 +1,21 @@
-"""Distributed real-to-complex transforms in three passes over small blocks that stay in cache.
+"""Distributed real-to-complex transforms, made block by block so that each block stays in cache.
 
-    rows forward     real rows, made block by block  →  r2c along y  →  strips
-    columns          strip columns  →  c2c along x  →  action on the spectrum  →  c2c back  →  strip columns
-    rows backward    strips  →  c2r along y  →  real rows, handed on block by block
+A forward and backward transform takes three passes over memory:
 
-A *strip* holds the columns ky of one rank for all nx rows, a few columns of all rows after the other.  The column pass
-gathers a few columns into a contiguous block, transforms them there, and puts them back, so that neither a transposed
-copy nor a second complex array ever exists, and memory is passed over three times where a pair of library transforms
-needs six or more.
+    rows forward     a callback fills a block of real rows; they are transformed along y and put into the strips
+    columns          a block of columns is taken out of a strip and transformed along x; a callback changes the
+                     spectrum; the block is transformed back and put into the strip again
+    rows backward    a block of rows is taken out of the strips, transformed back along y, and given to a callback
 
-The all-to-all between the row and the column passes is either none at all (the ranks of one node write into each
-other's strips, which lie in shared memory) or one packed `Alltoallv`.  Blocks are shared out over the threads of a
-rank.
-
-Transforms are unnormalised in both directions.
+The strips (see `transpose`) are the only complex array of the grid's size.  A pair of library transforms passes over
+memory six times or more.  The threads of a rank share the blocks between them.  Transforms are unnormalised in both
+directions.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import Columns, Rows
@@ -51,7 +48,7 @@ class _Worker:
 class Transform:
     """The three passes in one precision, over the strips of a grid of shape (nx, ny)."""
 
-    def __init__(self, strips: Strips, shape: tuple[int, int], dtype, threads: Threads) -> None:
+    def __init__(self, strips: Strips, shape: tuple[int, int], dtype: DTypeLike, threads: Threads) -> None:
         self.strips, self.shape = strips, shape
         self.real = np.dtype(dtype)
         self.complex = np.result_type(self.real, np.complex64)
@@ -81,8 +78,8 @@ class Transform:
     def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
         """`action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, block by block.
 
-        With `forward=False` the action makes the spectrum, for which others must have left the strips (collective
-        then); with `backward=False` it only reads it.
+        With `forward=False` the action makes the spectrum (collective then: other ranks may still read the strips);
+        with `backward=False` it only reads it.
         """
         if not forward:
             self.strips.begin(self.complex)

@@ -1,25 +1,32 @@
-"""The strips in which a slab's spectrum lives, and the all-to-all between row passes and column passes.
+"""The distributed transpose between transforms along rows and transforms along columns.
 
-A strip holds the columns ky of one rank for all nx rows.  Strips of ranks on one node lie in shared memory, and the
-ranks write into each other's; there a strip is cut into tiles of a few columns, each contiguous, so that passes along
-either axis read and write long runs of memory.  Else blocks are packed for each rank and cross in one `Alltoallv`.
+Before it each rank holds whole rows, after it whole columns: its *strip*, the columns ky of this rank for all nx rows.
+Ranks of one node write into each other's strips, which lie in shared memory (`SharedStrips`).  Otherwise rows are
+packed for each rank and sent with one `Alltoallv` (`ExchangedStrips`).
 
-Both are arrays of shape (tiles, rows, columns of a tile), the last tile perhaps not full; an exchanged strip is one
-tile.
+A strip is an array of shape (tiles, rows, columns of a tile); the last tile need not be full.  In shared memory a tile
+has a few columns, so that passes along rows and along columns both read and write long contiguous pieces of memory.  An
+exchanged strip is one tile.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 
 import numpy as np
 from mpi4py import MPI
+from mpi4py.util import dtlib
+from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.parallel.collectives import slab_starts
 
 TILE = 256  # bytes of a row in one tile: longer runs in the passes along rows, or along columns if it were less
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
+
+Counts = tuple[np.ndarray, np.ndarray]
+"""Bytes for each rank, and where they begin."""
 
 
 def row_stride(count: int, itemsize: int) -> int:
@@ -31,12 +38,12 @@ def row_stride(count: int, itemsize: int) -> int:
     return lines * ALIGNMENT // itemsize
 
 
-def padded(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
+def padded(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
     """The bytes `raw` seen as rows of that shape, each padded to `row_stride`."""
     return _with_strides(raw, shape, dtype)[:, : shape[1]]
 
 
-def _with_strides(raw: np.ndarray, shape: tuple[int, int], dtype) -> np.ndarray:
+def _with_strides(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
     """The same with the padding: contiguous, so that compiled loops know their strides."""
     dtype = np.dtype(dtype)
     stride = row_stride(shape[1], dtype.itemsize)
@@ -52,7 +59,7 @@ def _from_cache_line(raw: np.ndarray) -> np.ndarray:
     return raw[-raw.ctypes.data % ALIGNMENT :]
 
 
-def aligned(shape: tuple[int, int], dtype, apart: bool = True) -> np.ndarray:
+def aligned(shape: tuple[int, int], dtype: DTypeLike, apart: bool = True) -> np.ndarray:
     """A new array of that shape whose rows start on cache lines, and unless `apart` is False on different cache sets
     (without it, rows that fill whole cache lines make a contiguous array, which compiled loops are faster on).
     """
@@ -67,11 +74,13 @@ def with_padding(array: np.ndarray) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(array, (len(array), array.strides[0] // array.itemsize))
 
 
-class Strips:
-    """The strips of all ranks, the largest array of a transform; transforms of each precision share it.
+class Strips(ABC):
+    """The strips of all ranks: the largest array of a transform, shared by the transforms of both precisions.
 
-    `put` and `get` move blocks of rows in and out; between them the ranks meet in `to_columns` and `to_rows`.
+    `put` moves blocks of transformed rows in, `to_columns` completes the transpose; `to_rows` and `get` lead back.
     """
+
+    first_row: int  # of this rank in the arrays that `put` and `get` use
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         self.comm, self.nx = comm, shape[0]
@@ -91,10 +100,35 @@ class Strips:
         for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
             kernels.tiles_to_rows(view, self.first_row + first, half, start, width)
 
+    @abstractmethod
+    def views(self, dtype: np.dtype) -> list[np.ndarray]:
+        """For each rank, the array that takes its part of this rank's rows, as complex `dtype`."""
+
+    @abstractmethod
+    def strip(self, dtype: np.dtype) -> np.ndarray:
+        """The strip of this rank, as complex `dtype`."""
+
+    @abstractmethod
+    def begin(self, dtype: np.dtype) -> None:
+        """Wait until the strips may be overwritten.  Collective."""
+
+    @abstractmethod
+    def to_columns(self, dtype: np.dtype) -> None:
+        """Rows that were `put` become columns of the strips.  Collective."""
+
+    @abstractmethod
+    def to_rows(self, dtype: np.dtype) -> None:
+        """Columns of the strips become rows to `get`.  Collective."""
+
+    @abstractmethod
+    def free(self) -> None:
+        """Give the memory back.  Collective."""
+
+
 
 class SharedStrips(Strips):
-    """Strips in memory that all ranks see (the ranks of one node, or one rank alone): the all-to-all is a store and a
-    load.
+    """Strips in memory that all ranks see: the ranks of one node, or one rank alone.  The transpose is done by stores
+    and loads; no message is sent.
     """
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
@@ -102,12 +136,13 @@ class SharedStrips(Strips):
         self.first_row = int(self.row_starts[comm.rank])  # of this rank in every strip
         count = self.nbytes(comm.rank)
         if comm.size == 1:
-            self.window, self.raw = None, [aligned_bytes(count)]
+            self.window: MPI.Win | None = None
+            self.raw = [aligned_bytes(count)]
             return
-        self.window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=comm)
-        self.window.Lock_all(MPI.MODE_NOCHECK)
-        buffers = [self.window.Shared_query(rank)[0] for rank in range(comm.size)]
-        self.raw = [_from_cache_line(np.frombuffer(buffer, np.uint8)) for buffer in buffers]
+        self.window = window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=MPI.Intracomm(comm))
+        window.Lock_all(MPI.MODE_NOCHECK)
+        buffers = [np.asarray(window.Shared_query(rank)[0]).view(np.uint8) for rank in range(comm.size)]
+        self.raw = [_from_cache_line(buffer) for buffer in buffers]
 
     def tiles(self, rank: int, itemsize: int) -> tuple[int, int, int]:
         """Shape of the strip of `rank`.  One row more keeps tiles off the same cache sets."""
@@ -118,20 +153,19 @@ class SharedStrips(Strips):
         """Bytes of the strip of `rank`, in the larger precision."""
         return math.prod(self.tiles(rank, 16)) * 16
 
-    def views(self, dtype) -> list[np.ndarray]:
+    def views(self, dtype: np.dtype) -> list[np.ndarray]:
         """The strip of each rank."""
-        dtype = np.dtype(dtype)
         shapes = [self.tiles(rank, dtype.itemsize) for rank in range(self.comm.size)]
         return [
             raw[: math.prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
             for raw, shape in zip(self.raw, shapes, strict=True)
         ]
 
-    def strip(self, dtype) -> np.ndarray:
+    def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank."""
         return self.views(dtype)[self.comm.rank]
 
-    def meet(self, dtype=None) -> None:
+    def meet(self, dtype: np.dtype | None = None) -> None:
         """All ranks have done their part, and see that of the others.  Collective."""
         if self.window is not None:
             self.window.Sync()
@@ -150,7 +184,7 @@ class SharedStrips(Strips):
 
 
 class ExchangedStrips(Strips):
-    """Strips in memory of their own: blocks are packed for each rank and cross in one `Alltoallv`."""
+    """Strips in memory of each rank's own: rows are packed for each rank and sent with one `Alltoallv`."""
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
@@ -163,47 +197,49 @@ class ExchangedStrips(Strips):
         """Bytes of so many rows of the strip of `rank`."""
         return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
 
-    def _counts(self, itemsize: int):
+    def _counts(self, itemsize: int) -> tuple[Counts, Counts]:
         """Bytes for and from each rank, and where they start."""
         out = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
         back = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
         return (out, np.cumsum(out) - out), (back, np.cumsum(back) - back)
 
-    def views(self, dtype) -> list[np.ndarray]:
+    def views(self, dtype: np.dtype) -> list[np.ndarray]:
         """The packed block for each rank."""
-        (counts, starts), _ = self._counts(np.dtype(dtype).itemsize)
+        (counts, starts), _ = self._counts(dtype.itemsize)
         blocks = [self.packed[start : start + count] for start, count in zip(starts, counts, strict=True)]
         return [
             _with_strides(raw, (self.rows, int(width)), dtype)[None]
             for raw, width in zip(blocks, self.widths, strict=True)
         ]
 
-    def strip(self, dtype) -> np.ndarray:
+    def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank."""
         return _with_strides(self.own, (self.nx, self.width), dtype)[None]
 
-    def begin(self, dtype) -> None:
+    def begin(self, dtype: np.dtype) -> None:
         """Nothing to wait for."""
 
-    def to_columns(self, dtype) -> None:
+    def to_columns(self, dtype: np.dtype) -> None:
         """Packed blocks to strips.  Collective."""
-        out, back = self._counts(np.dtype(dtype).itemsize)
-        self._alltoall(self.packed, out, self.own, back, np.dtype(dtype))
+        out, back = self._counts(dtype.itemsize)
+        self._alltoall(self.packed, out, self.own, back, dtype)
 
-    def to_rows(self, dtype) -> None:
+    def to_rows(self, dtype: np.dtype) -> None:
         """Strips to packed blocks.  Collective."""
-        out, back = self._counts(np.dtype(dtype).itemsize)
-        self._alltoall(self.own, back, self.packed, out, np.dtype(dtype))
+        out, back = self._counts(dtype.itemsize)
+        self._alltoall(self.own, back, self.packed, out, dtype)
 
-    def _alltoall(self, source, sent, target, received, dtype) -> None:
+    def _alltoall(
+        self, source: np.ndarray, sent: Counts, target: np.ndarray, received: Counts, dtype: np.dtype
+    ) -> None:
         # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
-        sent, received = ([parts // dtype.itemsize for parts in pair] for pair in (sent, received))
-        kind = MPI._typedict[dtype.char]
-        self.comm.Alltoallv([source.view(dtype), *sent, kind], [target.view(dtype), *received, kind])
+        out, back = ([parts // dtype.itemsize for parts in pair] for pair in (sent, received))
+        kind = dtlib.from_numpy_dtype(dtype)
+        self.comm.Alltoallv([source.view(dtype), *out, kind], [target.view(dtype), *back, kind])
 
     def free(self) -> None:
         """Give the memory back."""
-        self.own = self.packed = None
+        self.own = self.packed = np.empty(0, np.uint8)
 
 
 def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = None) -> SharedStrips | ExchangedStrips:

@@ -9,6 +9,7 @@ import dataclasses
 import os
 import tomllib
 from dataclasses import dataclass
+from typing import Any
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
@@ -86,7 +87,7 @@ def parse(
             _anchor(document, folder)
         for entry in overrides:
             overridden.add(_override(document, entry))
-        sections = {}
+        sections: dict[str, Any] = {}
         for section, table in document.items():
             if section not in SECTIONS:
                 raise InputError(f"[{printable(section)}] is not a section{guess(section, list(SECTIONS))}")
@@ -115,12 +116,12 @@ def _override(document: dict, entry: str) -> str:
     if not equals or len(names) < 2 or not all(names):
         raise InputError(f"--set {printable(entry, 200)}: must be section.key=value")
     try:
-        parsed = tomllib.loads(f"value = {value}")
-        parsed = parsed["value"] if len(parsed) == 1 else value.strip()
+        table = tomllib.loads(f"value = {value}")
+        parsed: Any = table["value"] if len(table) == 1 else value.strip()
     except (ValueError, RecursionError):
         parsed = value.strip()
-    for position, table in enumerate(tables):
-        document = document.setdefault(table, {})
+    for position, name in enumerate(tables):
+        document = document.setdefault(name, {})
         if not isinstance(document, dict):
             raise InputError(f"--set {printable(entry, 200)}: {'.'.join(tables[: position + 1])} is not a table")
     document[last] = os.path.abspath(parsed) if dotted == "surface.path" and isinstance(parsed, str) else parsed

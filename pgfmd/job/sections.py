@@ -43,7 +43,9 @@ class Solid(Section):
                 f"(with poisson); given: {', '.join(given)}"
             )
         for name, value in known.items():
-            if value is not None and not (math.isfinite(value) and (value > 0 or name in ("lame_lambda", "poisson"))):
+            if value is None:
+                continue
+            if not (math.isfinite(value) and (value > 0 or name in ("lame_lambda", "poisson"))):
                 raise InputError(f"solid: {show(given)} gives {name} = {value:g}, which no stable solid has")
             if name in given and not math.isclose(given[name], value, rel_tol=1e-9, abs_tol=1e-9 * abs(value)):
                 raise wrong(self, name, f"the other moduli give {value:g}")

@@ -23,7 +23,7 @@ class Rule:
 def integer(low: int, high: int = 2**63 - 1) -> Rule:
     """A whole number from `low` to `high`, not written as a float."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
             raise ValueError
         return int(value)
@@ -41,7 +41,7 @@ def number(
 ) -> Rule:
     """A real number within bounds (`above` and `below` exclude the bound); never NaN."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
             raise ValueError
         try:
@@ -65,7 +65,7 @@ POSITIVE = number(above=0)
 def text() -> Rule:
     """A string that is not empty and can be encoded in UTF-8."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         if not isinstance(value, str) or not value or "\0" in value:
             raise ValueError
         value.encode()  # UnicodeEncodeError, a ValueError, for bytes of a command line that are no UTF-8
@@ -77,7 +77,7 @@ def text() -> Rule:
 def flag() -> Rule:
     """true or false."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         if not isinstance(value, (bool, np.bool_)):
             raise ValueError
         return bool(value)
@@ -85,10 +85,10 @@ def flag() -> Rule:
     return Rule("true or false", convert)
 
 
-def choice(*allowed) -> Rule:
+def choice(*allowed: Any) -> Rule:
     """One of the values given."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         for candidate in allowed:
             if type(value) is type(candidate) and value == candidate:
                 return candidate
@@ -100,7 +100,7 @@ def choice(*allowed) -> Rule:
 def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
     """A list whose entries obey `rule`; one bare value counts as a list of one.  Converted to a tuple."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         values = tuple(rule.convert(entry) for entry in _entries(value))
         if len(values) < least or distinct and len(set(values)) < len(values):
             raise ValueError
@@ -118,7 +118,7 @@ def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
 def pair(rule: Rule) -> Rule:
     """One value for both directions, or a list of two, [x, y].  Converted to a tuple of two."""
 
-    def convert(value):
+    def convert(value: Any) -> Any:
         values = tuple(rule.convert(entry) for entry in _entries(value))
         if len(values) not in (1, 2):
             raise ValueError
@@ -127,5 +127,5 @@ def pair(rule: Rule) -> Rule:
     return Rule(f"{rule.allowed}, or two of them [x, y]", convert)
 
 
-def _entries(value) -> list:
+def _entries(value: Any) -> list:
     return list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]

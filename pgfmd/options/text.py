@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ def printable(name: str, longest: int = 60) -> str:
     return clean if len(clean) <= longest else clean[: longest - 1] + "…"
 
 
-def show(value) -> str:
+def show(value: Any) -> str:
     """A value as TOML writes it, on one line, cut to a readable length."""
     try:
         return printable(as_toml_value(value))
@@ -28,12 +29,15 @@ def show(value) -> str:
         return printable(str(type(value).__name__))
 
 
-def as_toml_value(value) -> str:
+def as_toml_value(value: Any) -> str:
     """A TOML literal of a bool, number, text, list or table; raises TypeError for anything else."""
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
     if isinstance(value, (int, np.integer)):
-        return hex(value) if abs(value) >= 2**63 else str(int(value))  # hex: Python refuses to print huge decimals
+        try:
+            return str(int(value))
+        except ValueError:  # Python refuses to print thousands of decimal digits
+            return hex(int(value))
     if isinstance(value, (float, np.floating)):
         return repr(float(value))
     if isinstance(value, str):

@@ -5,14 +5,20 @@ Everything takes the communicator as its first argument; nothing here knows abou
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
+from mpi4py.util import dtlib
+from numpy.typing import ArrayLike
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.parallel.threads import Threads
+
+T = TypeVar("T")
 
 
 def slab(count: int, size: int, rank: int) -> slice:
@@ -37,19 +43,19 @@ class Reduction:
     def __init__(self, comm: MPI.Comm) -> None:
         self.comm = comm
 
-    def sum(self, local) -> float:
+    def sum(self, local: ArrayLike) -> float:
         """Sum of all entries of `local` over all ranks.  Collective."""
         return self.comm.allreduce(float(np.sum(local, dtype=np.float64)), MPI.SUM)
 
-    def max(self, local) -> float:
+    def max(self, local: ArrayLike) -> float:
         """Largest entry over all ranks (-inf if there is none).  Collective."""
         return self.comm.allreduce(float(np.max(local, initial=-np.inf)), MPI.MAX)
 
-    def min(self, local) -> float:
+    def min(self, local: ArrayLike) -> float:
         """Smallest entry over all ranks (inf if there is none).  Collective."""
         return self.comm.allreduce(float(np.min(local, initial=np.inf)), MPI.MIN)
 
-    def dot(self, a, b) -> float:
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """Σ a b over all entries and ranks, accumulated in float64.  Collective."""
         return self.comm.allreduce(float(np.einsum("i,i->", np.ravel(a), np.ravel(b), dtype=np.float64)), MPI.SUM)
 
@@ -65,7 +71,7 @@ class Reduction:
 
 
 @contextmanager
-def raise_together(comm: MPI.Comm):
+def raise_together(comm: MPI.Comm) -> Iterator[None]:
     """If the block fails on any rank, all ranks raise the error of the lowest failing rank.  Collective at the end of
     the block.
 
@@ -87,9 +93,10 @@ def raise_together(comm: MPI.Comm):
     raise kind(message if kind is not RuntimeError else f"rank {first}: {name}: {message}")
 
 
-def from_root(comm: MPI.Comm, function, *arguments):
+def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
     """`function(*arguments)` evaluated on rank 0, its value on every rank; its error too.  Collective."""
-    value = failure = None
+    value: Any = None
+    failure: Exception | None = None
     if comm.rank == 0:
         try:
             value = function(*arguments)
@@ -113,26 +120,26 @@ def fetch_rows(
     total = int(starts[-1])
     out = np.empty((max(stop - first, 0), *local.shape[1:]), local.dtype)
     wanted = comm.allgather((first, stop))
-    requests, copies = [], []
+    requests: list[MPI.Request] = []
+    copies: list[tuple[slice, slice]] = []
     # Posted in the same order on both sides, so that messages between one pair of ranks match one to one.
     for target, (low, high) in enumerate(wanted):
-        for source in range(comm.size):
-            if comm.rank not in (target, source):
+        for owner in range(comm.size):
+            if comm.rank not in (target, owner):
                 continue
-            for at, length, row in overlaps(low, high, int(starts[source]), int(starts[source + 1]), total):
-                mine = slice(row - int(starts[source]), row - int(starts[source]) + length)
-                if target == source:
+            for at, length, row in overlaps(low, high, int(starts[owner]), int(starts[owner + 1]), total):
+                mine = slice(row - int(starts[owner]), row - int(starts[owner]) + length)
+                if target == owner:
                     copies.append((slice(at, at + length), mine))
-                elif comm.rank == source:
+                elif comm.rank == owner:
                     requests.append(comm.Isend(_items(np.ascontiguousarray(local[mine])), target))
                 else:
-                    requests.append(comm.Irecv(_items(out[at : at + length]), source))
-    for destination, source_rows in copies:
-        target, source = out[destination], local[source_rows]
+                    requests.append(comm.Irecv(_items(out[at : at + length]), owner))
+    for there, here in copies:
         if threads is None:
-            target[...] = source
+            out[there] = local[here]
         else:
-            threads.split(partial(_copy, source, target), len(target))
+            threads.split(partial(_copy, local[here], out[there]), here.stop - here.start)
     MPI.Request.Waitall(requests)
     return out
 
@@ -141,12 +148,12 @@ def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None
     target[first:stop] = source[first:stop]
 
 
-def _items(rows: np.ndarray):
+def _items(rows: np.ndarray) -> list:
     """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
-    return [rows, MPI._typedict[rows.dtype.char]]
+    return [rows, dtlib.from_numpy_dtype(rows.dtype)]
 
 
-def overlaps(low: int, high: int, start: int, stop: int, total: int):
+def overlaps(low: int, high: int, start: int, stop: int, total: int) -> Iterator[tuple[int, int, int]]:
     """Pieces (offset in the request, length, first global row) of the periodic range low … high−1 inside start …
     stop−1.
     """

@@ -110,7 +110,7 @@ class Team:
 
     def _take_part(self, thread: int) -> None:
         work, count = self._task
-        if thread < count:  # else it was asked for an earlier task
+        if work is not None and thread < count:  # else it was asked for an earlier task
             try:
                 work(thread)
             except BaseException as failure:  # belongs to the caller, whatever it is

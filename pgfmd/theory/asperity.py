@@ -14,13 +14,16 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipkm1, elliprd, gamma, pbdv
 
 from pgfmd.errors import InputError
+from pgfmd.theory.numbers import Numbers
 from pgfmd.theory.surface import SpectralMoments
 
 LOW_LOAD_KAPPA_BGT = np.sqrt(2 * np.pi)
 """κ = f_c E' g/p̄ of Bush, Gibson & Thomas in the limit of low load, for any bandwidth."""
 
 
-def greenwood_williamson(separation, moments: SpectralMoments, contact_modulus) -> tuple[np.ndarray, np.ndarray]:
+def greenwood_williamson(
+    separation: Numbers, moments: SpectralMoments, contact_modulus: Numbers
+) -> tuple[np.ndarray, np.ndarray]:
     """Area fraction and mean pressure of equal spherical summits with Gaussian heights.
 
     Greenwood & Williamson (1966), doi:10.1098/rspa.1966.0242, with density, radius and height distribution of the
@@ -33,13 +36,15 @@ def greenwood_williamson(separation, moments: SpectralMoments, contact_modulus) 
     return area, moments.summit_density * force
 
 
-def gaussian_excess(order: float, threshold) -> np.ndarray:
+def gaussian_excess(order: float, threshold: Numbers) -> np.ndarray:
     """∫_t^∞ (x − t)^n N(x; 0, 1) dx = Γ(n+1) e^(−t²/4) D_(−n−1)(t)/√(2π), D the parabolic cylinder function."""
     threshold = np.asarray(threshold, float)
     return gamma(order + 1) / np.sqrt(2 * np.pi) * np.exp(-(threshold**2) / 4) * pbdv(-order - 1, threshold)[0]
 
 
-def bush_gibson_thomas(separation, moments: SpectralMoments, contact_modulus) -> tuple[np.ndarray, np.ndarray]:
+def bush_gibson_thomas(
+    separation: Numbers, moments: SpectralMoments, contact_modulus: Numbers
+) -> tuple[np.ndarray, np.ndarray]:
     """Area fraction and mean pressure of elliptic paraboloids with the joint statistics of height and both curvatures.
 
     Bush, Gibson & Thomas (1975), doi:10.1016/0043-1648(75)90145-3; summit statistics of Nayak (1971).  With t and r the
@@ -60,15 +65,17 @@ def bush_gibson_thomas(separation, moments: SpectralMoments, contact_modulus) ->
     return area.reshape(separation.shape), pressure.reshape(separation.shape)
 
 
-def at_pressure(model, pressure, moments: SpectralMoments, contact_modulus) -> tuple[np.ndarray, np.ndarray]:
+def at_pressure(
+    model: Numbers, pressure: Numbers, moments: SpectralMoments, contact_modulus: Numbers
+) -> tuple[np.ndarray, np.ndarray]:
     """Area fraction and separation at which `model` (a function of this module) carries the mean pressure, any shape.
 
     :raises InputError: if the pressure is not reached between separations of −10 and +30 rms heights.
     """
     height = np.sqrt(moments.m0)
 
-    def solve(target):
-        def excess(d):
+    def solve(target: Numbers) -> Numbers:
+        def excess(d: Numbers) -> Numbers:
             return np.log(model(d, moments, contact_modulus)[1]) - np.log(target)
 
         if not excess(30 * height) < 0 < excess(-10 * height):
@@ -81,7 +88,7 @@ def at_pressure(model, pressure, moments: SpectralMoments, contact_modulus) -> t
     return pairs[:, 0].reshape(pressure.shape), pairs[:, 1].reshape(pressure.shape)
 
 
-def _integrate_summits(separation, moments, contact_modulus):
+def _integrate_summits(separation: Numbers, moments: Numbers, contact_modulus: Numbers) -> Numbers:
     """Area fraction and pressure at one separation: over z beyond d, over t given z, over r given t."""
     m0, m2, m4 = moments.m0, moments.m2, moments.m4
     nodes, weights = np.polynomial.legendre.leggauss(80)
@@ -114,7 +121,7 @@ def _integrate_summits(separation, moments, contact_modulus):
 
 
 @cache
-def _ellipse_table():
+def _ellipse_table() -> Numbers:
     """Nodes ρ = r/t, their weights, and how the Hertzian area and load differ from those of a sphere of curvature t.
 
     With b/a = k and e² = 1 − k² the axes of the contact ellipse (Johnson, Contact Mechanics, section 4.2), at

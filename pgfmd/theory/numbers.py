@@ -1,0 +1,6 @@
+"""The type of what the formulas take and give."""
+
+from typing import Any, TypeAlias
+
+Numbers: TypeAlias = Any
+"""A float or an array; several arguments broadcast against each other."""
