@@ -11,7 +11,7 @@ from conftest import ROOT
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.surfaces import instruments
+from pgfmd.surfaces import measurement
 from pgfmd.surfaces.file import FromFile
 
 pytestmark = pytest.mark.mpi
@@ -107,6 +107,15 @@ def test_mirror_images_need_twice_the_points(comm, shared_tmp_path, tilted):
         read_heights(SlabGrid(comm, (24, 48)), path, periodic="mirror")
 
 
+def test_text_is_what_npy_is(comm, shared_tmp_path, tilted):
+    """A bare matrix of numbers, as `numpy.savetxt` writes it, is bit for bit the surface that .npy gives: line i is at
+    x = i aₓ, in the job's units.
+    """
+    path = saved(comm, shared_tmp_path, "a.txt", lambda path: np.savetxt(path, tilted))
+    grid = SlabGrid(comm, SHAPE, (1.0, 2.0))
+    assert np.array_equal(whole(grid, read_heights(grid, path, length_unit="length")), tilted)
+
+
 def test_without_the_package_the_command_is_named(comm, monkeypatch):
     """Where SurfaceTopography is not installed, one line on every rank says how it gets there."""
     monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
@@ -116,13 +125,13 @@ def test_without_the_package_the_command_is_named(comm, monkeypatch):
 
 def test_units_are_exact_powers_of_ten():
     """All pairs, and the spellings of µm and Å."""
-    for given, power in instruments.UNITS.items():
-        for wanted, other in instruments.UNITS.items():
-            assert instruments.conversion(given, wanted) == float(f"1e{power - other}")
-    assert instruments.conversion("um", "nm") == instruments.conversion("\u03bcm", "nm") == 1000.0
-    assert instruments.conversion("nm", "A") == 10.0
+    for given, power in measurement.UNITS.items():
+        for wanted, other in measurement.UNITS.items():
+            assert measurement.conversion(given, wanted) == float(f"1e{power - other}")
+    assert measurement.conversion("um", "nm") == measurement.conversion("\u03bcm", "nm") == 1000.0
+    assert measurement.conversion("nm", "A") == 10.0
     with pytest.raises(InputError, match="is in 'V'"):
-        instruments.conversion("V", "m")
+        measurement.conversion("V", "m")
 
 
 # ---- with the package -----------------------------------------------------------------------------------------------
@@ -162,14 +171,6 @@ def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, leng
     """What does not fit is named with what to write."""
     with pytest.raises(InputError, match=words):
         read_heights(SlabGrid(comm, shape, lengths), SDF, periodic=periodic, length_unit=unit)
-
-
-def test_text_without_size_or_unit(comm, package, shared_tmp_path, tilted):
-    """A bare matrix of numbers has no unit to convert and no size to check: it is taken in the job's units."""
-    path = saved(comm, shared_tmp_path, "a.txt", lambda path: np.savetxt(path, tilted.T))
-    grid = SlabGrid(comm, SHAPE, (1.0, 2.0))
-    found = whole(grid, read_heights(grid, path, length_unit="length"))
-    assert found.shape == SHAPE and np.allclose(np.sort(found, None), np.sort(tilted, None), rtol=1e-15)
 
 
 @pytest.mark.parametrize(

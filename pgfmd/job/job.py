@@ -17,7 +17,6 @@ from pgfmd.job.sections import CONTROLS, LAWS, HardWall, Load, Output, Run, Soli
 from pgfmd.options import section as tables
 from pgfmd.options.section import Kinds, Section, build, wrong
 from pgfmd.options.text import guess, printable, show
-from pgfmd.surfaces.file import FromFile
 from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.table import SURFACES
 
@@ -54,7 +53,7 @@ SECTIONS: dict[str, type[Section] | Kinds] = {
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:
     """The job in the TOML file `path`, changed by `overrides` ("section.key=value"); raises InputError.
 
-    A relative path of a heights file counts from the TOML file's folder, in an override from the working directory; the
+    A relative surface.path counts from the TOML file's folder, in an override from the working directory; the
     file must exist.
     """
     name = os.fspath(path)
@@ -66,8 +65,9 @@ def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -
     except (OSError, ValueError) as error:
         raise InputError(f"{printable(name, 400)}: cannot be read: {getattr(error, 'strerror', '') or error}") from None
     job = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
-    if isinstance(job.surface, FromFile) and not os.path.isfile(job.surface.source[0]):
-        raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(job.surface.path, 400)}")
+    for path in job.surface.files:
+        if not os.path.isfile(path):
+            raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(path, 400)}")
     return job
 
 
@@ -129,7 +129,7 @@ def _override(document: dict, entry: str) -> str:
 
 
 def _anchor(document: dict, folder: str) -> None:
-    """Make the heights file's path absolute, in place."""
+    """Make surface.path absolute, in place."""
     surface = document.get("surface")
     if isinstance(surface, dict) and isinstance(surface.get("path"), str) and surface["path"]:
         surface["path"] = os.path.join(folder, surface["path"])

@@ -42,6 +42,10 @@ class FromFile(Surface):
             raise wrong(self, "height_scale", "must not be zero")
 
     @property
+    def files(self) -> tuple[str, ...]:
+        return (self.source[0],)
+
+    @property
     def source(self) -> tuple[str, str | None]:
         """The heights file and the dataset in it (None: not said), from path, "path:dataset" or dataset."""
         path, colon, dataset = self.path.rpartition(":")

@@ -12,7 +12,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options.text import printable
 from pgfmd.parallel.collectives import from_root, raise_together
-from pgfmd.surfaces import instruments
+from pgfmd.surfaces import instruments, text
 from pgfmd.surfaces.mirror import folded
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
@@ -70,7 +70,7 @@ def _scattered(grid: SlabGrid, path: str, folds: list, copies: int, length_unit:
     with raise_together(grid.comm):
         if grid.comm.rank == 0:
             try:
-                measured = instruments.read(path).converted(length_unit)
+                measured = (text.read(path) or instruments.read(path)).converted(length_unit)
                 measured.check(grid.shape, grid.lengths, copies)
             except InputError as error:
                 raise InputError(f"{path}: {error}") from None

@@ -3,73 +3,17 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
+from pgfmd.surfaces.measurement import Measurement
 
-# Powers of ten of a metre.
-UNITS = {"km": 3, "m": 0, "cm": -2, "mm": -3, "µm": -6, "nm": -9, "Å": -10, "pm": -12}
-ALIASES = {"um": "µm", "\u03bcm": "µm", "A": "Å", "\u212b": "Å"}  # Greek mu, the angstrom sign
 MISSING = (
     "is neither .npy nor HDF5 with a two-dimensional dataset; instruments' formats are read by SurfaceTopography, "
     "which is not installed here: run tools/setup.sh surfaces (or pip install SurfaceTopography)"
 )
-CELL_DIGITS = 1e-3  # relative difference of a cell that is still the measured one: jobs are written with a few digits
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """Heights (nx, ny) in float64; size (lx, ly) of the rectangle and unit of both, None where the file is silent."""
-
-    heights: np.ndarray
-    lengths: tuple[float, float] | None
-    unit: str | None
-
-    def converted(self, unit: str | None) -> Measurement:
-        """The same in `unit`; unchanged if one of the two units is not said.
-
-        Raises InputError if `unit` or that of the file is not a length known here.
-        """
-        if self.unit is None or unit is None:
-            return self
-        factor = conversion(self.unit, unit)
-        lengths = self.lengths and tuple(float(factor * value) for value in self.lengths)
-        return Measurement(self.heights * factor, lengths, unit)
-
-    def check(self, shape: tuple[int, int], lengths: tuple[float, float], copies: int) -> None:
-        """Whether grid and cell fit; `copies` = 2 if the cell is made of mirror images.  Raises InputError."""
-        points = [copies * count for count in self.heights.shape]
-        mirrored = ", with its mirror images" * (copies == 2)
-        if tuple(points) != tuple(shape):
-            raise InputError(
-                f"holds {points[0]} x {points[1]} points{mirrored}, the grid has {shape[0]} x {shape[1]}: "
-                f"write n = {points} under [grid]"
-            )
-        if self.lengths is None:
-            return
-        sides = [copies * side for side in self.lengths]
-        if not np.allclose(sides, lengths, rtol=CELL_DIGITS, atol=0):
-            unit = f" {self.unit}" if self.unit else ""
-            raise InputError(
-                f"measures {sides[0]:.9g} x {sides[1]:.9g}{unit}{mirrored}, the cell is "
-                f"{lengths[0]:.9g} x {lengths[1]:.9g}: write length = [{sides[0]:.9g}, {sides[1]:.9g}] under [grid]"
-            )
-
-
-def conversion(given: str, wanted: str) -> float:
-    """Factor from one unit of length to another; raises InputError if one of them is not in UNITS."""
-    given, wanted = ALIASES.get(given, given), ALIASES.get(wanted, wanted)
-    if given not in UNITS:
-        raise InputError(f"is in {printable(given)!r}, which is none of the lengths {', '.join(UNITS)}")
-    if wanted not in UNITS:
-        raise InputError(
-            f'is in {given}: write length_unit = "{given}" under [output], or another of {", ".join(UNITS)}, and all '
-            "lengths of the job in it"
-        )
-    return float(f"1e{UNITS[given] - UNITS[wanted]}")
 
 
 def read(path: str) -> Measurement:
@@ -89,6 +33,7 @@ def read(path: str) -> Measurement:
                 lengths, dim = reader.default_channel.physical_sizes, reader.default_channel.dim
                 # Without sizes there is no topography for that package.
                 surface = reader.topography(**({} if lengths else {"physical_sizes": (1.0,) * dim}))
+                format = reader.name()
                 unit, missing = surface.unit, bool(surface.has_undefined_data)
                 heights = None if dim != 2 or missing else np.array(surface.heights(), np.float64, order="C")
     except Exception as error:  # whatever a damaged file makes dozens of readers raise
@@ -98,4 +43,4 @@ def read(path: str) -> Measurement:
         raise InputError("holds a line scan, not the heights of a surface")
     if missing:
         raise InputError("has points that were not measured; fill them first (SurfaceTopography: fill_undefined_data)")
-    return Measurement(heights, lengths and tuple(float(value) for value in lengths), unit)
+    return Measurement(heights, lengths and tuple(float(value) for value in lengths), unit, format)

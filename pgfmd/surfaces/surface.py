@@ -24,6 +24,11 @@ class Surface(Section):
     where = "surface"
     rms_slope: ClassVar[float | None] = None
 
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Paths of the files that the options name."""
+        return ()
+
     def check_in(self, cell: Cell) -> None:
         """Raise InputError, naming the key, if this surface does not fit into that cell."""
 

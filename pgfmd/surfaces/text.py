@@ -1,0 +1,134 @@
+"""Plain text: tables of numbers, and heights as a matrix or as x, y, height of points on a lattice.  No MPI here."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.surfaces.measurement import Measurement, conversion
+
+# Ways to write a line of numbers: what separates them (None: blanks), and the decimal mark.
+STYLES = ((",", "."), ("\t", "."), (None, "."), (";", "."), (";", ","), ("\t", ","), (None, ","))
+NOTHING = {"", "nan", "bad", "na", "n/a", "null", "none", "---", "--", "***"}  # fields of points not measured
+UNIT = re.compile(r"(Lateral|Value) units:\s*(\S+)")  # of coordinates and heights, as Gwyddion exports points
+MEANING = re.compile(r"(?i)\bunit|[:=]\s*\S*\d")  # of a comment that only SurfaceTopography understands
+LATTICE = 0.05  # distance from the lattice, over its spacing, at which a point still belongs to it
+SAME = 1e-6  # coordinates closer than that, over their range, are equal
+
+
+def read(path: str) -> Measurement | None:
+    """The heights of a text file; None if it is no table of numbers, or if a comment gives sizes or units that only
+    SurfaceTopography understands.
+
+    A table of more than three columns is a matrix: number j of line i is heights[i, j], at x = i aₓ, y = j a_y, as
+    `numpy.savetxt` writes it.  Three columns are x, y and height, in any order of lines; lattice points without a line
+    are NaN.  Raises InputError, without the path: fewer columns, lines of different length, points off a lattice.
+    """
+    comments, _ = _opening(path)
+    units = dict(match.groups() for match in map(UNIT.search, comments) if match)
+    if any(MEANING.search(line) for line in comments if not UNIT.search(line)):
+        return None
+    numbers = read_table(path)
+    if numbers is None or numbers.shape[1] > 3:
+        return None if numbers is None or units else Measurement(numbers, None, None, "text, a matrix")
+    if numbers.shape[1] < 3:
+        raise InputError("holds a line scan, not the heights of a surface")
+    return _on_lattice(numbers, units.get("Lateral"), units.get("Value"))
+
+
+def read_table(path: str) -> np.ndarray | None:
+    """The numbers of a text file (lines, columns) in float64, NaN where a field says that there is none; None if its
+    first line is none of numbers.
+
+    Columns are separated by blanks, tabs, commas or semicolons, with decimal points or, beside commas that separate
+    nothing, decimal commas; # begins a comment.  Raises InputError, without the path, if lines differ in length.
+    """
+    _, first = _opening(path)
+    style = next((style for style in STYLES if _fields(first, style) is not None), None)
+    if style is None:
+        return None
+    if style[1] == ".":
+        try:
+            return np.loadtxt(path, delimiter=style[0], ndmin=2, encoding="utf-8-sig")
+        except ValueError:  # fields without a number, or not a table: slowly, to say where
+            pass
+    rows: list[list[float]] = []
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file, 1):
+            line = line.partition("#")[0]
+            if not line.strip():
+                continue
+            fields = _fields(line, style)
+            if fields is None or len(fields) != len(rows[0] if rows else fields):
+                found = "is not a line of numbers" if fields is None else f"has {len(fields)} numbers"
+                raise InputError(f"line {number} {found}, unlike the first, which has {len(rows[0]) if rows else 0}")
+            rows.append(fields)
+    table = np.array(rows)
+    return table[:, :-1] if np.isnan(table[:, -1]).all() else table  # each line ends in a separator
+
+
+def _opening(path: str) -> tuple[list[str], str]:
+    """Comments before the first line that is none, and that line."""
+    comments: list[str] = []
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        while True:
+            line = file.readline(2**22)  # what has longer lines is no text
+            if line.startswith("#"):
+                comments.append(line)
+            elif line.strip() or not line:
+                return comments, line
+
+
+def _fields(line: str, style: tuple[str | None, str]) -> list[float] | None:
+    """The numbers of a line, NaN for those that are missing; None if the line is not written in that style."""
+    separator, mark = style
+    fields = [field.strip() for field in line.rstrip("\r\n").split(separator)]
+    if mark != "." and any("." in field for field in fields) or not line.strip():
+        return None
+    try:
+        return [np.nan if field.lower() in NOTHING else float(field.replace(mark, ".")) for field in fields]
+    except ValueError:
+        return None
+
+
+def _on_lattice(points: np.ndarray, lateral: str | None, value: str | None) -> Measurement:
+    """The heights of points (count, 3) on the lattice that their coordinates form."""
+    points = points[~np.isnan(points[:, 2])]
+    if not len(points) or not np.isfinite(points[:, :2]).all():
+        raise InputError("three columns are x, y and height, but not all of them are finite")
+    (i, step_x), (j, step_y) = (_lattice(points[:, axis]) for axis in (0, 1))
+    shape = int(i.max()) + 1, int(j.max()) + 1
+    if min(shape) < 2:
+        raise InputError("holds a line scan, not the heights of a surface")
+    if 2 * len(points) < shape[0] * shape[1]:
+        raise InputError(
+            f"three columns are x, y and height: {len(points)} points do not fill the lattice of {shape[0]} x "
+            f"{shape[1]} that their coordinates would form; interpolate them to one first"
+        )
+    heights = np.full(shape, np.nan)
+    heights[i, j] = points[:, 2]
+    if np.count_nonzero(~np.isnan(heights)) < len(points):
+        raise InputError("three columns are x, y and height: two heights at one point")
+    if lateral is not None and value is not None:
+        heights *= conversion(value, lateral)
+    unit = lateral if lateral is not None else value
+    return Measurement(heights, (shape[0] * step_x, shape[1] * step_y), unit, "text, coordinates and heights")
+
+
+def _lattice(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Numbers 0, 1, … of coordinates on equidistant lines, and the distance of these.  Raises InputError."""
+    lowest, highest = values.min(), values.max()
+    steps = np.diff(np.unique(values))
+    steps = steps[steps > SAME * (highest - lowest)]
+    if not len(steps):
+        return np.zeros(len(values), int), 0.0
+    step = (highest - lowest) / np.rint((highest - lowest) / steps.min())  # free of the rounding of single values
+    number = np.rint((values - lowest) / step)
+    if np.abs(values - lowest - step * number).max() > LATTICE * step:
+        raise InputError(
+            "three columns are x, y and height, but their points lie on no lattice of equal distances; interpolate "
+            "them to one first"
+        )
+    return number.astype(int), float(step)
