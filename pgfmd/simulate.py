@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import math
 import os
 import time
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from pgfmd.io.writer import ResultWriter
 from pgfmd.job.job import Job, as_toml, differences, parse
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.patches.labelling import label_patches
+from pgfmd.observables.table import LAYOUT
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.run import machine
 from pgfmd.run.estimate import estimate
@@ -47,7 +46,7 @@ def simulate(
         comm, directory, job.text, as_toml(job),
         shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(job.load.targets),
         overwrite=overwrite, restart=restart, precision=job.output.precision,
-        length_unit=job.output.length_unit, pressure_unit=job.output.pressure_unit,
+        length_unit=job.output.length_unit, pressure_unit=job.output.pressure_unit, layout=LAYOUT,
     ) as writer, Watch(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as watch:  # fmt: skip
         _refuse_changed_job(job, writer)
         with phases("surface"):
@@ -72,9 +71,10 @@ def simulate(
                 solution = loads.solution(job.load.targets[index])
                 steps.solved(solution)
             with phases("observe"):
-                row, groups = observer.row(solution), observer.groups(solution)
+                contact = observer.contact(solution)
+                row, groups = observer.row(contact), observer.groups(contact)
             with phases("write"):
-                writer.write_load(index, row, groups, chosen_fields(job, grid, heights, solution))
+                writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
                 checkpoints.remove()
             watch.load_done()
             _report(comm, index, len(job.load.targets), row)
@@ -90,30 +90,7 @@ def make_elasticity(job: Job) -> Elasticity:
 
 def make_observer(job: Job, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity) -> Observer:
     """What the job asks to measure.  Collective."""
-    output = job.output
-    shortest = job.surface.shortest_wavelength(job.grid)
-    q_max = 2 * math.pi / shortest if shortest else None
-    return Observer(
-        grid, heights, elasticity, q_max=q_max, names=output.observables,
-        histogram_bins=output.histogram.bins,
-        spectra=(output.spectra.spacing, output.spectra.bins), acf=(output.acf.spacing, output.acf.bins),
-        connectivity=output.patches.connectivity, lowpass_q=output.lowpass.q, tolerance=job.solver.tolerance,
-    )  # fmt: skip
-
-
-def chosen_fields(job: Job, grid: SlabGrid, heights: np.ndarray, solution: ContactSolution) -> dict:
-    """The fields (nx_local, ny) of one load that the job asks for.  Collective."""
-    fields = {}
-    for name in job.output.fields:
-        if name in ("pressure", "gap"):
-            fields[name] = getattr(solution, name)
-        elif name == "displacement":
-            position = solution.gap + heights
-            fields[name] = position - grid.reduction.sum(position) / grid.size
-        elif name == "labels":
-            connectivity = job.output.patches.connectivity
-            fields[name] = label_patches(grid.comm, solution.pressure > 0, grid.starts, connectivity).label_field()
-    return fields
+    return Observer(grid, heights, elasticity, job.output.asked, job.surface.cutoff(job.grid))
 
 
 def make_loads(

@@ -7,8 +7,9 @@ import pytest
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.bearing import threshold_for_count
 from pgfmd.observables.observer import Observer
+from pgfmd.observables.statistics.threshold import threshold_for_count
+from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.solution import ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
@@ -61,9 +62,9 @@ def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spe
     index = np.arange(grid.rows.start * n, grid.rows.stop * n).reshape(pressure.shape)
     pressure[index < pixels] = 1.0
     solution = ContactSolution(pressure, pressure, fraction, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
-    q_max = 2 * np.pi / lambda_s if lambda_s > 1 else None
-    observer = Observer(grid, heights, Elasticity(1.0), names=names, q_max=q_max)
-    return grid, heights, observer.groups(solution)
+    cutoff = 2 * np.pi / lambda_s if lambda_s > 1 else None
+    observer = Observer(grid, heights, Elasticity(1.0), [OBSERVABLES[name]() for name in names], cutoff)
+    return grid, heights, observer.groups(observer.contact(solution))
 
 
 def test_area_and_curves(comm):
@@ -73,7 +74,7 @@ def test_area_and_curves(comm):
     mask = (whole > float(groups["bearing"]["threshold"])) * 1.0
     assert mask.sum() == round(0.1 * grid.size)
     assert groups["bearing_acf"]["value"][0] == pytest.approx(mask.mean(), rel=1e-13)
-    power = np.abs(np.fft.fft2(mask)) ** 2
+    power = np.abs(np.fft.fft2(mask, norm="forward")) ** 2
     spectrum = groups["bearing_spectrum"]
     assert np.sum(spectrum["value"] * spectrum["count"]) == pytest.approx(power.sum() - power[0, 0], rel=1e-12)
     along = [np.mean(mask * np.roll(mask, lag, 0)) for lag in range(33)]
@@ -96,7 +97,8 @@ def test_autocorrelation_of_a_gaussian_surface(comm):
     heights = self_affine(grid, 0.5, 8, 0.031, 2, lambda_l=16)
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))
     solution = ContactSolution(pressure, pressure, 0.25, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
-    groups = Observer(grid, heights, Elasticity(1.0), names=("bearing", "acf")).groups(solution)
+    observer = Observer(grid, heights, Elasticity(1.0), [OBSERVABLES[name]() for name in ("bearing", "acf")])
+    groups = observer.groups(observer.contact(solution))
     rho = groups["height_acf"]["value"] / groups["height_acf"]["value"][0]
     expected = theory.bearing.autocorrelation(rho, 0.25)
     assert rho.min() < -0.2  # the law is tested at both signs

@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).resolve().parent.parent / "pgfmd"
 FILES = sorted(PACKAGE.rglob("*.py"))
 MODULES = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in FILES}
 MODULES = {name.removesuffix(".__init__"): path for name, path in MODULES.items()}
-SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.io.results", "pgfmd.observables.spectra")  # for tools on a laptop
+SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.io.results", "pgfmd.observables.statistics.spectra")  # for tools on a laptop
 
 
 def imported(path: Path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 import tracemalloc
@@ -10,15 +11,17 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io import schema
-from pgfmd.job.sections import OBSERVABLES
-from pgfmd.observables import kernels, spectra
-from pgfmd.observables.correlations import Correlator, lag_bins, wave_number_bins
-from pgfmd.observables.histograms import contact_moments, linear_edges, log_edges, pressure_groups
-from pgfmd.observables.lowpass import coarsening, lowpass, lowpass_areas, octaves
+from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.staircase import contact_area
+from pgfmd.observables.statistics import kernels, spectra
+from pgfmd.observables.statistics.correlations import correlate, mode_rings, wave_number_bins
+from pgfmd.observables.statistics.distributions import contact_moments, linear_edges, log_edges, pressure_groups
+from pgfmd.observables.statistics.lowpass import lowpass
+from pgfmd.observables.statistics.staircase import contact_area
+from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.solution import ContactSolution
@@ -30,6 +33,7 @@ from pgfmd.theory import persson
 pytestmark = pytest.mark.mpi
 
 MODULUS = 8 / 3
+NAMES = ["histogram", "spectra", "acf", "patches", "bearing", "lowpass"]
 # Square, odd and stretched, more columns than rows, one row per rank
 GRIDS = [((24, 24), (24.0, 24.0)), ((15, 22), (30.0, 7.0)), ((4, 9), (4.0, 9.0))]
 CASES = pytest.mark.parametrize(("shape", "lengths"), GRIDS)
@@ -49,12 +53,17 @@ def solved(pressure, gap=None):
     return ContactSolution(pressure, gap, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
 
 
-def observe(comm, shape, lengths, names=OBSERVABLES[:5], heights=None, pressure=None, **options):
+def asked(names, **tables):
+    """Observables by name, with their tables of options."""
+    return [OBSERVABLES[name](**tables.get(name, {})) for name in names]
+
+
+def observe(comm, shape, lengths, names=NAMES[:5], cutoff=None, **tables):
     """Groups of whole fields that are cut into slabs; those of rank 0 on every rank."""
     grid = SlabGrid(comm, shape, lengths)
-    h, p = fields(shape) if heights is None else (heights, pressure)
-    observer = Observer(grid, h[grid.rows].copy(), Elasticity(MODULUS), names=names, **options)
-    return comm.bcast(observer.groups(solved(p[grid.rows].copy())))
+    heights, pressure = (field[grid.rows].copy() for field in fields(shape))
+    observer = Observer(grid, heights, Elasticity(MODULUS), asked(names, **tables), cutoff)
+    return comm.bcast(observer.groups(observer.contact(solved(pressure))))
 
 
 def whole_transform(field):
@@ -78,16 +87,14 @@ def ring_means(edges, place, value):
 @CASES
 @pytest.mark.parametrize("bins", [("log", 20), ("log", 4), ("linear", 7)])
 def test_spectra_are_brute_force_sums(comm, shape, lengths, bins):
-    """Each spectrum is the mean of |Σ f exp(−iq·r)|² over all modes of a ring (height, cross: of coefficients).
+    """Each spectrum is the mean over all modes of a ring of |f̃|², f̃ = (1/N) Σ f exp(−iq·r); cross: of Re h̃* σ̃.
 
     Both sides round at 1e-16 of the largest mode; the cross spectrum is a difference of sums, hence its margin.
     """
-    found = observe(comm, shape, lengths, spectra=bins)
+    found = observe(comm, shape, lengths, spectra={"spacing": bins[0], "bins": bins[1]})
     heights, pressure = fields(shape)
-    h, p, c = (whole_transform(f) for f in (heights, pressure, (pressure > 0).astype(float)))
-    count = heights.size
-    expected = {"stress": abs(p) ** 2, "contact": abs(c) ** 2, "height": abs(h / count) ** 2,
-                "cross": (np.conj(h) * p).real / count**2}  # fmt: skip
+    h, p, c = (whole_transform(f) / f.size for f in (heights, pressure, (pressure > 0).astype(float)))
+    expected = {"stress": abs(p) ** 2, "contact": abs(c) ** 2, "height": abs(h) ** 2, "cross": (np.conj(h) * p).real}
     place = whole_wave_numbers(shape, lengths)
     for name, values in expected.items():
         group = found[f"{name}_spectrum"]
@@ -102,7 +109,7 @@ def test_spectra_are_brute_force_sums(comm, shape, lengths, bins):
 @pytest.mark.parametrize("bins", [("log", 20), ("linear", 3)])
 def test_autocorrelations_are_brute_force_means(comm, shape, lengths, bins):
     """C(Δr) = ⟨f(r) f(r + Δr)⟩, averaged over rings of Δr and along both axes; rounding only."""
-    found = observe(comm, shape, lengths, acf=bins)
+    found = observe(comm, shape, lengths, acf={"spacing": bins[0], "bins": bins[1]})
     heights, pressure = fields(shape)
     place = spectra.distances(shape, lengths)
     for name, field in {"stress": pressure, "contact": (pressure > 0) * 1.0, "height": heights}.items():
@@ -133,7 +140,7 @@ def test_zero_lag_of_the_autocorrelations(comm, shape, lengths):
 
 def sum_rule_residuals(grid, pressure):
     """`spectra.sum_rules` of a distributed pressure from two forward transforms."""
-    correlator = Correlator(grid, wave_number_bins(grid), lag_bins(grid))
+    modes = mode_rings(grid, wave_number_bins(grid))
 
     def contact(first, stop, rows):
         rows[...] = pressure[first:stop] > 0
@@ -141,7 +148,7 @@ def sum_rule_residuals(grid, pressure):
     def stress(first, stop, rows):
         rows[...] = pressure[first:stop]
 
-    c, s = (correlator.measure(fill).power / grid.size**2 for fill in (contact, stress))
+    c, s = (correlate(grid, fill, modes).power for fill in (contact, stress))
     sums = grid.reduction.sum
     means = sums(pressure > 0), sums(pressure), grid.reduction.dot(pressure, pressure)
     return spectra.sum_rules(*(mean / grid.size for mean in means), c[0], s[0], c.sum(), s.sum())
@@ -167,8 +174,17 @@ def test_spectra_end_at_the_cut_off(comm):
     """With q_max no mode beyond it enters any average."""
     q_max = 2 * np.pi / 5
     place = whole_wave_numbers((24, 24), (24.0, 24.0))
-    found = observe(comm, (24, 24), (24.0, 24.0), q_max=q_max)["stress_spectrum"]
+    found = observe(comm, (24, 24), (24.0, 24.0), cutoff=q_max)["stress_spectrum"]
     assert found["count"].sum() == np.count_nonzero((place > 0) & (place <= q_max))
+
+
+def test_spectra_of_all_modes(comm):
+    """With all_modes, the averages hold every mode of the grid, and with q = 0 the whole mean square (Parseval)."""
+    pressure = fields((24, 24))[1]
+    found = observe(comm, (24, 24), (24.0, 24.0), cutoff=2 * np.pi / 5, spectra={"all_modes": True})["stress_spectrum"]
+    assert found["count"].sum() == pressure.size - 1
+    total = np.sum(found["value"] * found["count"]) + pressure.mean() ** 2
+    assert total == pytest.approx(np.mean(pressure**2), rel=1e-12)
 
 
 @CASES
@@ -191,7 +207,10 @@ def test_groups_do_not_depend_on_ranks(comm, shape, lengths):
 def test_groups_are_in_the_schema(comm):
     """Every dataset has its unit and description."""
     for group, columns in observe(comm, (24, 24), (24.0, 24.0), OBSERVABLES).items():
-        assert columns.keys() <= schema.GROUPS[group].keys(), group
+        for name, values in columns.items():
+            axes = LAYOUT[group][name].axes
+            assert np.ndim(values) == len(axes)
+            assert axes == (name,) or not axes or axes[0] not in columns or len(values) == len(columns[axes[0]])
 
 
 @pytest.mark.parametrize(
@@ -203,13 +222,14 @@ def test_work(comm, names, first, each):
     """Only what is asked for is computed: transforms for the heights, once, and for each load."""
     grid = SlabGrid(comm, (24, 24))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(grid, heights, Elasticity(MODULUS), names=names)
+    observer = Observer(grid, heights, Elasticity(MODULUS), asked(names))
     assert grid.transforms == first
-    observer.row(solved(pressure))
-    observer.groups(solved(pressure))
+    contact = observer.contact(solved(pressure))
+    observer.row(contact)
+    observer.groups(contact)
     assert grid.transforms == first + each
-    asked = " ".join(observer.seconds).replace(" and ", " ").split()
-    assert sorted(asked) == sorted(names) and min(observer.seconds.values(), default=1) > 0
+    assert sorted(observer.seconds) == sorted(names) and min(observer.seconds.values(), default=1) > 0
+    assert each <= sum(observable.cost(contact.surface.cell, None).transforms for observable in asked(names))
 
 
 def test_memory(comm):
@@ -217,12 +237,12 @@ def test_memory(comm):
     tracemalloc.start()
     grid, solid = SlabGrid(comm, (512, 512)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 8, 0.05, 5)
-    observer = Observer(grid, heights, solid, names=OBSERVABLES, q_max=2 * np.pi / 8)
+    observer = Observer(grid, heights, solid, asked(NAMES), 2 * np.pi / 8)
     tracemalloc.reset_peak()
     solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-3)
     solving = tracemalloc.get_traced_memory()[1]
     tracemalloc.reset_peak()
-    observer.groups(solution)
+    observer.groups(observer.contact(solution))
     observing = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert grid.reduction.sum(solving) > 40 * grid.size  # heights, pressure, gap, strips and one more field: it counts
@@ -258,13 +278,13 @@ def test_row(comm):
     grid = SlabGrid(comm, (32, 48), (32.0, 24.0))
     heights = self_affine(grid, 0.5, 1, 0.07, 3)
     observer = Observer(grid, heights, Elasticity(MODULUS))
-    assert observer.rms_slope == pytest.approx(0.07, rel=1e-12)  # that of which the surface was made
+    assert observer.surface.rms_slope == pytest.approx(0.07, rel=1e-12)  # that of which the surface was made
     solution = solve_hard_wall(grid, heights, 0.01, Elasticity(MODULUS), 1e-3)
-    row = observer.row(solution)
+    row = observer.row(observer.contact(solution))
     assert row.keys() == schema.LOADS.keys()
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12)
-    nothing = observer.row(solve_hard_wall(grid, heights, 0.0, Elasticity(MODULUS)))
+    nothing = observer.row(observer.contact(solve_hard_wall(grid, heights, 0.0, Elasticity(MODULUS))))
     assert nothing["contact_area"] == nothing["contact_area_corrected"] == 0 and math.isnan(nothing["kappa"])
 
 
@@ -272,12 +292,12 @@ def test_patches_hold_the_contact(comm):
     """Areas add up to the contact area, loads to the load; labels are the numbers of the rows of the table."""
     grid = SlabGrid(comm, (24, 30), (24.0, 15.0))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(grid, heights, Elasticity(MODULUS), names=("patches",))
-    solution = solved(pressure)
-    table = comm.bcast(observer.groups(solution)["patches"])
-    assert table["area"].sum() == observer.area(solution).pixels * grid.pixel_area
+    observer = Observer(grid, heights, Elasticity(MODULUS), asked(["patches"]))
+    contact = observer.contact(solved(pressure))
+    table = comm.bcast(observer.groups(contact)["patches"])
+    assert table["area"].sum() == contact.area.pixels * grid.pixel_area
     assert table["load"].sum() == pytest.approx(grid.reduction.sum(pressure) * grid.pixel_area, rel=1e-14)
-    labels = grid.fetch(observer.label_field(solution), 0, 24)
+    labels = grid.fetch(contact.fields(("labels",), 8)["labels"], 0, 24)
     np.testing.assert_array_equal(np.bincount(labels.ravel())[1:] * grid.pixel_area, table["area"])
 
 
@@ -287,7 +307,7 @@ def test_patches_hold_the_contact(comm):
 @CASES
 def test_histograms_are_those_of_numpy(comm, shape, lengths):
     """Counts equal numpy.histogram of the contact points (pressures) and of the open points (gaps); densities too."""
-    found, pressure = observe(comm, shape, lengths, ("histogram",), histogram_bins=30), fields(shape)[1]
+    found, pressure = observe(comm, shape, lengths, ("histogram",), histogram={"bins": 30}), fields(shape)[1]
     contact = pressure[pressure > 0]
     for name in ("pressure_histogram", "pressure_histogram_log"):
         count, density, edges = (found[name][key] for key in ("count", "density", "edges"))
@@ -373,20 +393,28 @@ def test_lowpass_removes_short_waves(comm):
 
 
 def test_area_of_the_low_passed_surface(comm):
-    """f(q) of a 2-D sinusoid with a ripple that q leaves out is the sinusoid's own: A = 0.1905 at f = 0.1, to 0.003."""
+    """f(q) of a 2-D sinusoid with a ripple that q leaves out is the sinusoid's own: A = 0.1905 at f = 0.1, to 0.003.
+
+    That is the corrected area; the raw one is larger by the staircase.
+    """
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     heights = sinusoid(grid, 0.01, (1, 1)) + sinusoid(grid, 0.001, (40, 40))
     load = 0.1 * np.sqrt(2) * np.pi * MODULUS * 0.01
     q = 2 * np.pi * np.array([8.0, 30.0])  # on 64² and 256² points
 
-    def relax(at, smooth, start):
-        assert at.shape[0] < 512 and start is None
-        return solve_hard_wall(at, smooth, load, Elasticity(MODULUS), 1e-8)
+    def solve(at, smooth, mean_pressure, start):
+        assert at.shape[0] < 512 and start is None and mean_pressure == load
+        return solve_hard_wall(at, smooth, mean_pressure, Elasticity(MODULUS), 1e-8)
 
-    areas = lowpass_areas(grid, heights, q, relax)
-    assert coarsening(grid, q[0]) > coarsening(grid, q[1]) > 1
-    assert areas[1] == pytest.approx(0.1905, abs=0.003)
-    assert areas[0] == pytest.approx(0.1905, abs=0.01)
+    observer = Observer(grid, heights, Elasticity(MODULUS), asked(["lowpass"], lowpass={"q": q}), solve=solve)
+    nothing = np.zeros(grid.local_shape)
+    contact = observer.contact(dataclasses.replace(solved(nothing), mean_pressure=load))
+    found = observer.groups(contact)["lowpass_area"]
+    cell = contact.surface.cell
+    assert coarsening(cell, q[0]) > coarsening(cell, q[1]) > 1
+    assert found["area_corrected"][1] == pytest.approx(0.1905, abs=0.003)
+    assert found["area_corrected"][0] == pytest.approx(0.1905, abs=0.01)
+    assert np.all(found["area"] > found["area_corrected"])
 
 
 def test_area_is_that_of_the_finest_grid(comm):
@@ -396,19 +424,20 @@ def test_area_is_that_of_the_finest_grid(comm):
     """
     grid, solid = SlabGrid(comm, (256, 256)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
-    observer = Observer(grid, heights, solid, names=("lowpass",), lowpass_q=2 * np.pi / np.array([64, 32]))
-    found = observer.groups(solve_hard_wall(grid, heights, 0.01, solid, 1e-4))["lowpass_area"]
-    for q, area in zip(found["q"], found["area"], strict=True):
+    observer = Observer(grid, heights, solid, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
+    solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-4)
+    found = observer.groups(observer.contact(solution))["lowpass_area"]
+    for q, area in zip(found["q"], found["area_corrected"], strict=True):
         direct = solve_hard_wall(grid, lowpass(grid, heights, q), 0.01, solid, 1e-6)
         assert area == pytest.approx(contact_area(grid, direct.pressure).corrected, rel=0.02)
-    assert np.all(np.diff(found["area"]) < 0)
+    assert np.all(np.diff(found["area_corrected"]) < 0)
 
 
-def test_octaves(comm):
+def test_octaves():
     """Default cut-offs double from 2π/L and end at the surface's own, which is the surface itself."""
-    grid = SlabGrid(comm, (64, 32), (64.0, 32.0))
+    cell = Cell(n=(64, 32), length=(64.0, 32.0))
     for q, expected in ((12.8, [1, 2, 4, 8, 12.8]), (32, [1, 2, 4, 8, 16, 32]), (0.5, [1])):
-        np.testing.assert_allclose(octaves(grid, 2 * np.pi * q / 64) * 64 / (2 * np.pi), expected)
+        np.testing.assert_allclose(octaves(cell, 2 * np.pi * q / 64) * 64 / (2 * np.pi), expected)
 
 
 def test_area_of_the_whole_surface(comm):
@@ -416,14 +445,12 @@ def test_area_of_the_whole_surface(comm):
     grid, solid = SlabGrid(comm, (64, 64)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 1, 0.05, 5)
     solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-6)
-    before = solution.pressure.copy(), solution.gap.copy()
-
-    def relax(*problem, **keywords):
-        assert solution.gap is None  # its memory is there for this solution
-        return solve_hard_wall(*problem, elasticity=solid, tolerance=1e-4, **keywords)
-
-    observer = Observer(grid, heights, solid, names=("lowpass",), relax=relax)
-    found = observer.groups(solution)["lowpass_area"]
-    assert found["area"][-1] == observer.area(solution).corrected
-    assert np.all(found["area"][:-1] > found["area"][-1])
-    np.testing.assert_array_equal(before, (solution.pressure, solution.gap))
+    before = solution.pressure.copy(), solution.gap.copy(), heights.copy()
+    observer = Observer(grid, heights, solid, asked(["lowpass"]))
+    contact = observer.contact(solution)
+    found = observer.groups(contact)["lowpass_area"]
+    assert found["area"][-1] == contact.area.fraction
+    assert found["area_corrected"][-1] == contact.area.corrected
+    assert np.all(found["area_corrected"][:-1] > contact.area.corrected)
+    for was, now in zip(before, (solution.pressure, solution.gap, heights), strict=True):
+        np.testing.assert_array_equal(was, now)

@@ -6,6 +6,8 @@ import errno
 import subprocess
 import sys
 import tomllib
+import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -16,6 +18,7 @@ from pgfmd.io import atomic, hdf5_slabs, schema
 from pgfmd.io import writer as output
 from pgfmd.io.results import Results, summary
 from pgfmd.job import job
+from pgfmd.observables.table import LAYOUT
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -31,8 +34,9 @@ def writer(comm, folder, **options):
     effective = job.as_toml(job.parse(JOB))
     rows = slab(SHAPE[0], comm.size, comm.rank)
     return output.ResultWriter(
-        comm, folder, JOB, effective, "pgfmd run", shape=SHAPE, lengths=LENGTHS, rows=rows, loads=3, **options
-    )
+        comm, folder, JOB, effective, "pgfmd run", shape=SHAPE, lengths=LENGTHS, rows=rows, loads=3, layout=LAYOUT,
+        **options,
+    )  # fmt: skip
 
 
 def write_load(result, index, factor=1.0):
@@ -300,9 +304,63 @@ def test_missing_fields_and_loads_are_named(comm, shared_tmp_path):
 
 def test_schema_is_well_formed():
     """Every dataset of the format has a unit that formats and a description of one line."""
-    for table in (schema.LOADS, schema.FIELDS, *schema.GROUPS.values()):
-        for units, description in table.values():
-            assert units.format(length="m", pressure="Pa") and description.isprintable()
+    found = [entry for table in (schema.LOADS, schema.FIELDS) for entry in table.values()]
+    found += [(entry.unit, entry.description) for table in LAYOUT.values() for entry in table.values()]
+    for units, description in found:
+        assert units.format(length="m", pressure="Pa") and description.isprintable()
+
+
+def format_1(folder):
+    """Unpacks a run that the program wrote before format 2: 24 × 20 points, one load."""
+    with zipfile.ZipFile(Path(__file__).parent / "data" / "format_1.zip") as archive:
+        archive.extractall(folder)
+
+
+def check_format_1(load, pressure, height, threshold_area):
+    """The groups of that load obey the laws of the present format; rounding over 480 terms."""
+    spectra = {
+        "stress": pressure, "contact": (pressure > 0) * 1.0, "height": height,
+        "bearing": (height > load["bearing"]["threshold"]) * 1.0,
+    }  # fmt: skip
+    for name, field in spectra.items():
+        group = load[f"{name}_spectrum"]
+        power = np.abs(np.fft.fft2(field, norm="forward")) ** 2
+        kx, ky = (np.fft.fftfreq(n, 1 / n) for n in field.shape)
+        q = 2 * np.pi * np.hypot(kx[:, None] / 12, ky / 10)
+        inside = (q > group["edges"][0]) & (q <= group["edges"][-1])
+        assert group["count"].sum() == inside.sum()
+        assert np.sum(group["count"] * group["value"]) == pytest.approx(power[inside].sum(), rel=1e-11)
+    assert load["lowpass_area"].keys() == {"q", "area_corrected"}
+    assert load["lowpass_area"]["area_corrected"][-1] == threshold_area
+
+
+def test_format_1_is_read(comm, shared_tmp_path):
+    """Results of the version before: spectra come in the present normalisation, the corrected area under its name."""
+    if comm.rank == 0:
+        format_1(shared_tmp_path)
+    comm.Barrier()
+    read = Results(shared_tmp_path)
+    check_format_1(read.load(0), read.field("pressure", 0), read.field("height"), read.loads["contact_area_corrected"])
+
+
+def test_format_1_is_continued(comm, shared_tmp_path):
+    """A run of the version before that is continued is brought to the present format as a whole."""
+    if comm.rank == 0:
+        format_1(shared_tmp_path)
+    comm.Barrier()
+    old = Results(shared_tmp_path)
+    rows = slab(24, comm.size, comm.rank)
+    geometry = {"shape": (24, 20), "lengths": (12.0, 10.0), "rows": rows}
+    with output.ResultWriter(
+        comm, shared_tmp_path, "", old.provenance["effective_toml"], **geometry, restart=True, layout=LAYOUT
+    ) as result:
+        result.begin()
+    new = Results(shared_tmp_path)
+    assert new.provenance["format_version"] == schema.FORMAT_VERSION
+    check_format_1(new.load(0), new.field("pressure", 0), new.field("height"), new.loads["contact_area_corrected"])
+    expected = new.load(0)["stress_spectrum"]["value"]
+    with h5py.File(shared_tmp_path / "observables.h5", "r") as file:
+        np.testing.assert_array_equal(file["load_0000/stress_spectrum/value"][:], expected)
 
 
 def test_reading_needs_no_mpi():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pgfmd.errors import InputError
-from pgfmd.observables import spectra
+from pgfmd.observables.statistics import spectra
 
 # Square, odd, stretched, and a cell whose shorter side has fewer points
 GRIDS = [

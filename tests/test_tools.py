@@ -15,7 +15,7 @@ import pytest
 
 from pgfmd.errors import InputError
 from pgfmd.job import job as config
-from pgfmd.observables import spectra
+from pgfmd.observables.statistics import spectra
 
 ROOT = Path(__file__).resolve().parent.parent
 TOOLS = ROOT / "tools"

@@ -72,16 +72,16 @@ def _draw(sheet: Sheet, panel: int, case: Case, gamma: float, findings: Findings
         sheet.curve(
             panel,
             kept["q"] / case.wave_unit,
-            kept["area"],
+            kept["area_corrected"],
             "f(q), low-passed surface",
             color=ORANGE,
             marker="s",
             ls="--",
         )
-        numeric = np.exp(np.interp(np.log(q), np.log(kept["q"]), np.log(np.maximum(kept["area"], 1e-12))))
+        numeric = np.exp(np.interp(np.log(q), np.log(kept["q"]), np.log(np.maximum(kept["area_corrected"], 1e-12))))
         findings.add(f"ratio/f_numerical, {at}", (measured / numeric)[inner].mean())
         known = np.interp(kept["q"], q_height, theory)
-        findings.add(f"f_numerical/f_Persson at the shortest wave, {at}", kept["area"][-1] / known[-1])
+        findings.add(f"f_numerical/f_Persson at the shortest wave, {at}", kept["area_corrected"][-1] / known[-1])
     hurst = f"H = {case.hurst:g}, " if case.hurst is not None else ""
     sheet.label(panel, "waves per cell, qL/2π", "ratio to full contact, f(q)", hurst + title, scale="log",
                 legend="lower left" if panel == 0 else False)  # fmt: skip

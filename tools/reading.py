@@ -132,8 +132,7 @@ class Case:
             q_max = None if name == "gap" else self.q_limits[1]
             return rowblocks.radial_spectrum(self._blocks(name), *self._cell, q_max=q_max)
         kept = self.groups[f"{name}_spectrum"]
-        scale = 1.0 if name == "height" else float(np.prod(self.results.shape)) ** 2
-        return kept["q"], kept["value"] / scale, kept["count"]
+        return kept["q"], kept["value"], kept["count"]
 
     def correlation(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """r and ⟨f(0) f(r)⟩ averaged over direction; from the fields if the run did not keep it."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy import fft
 
-from pgfmd.observables import spectra
+from pgfmd.observables.statistics import spectra
 
 MEMORY = 2**27  # bytes of one block
 

@@ -12,14 +12,16 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.io.atomic import holder
+from pgfmd.io.formats import modern
 from pgfmd.io.schema import FIELDS, FIELDS_FILE, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
 
 
 class Results:
     """A result folder, also of a run that goes on or was broken off: whatever loads it has completed.
 
-    Reads the table of loads at once, everything else when asked for.  Raises InputError if the folder is missing, holds
-    no results, or was written in a newer format.
+    Reads the table of loads at once, everything else when asked for; what was written in an earlier format is given as
+    the present one has it.  Raises InputError if the folder is missing, holds no results, or was written in a newer
+    format.
     """
 
     def __init__(self, directory: str | os.PathLike):
@@ -69,7 +71,7 @@ class Results:
         """Cell (lx, ly)."""
         return tuple(float(length) for length in self.provenance["lengths"])
 
-    def load(self, index: int) -> Mapping[str, dict[str, np.ndarray]]:
+    def load(self, index: int) -> Mapping[str, Mapping[str, np.ndarray]]:
         """Curves and tables of one load, read when accessed: load(0)["stress_spectrum"]["q"]; -1 is the last load."""
         return _Groups(self, load_name(self._index(index)))
 
@@ -120,9 +122,10 @@ class _Groups(Mapping):
     def __init__(self, results: Results, name: str):
         self._results, self._name = results, name
 
-    def __getitem__(self, title: str) -> dict[str, np.ndarray]:
+    def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
         with self._results._open(OBSERVABLES_FILE) as file:
-            return {key: dataset[()] for key, dataset in file[self._name][title].items()}
+            table = {key: dataset[()] for key, dataset in file[self._name][title].items()}
+        return modern(title, table, self._results.provenance["format_version"], self._results.shape)
 
     def __iter__(self):
         with self._results._open(OBSERVABLES_FILE) as file:

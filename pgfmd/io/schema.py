@@ -1,14 +1,35 @@
-"""The result files in one table: every dataset's name, unit and description, for writer, readers and tests.
+"""The form of the result files: names, the types in which datasets are described, and the tables that every run writes.
 
-Units are written with {length} and {pressure}, which stand for the unit names that the job gives.
+What an observable writes is described in its own file (`observables/NAME.py`).  Units are written with {length} and
+{pressure}, which stand for the unit names that the job gives.
 """
 
 from __future__ import annotations
 
-FORMAT_VERSION = 1
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+FORMAT_VERSION = 2  # what earlier ones had otherwise: see `formats`
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One dataset of a group: its unit, what it is, and the names of its axes."""
+
+    unit: str
+    description: str
+    axes: tuple[str, ...] = ()
+
+
+Layout = Mapping[str, Mapping[str, Dataset]]
+"""What the groups of one load may hold: group → dataset → description."""
+Groups = Mapping[str, Mapping[str, np.ndarray]]
+"""The groups of one load: group → dataset → values."""
 
 # One row per load, in group `loads` of observables.h5, in this order.
 LOADS = {
@@ -32,79 +53,6 @@ FIELDS = {
     "displacement": ("{length}", "displacement of the solid's surface"),
     "labels": ("1", "number of the contact patch, counted from 1; 0: no contact"),
 }
-
-_SPECTRA = {
-    "stress": ("{pressure}^2", "stress spectrum |Σ σ exp(−iq·r)|², unnormalised transform"),
-    "contact": ("1", "contact spectrum |Σ Θ(σ) exp(−iq·r)|², unnormalised transform"),
-    "height": ("{length}^2", "height spectrum |h̃|², h̃ the Fourier coefficient (transform over N)"),
-    "cross": ("{pressure}*{length}", "cross spectrum Re h̃* σ̃ of height and stress, Fourier coefficients"),
-    "bearing": ("1", "spectrum of the bearing area, as contact_spectrum"),
-}
-_CORRELATIONS = {
-    "stress": ("{pressure}^2", "stress autocorrelation ⟨σ(r) σ(r')⟩"),
-    "contact": ("1", "contact autocorrelation ⟨Θ(σ(r)) Θ(σ(r'))⟩"),
-    "height": ("{length}^2", "height autocorrelation ⟨h(r) h(r')⟩"),
-    "bearing": ("1", "autocorrelation of the bearing area"),
-}
-_PATCHES = {
-    "area": ("{length}^2", "area"),
-    "load": ("{pressure}*{length}^2", "load"),
-    "perimeter": ("{length}", "perimeter along pixel edges"),
-    "mean_pressure": ("{pressure}", "mean pressure"),
-    "peak_pressure": ("{pressure}", "peak pressure"),
-    "extent_x": ("{length}", "extent in x, periodic"),
-    "extent_y": ("{length}", "extent in y, periodic"),
-    "percolates_x": ("1", "1 if connected to its own periodic image along x"),
-    "percolates_y": ("1", "1 if connected to its own periodic image along y"),
-}
-
-
-def _histogram(unit: str, what: str) -> dict[str, tuple[str, str]]:
-    return {
-        "edges": (unit, f"bin edges of {what}"),
-        "density": (f"1/({unit})", f"probability density of {what}, over all points; contact points for pressures"),
-        "count": ("1", "points in each bin"),
-    }
-
-
-# Groups of datasets of one load, in load_0000, load_0001, … of observables.h5.  Written: those asked for.
-GROUPS: dict[str, dict[str, tuple[str, str]]] = {
-    "pressure_histogram": _histogram("{pressure}", "the pressure"),
-    "pressure_histogram_log": _histogram("{pressure}", "the pressure, bins even in its logarithm"),
-    "gap_histogram": _histogram("{length}", "the gap"),
-    "pressure_moments": {"order": ("1", "n of ⟨σⁿ⟩_c / σ_c^n"), "value": ("1", "moments over contact, σ_c = p̄/f_c")},
-    "persson_fit": {
-        "width": ("{pressure}", "s of the one-parameter form N(σ; p̄, s) − N(σ; −p̄, s) that fits best"),
-        "residual": ("1", "rms deviation of the fit over the rms density"),
-    },
-    "bearing": {"threshold": ("{length}", "height above which the rigid surface has the same relative area f_c")},
-    "lowpass_area": {
-        "q": ("1/({length})", "cut-off wave number"),
-        "area": ("1", "relative contact area of the surface low-passed at q, same load"),
-    },
-    "history": {
-        "transforms": ("1", "work spent"),
-        "seconds": ("s", "wall time"),
-        "certified_error": ("1", "bound of the relative energy error at that point"),
-    },
-    "patches": _PATCHES,
-    "bearing_patches": _PATCHES,
-}
-for _name, (_unit, _what) in _SPECTRA.items():
-    GROUPS[f"{_name}_spectrum"] = {
-        "q": ("1/({length})", "mean wave number of the bin, radians per length"),
-        "value": (_unit, f"mean {_what}"),
-        "count": ("1", "modes in the bin, Hermitian weights included"),
-        "edges": ("1/({length})", "bin edges"),
-    }
-for _name, (_unit, _what) in _CORRELATIONS.items():
-    for _suffix, _how in (("", "averaged over direction"), ("_x", "along x"), ("_y", "along y")):
-        GROUPS[f"{_name}_acf{_suffix}"] = {
-            "r": ("{length}", "distance"),
-            "value": (_unit, f"{_what}, {_how}"),
-            "count": ("1", "points in the bin"),
-            "edges": ("{length}", "bin edges"),
-        }
 
 # What a unit name is in SI, for openPMD's unitSI; names not listed here are taken as arbitrary units of size 1.
 SI = {

@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +26,19 @@ from mpi4py import MPI
 from pgfmd.errors import InputError, Stopped
 from pgfmd.io import atomic, hdf5_slabs, provenance
 from pgfmd.io import restart as former
-from pgfmd.io.schema import FIELDS, FIELDS_FILE, FIELDS_FOLDER, GROUPS, LOADS, OBSERVABLES_FILE, SI, load_name
+from pgfmd.io.formats import modern
+from pgfmd.io.schema import (
+    FIELDS,
+    FIELDS_FILE,
+    FIELDS_FOLDER,
+    FORMAT_VERSION,
+    LOADS,
+    OBSERVABLES_FILE,
+    SI,
+    Groups,
+    Layout,
+    load_name,
+)  # fmt: skip
 from pgfmd.parallel.collectives import from_root, raise_together
 
 log = logging.getLogger("pgfmd")
@@ -39,7 +51,7 @@ class ResultWriter:
     shape (nx, ny), lengths (lx, ly) : of the global grid; rows : slice of global rows that this rank holds
     config_text, effective_toml, command, loads : kept as provenance (`loads`: how many are to be written)
     overwrite : replace results that are there; restart : continue them; otherwise they are refused
-    precision : "float64" or "float32", of real fields in the file
+    precision : "float64" or "float32", of real fields in the file;  layout : of the groups of a load
 
     Making one checks and locks the folder, and writes nothing: old results live until `begin` (or the first write).
     Raises InputError on all ranks if the folder cannot be written, is in use, or holds results not to be replaced.
@@ -64,10 +76,12 @@ class ResultWriter:
         precision: str = "float64",
         length_unit: str = "length",
         pressure_unit: str = "pressure",
+        layout: Layout | None = None,
     ):
         self.comm, self.directory = comm, Path(directory)
         self.shape, self.lengths, self.rows = tuple(shape), tuple(lengths), rows
         self.precision, self.unit_names = np.dtype(precision), {"length": length_unit, "pressure": pressure_unit}
+        self.layout = layout or {}
         self.collective = hdf5_slabs.is_collective(comm)
         self._job, self._overwrite, self._restart = (config_text, effective_toml, command, loads), overwrite, restart
         self._begun = False
@@ -135,12 +149,12 @@ class ResultWriter:
         self,
         index: int,
         row: dict[str, float],
-        groups: dict[str, dict[str, np.ndarray]] | None = None,
+        groups: Groups | None = None,
         fields: dict[str, np.ndarray] | None = None,
     ):
         """Write one completed load: fields first, then, at once, its row and groups.  Collective.
 
-        row : values of `schema.LOADS` (missing: NaN); groups : arrays of `schema.GROUPS`; both of rank 0 count
+        row : values of `schema.LOADS` (missing: NaN); groups : arrays that `layout` describes; both of rank 0 count
         fields : this rank's slabs (nx_local, ny), same names on all ranks
         Raises OSError on all ranks if it cannot be written.
         """
@@ -156,8 +170,7 @@ class ResultWriter:
                 del file[name]
             group = file.create_group(name)
             for title, table in (groups or {}).items():
-                for key, values in table.items():
-                    self._annotate(group.create_dataset(f"{title}/{key}", data=values), *GROUPS[title][key][::-1])
+                self._add_group(group, title, table)
             group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
         from_root(self.comm, self._revise_observables, add)
@@ -232,6 +245,8 @@ class ResultWriter:
                 self._annotate(
                     group.create_dataset(name, (0,), maxshape=(None,), chunks=(64,), **fill), description, units
                 )
+        else:
+            self._modernise(file)
         file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self._job[3])
 
@@ -251,6 +266,22 @@ class ResultWriter:
             group[name].resize((max(index + 1, len(group[name])),))
             if name in row:
                 group[name][index] = row[name]
+
+    def _add_group(self, load: h5py.Group, title: str, table: Mapping[str, np.ndarray]):
+        for key, values in table.items():
+            form = self.layout[title][key]
+            self._annotate(load.create_dataset(f"{title}/{key}", data=values), form.description, form.unit)
+
+    def _modernise(self, file: h5py.File):
+        """Bring the loads of an earlier format, which a run continues, to the present one."""
+        for name in (name for name in file if name.startswith("load_")):
+            for title in list(file[name]):
+                table = {key: dataset[()] for key, dataset in file[name][title].items()}
+                changed = modern(title, table, file.attrs["format_version"], self.shape)
+                if changed is not table:
+                    del file[name][title]
+                    self._add_group(file[name], title, changed)
+        file.attrs["format_version"] = FORMAT_VERSION
 
     def _annotate(self, dataset: h5py.Dataset, description: str, units: str):
         dataset.attrs.update(description=description, units=units.format(**self.unit_names))

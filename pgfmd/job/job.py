@@ -13,7 +13,8 @@ from typing import Any
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.job.sections import CONTROLS, LAWS, HardWall, Load, Output, Run, Solid, Solver, Wall
+from pgfmd.job.output import Output, Written
+from pgfmd.job.sections import CONTROLS, LAWS, HardWall, Load, Run, Solid, Solver, Wall
 from pgfmd.options import section as tables
 from pgfmd.options.section import Kinds, Section, build, wrong
 from pgfmd.options.text import guess, printable, show
@@ -31,7 +32,7 @@ class Job:
     wall: Wall = dataclasses.field(default_factory=HardWall)
     load: Load
     solver: Solver = dataclasses.field(default_factory=Solver)
-    output: Output = dataclasses.field(default_factory=Output)
+    output: Written = dataclasses.field(default_factory=Output)
     run: Run = dataclasses.field(default_factory=Run)
     text: str = dataclasses.field(default="", compare=False, repr=False)  # the TOML file as the user wrote it
 

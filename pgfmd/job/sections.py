@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import TRANSFORMS
-from pgfmd.options.rules import POSITIVE, choice, integer, many, number, text
+from pgfmd.options.rules import POSITIVE, choice, integer, many, number
 from pgfmd.options.section import Kinds, Section, key, wrong
 from pgfmd.options.text import show
 
@@ -151,70 +151,6 @@ class Solver(Section):
     tolerance: float = key(number(above=0, below=1), 1e-6)
     max_iterations: int = key(integer(1), 10000)
     transform: str = key(choice(*TRANSFORMS), "blocked")  # who transforms: blocks in cache, or the library mpi4py-fft
-
-
-@dataclass(frozen=True, kw_only=True)
-class Histogram(Section):
-    """Options of the pressure and gap histograms."""
-
-    where = "output.histogram"
-    bins: int = key(integer(1, 10**7), 200)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Spectra(Section):
-    """Options of the radially averaged spectra."""
-
-    where = "output.spectra"
-    spacing: str = key(choice("log", "linear"), "log")
-    bins: int = key(integer(1, 10**6), 20)  # per decade of |q| (log), or bins up to the largest |q| (linear)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Correlations(Section):
-    """Options of the autocorrelation functions."""
-
-    where = "output.acf"
-    spacing: str = key(choice("log", "linear"), "log")
-    bins: int = key(integer(1, 10**6), 20)  # per decade of |r| (log), or bins up to the largest |r| (linear)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Patches(Section):
-    """Options of the contact patches."""
-
-    where = "output.patches"
-    connectivity: int = key(choice(8, 4), 8)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lowpass(Section):
-    """Options of f(q), the contact area of the surface low-passed at q, at the same load."""
-
-    where = "output.lowpass"
-    q: tuple[float, ...] = key(many(POSITIVE), ())  # radians per length; empty: octaves from the cell to lambda_s
-
-
-FIELDS = ("height", "pressure", "gap", "displacement", "labels")
-OBSERVABLES = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Output(Section):
-    """What is written.  What is not asked for is not computed; option tables act on observables that are."""
-
-    where = "output"
-    fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), ())
-    observables: tuple[str, ...] = key(many(choice(*OBSERVABLES), distinct=True), ())
-    precision: str = key(choice("float64", "float32"), "float64")  # of the fields in the file
-    # Names that label the results.  Nothing is converted, but the heights of a file that says its own unit.
-    length_unit: str = key(text(), "length")
-    pressure_unit: str = key(text(), "pressure")
-    histogram: Histogram = key(Histogram)
-    spectra: Spectra = key(Spectra)
-    acf: Correlations = key(Correlations)
-    patches: Patches = key(Patches)
-    lowpass: Lowpass = key(Lowpass)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,49 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numpy as np
-from mpi4py import MPI
 
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.kernels import count_digits
+from pgfmd.grid.cell import Cell
+from pgfmd.io.schema import Dataset, Groups
+from pgfmd.observables.acf import acf_layout
+from pgfmd.observables.contact_patches import SHAPES, ContactPatches
+from pgfmd.observables.observable import Cost, Observable, spectrum_layout
 
-DIGIT = 16  # bits fixed in one pass over the field
+if TYPE_CHECKING:
+    from pgfmd.observables.solved_contact import SolvedContact
 
 
-def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> float:
-    """The height t above which exactly `count` points of the distributed field (nx_local, ny) lie: h > t.  Collective.
-
-    It is the largest height that does not count (below all heights if all do).  Where heights are equal no such t may
-    exist; then fewer points lie above.  The number is found digit by digit, in four passes that count how many heights
-    have each value of the next 16 bits: nothing is sorted, and nothing of the size of the field travels.
+@dataclass(frozen=True, kw_only=True)
+class Bearing(Observable):
+    """The height above which as many points of the surface lie as are in contact, and what the job asks to be measured
+    on the contact, measured on these points: spectrum, autocorrelations, patches, each if the observable of that name
+    is asked for.
     """
-    if not 0 <= count <= grid.size:
-        raise ValueError(f"{count} of {grid.size} points")
-    if count == grid.size:
-        return float(np.nextafter(grid.reduction.min(heights), -np.inf))
-    rank = grid.size - count - 1  # of the threshold, from the lowest height, 0
-    prefix = 0
-    keys = heights.view(np.int64)
-    for shift in range(64 - DIGIT, -1, -DIGIT):
-        counts = _count(grid, keys, prefix, shift)
-        below = np.cumsum(counts)
-        digit = int(np.searchsorted(below, rank, side="right"))
-        rank -= int(below[digit] - counts[digit])
-        prefix = prefix << DIGIT | digit
-    bits = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
-    return float(np.array(bits, np.uint64).view(np.float64))
 
+    name = "bearing"
+    where = "output.bearing"
+    layout = {
+        "bearing": {"threshold": Dataset("{length}", "height above which the surface has the relative area f_c")},
+        "bearing_spectrum": spectrum_layout("1", "|Θ̃|² of the bearing area (1 above the threshold, 0 below)"),
+        **acf_layout("bearing", "1", "autocorrelation of the bearing area"),
+        "bearing_patches": SHAPES,
+    }
 
-def _count(grid: SlabGrid, keys: np.ndarray, prefix: int, shift: int) -> np.ndarray:
-    """How many keys begin with the digits `prefix`, by the digit that follows: (2^16,) int64.  Collective."""
-    parts = []
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """A transform, if spectra or autocorrelations are asked for, and a mask."""
+        return Cost(transforms=1.0, memory=2.0)
 
-    def part(first: int, stop: int):
-        counts = np.zeros(1 << DIGIT, np.int64)
-        count_digits(keys, np.uint64(prefix), shift, first, stop, counts)
-        parts.append(counts)
+    def measure(self, contact: SolvedContact) -> Groups:
+        """Four passes over the heights for the threshold.  Collective."""
+        from pgfmd.observables.patches.labelling import label_patches
+        from pgfmd.observables.statistics.correlations import indicator
+        from pgfmd.observables.statistics.threshold import threshold_for_count
 
-    grid.threads.split(part, len(keys))
-    total = np.sum(parts, axis=0)
-    grid.comm.Allreduce(MPI.IN_PLACE, total)
-    return total
+        surface, heights, groups = contact.surface, contact.surface.heights, dict[str, Mapping[str, np.ndarray]]()
+        threshold = threshold_for_count(contact.grid, heights, contact.area.pixels)
+        if {"spectra", "acf"} & contact.asked.keys():
+            found = surface.correlate(indicator(heights, threshold))
+            if "spectra" in contact.asked:
+                groups["bearing_spectrum"] = surface.modes.means(found.power, "q")
+            groups |= surface.acf_groups("bearing", found)
+        patches = contact.asked.get("patches")
+        if isinstance(patches, ContactPatches):
+            labels = label_patches(contact.grid.comm, heights > threshold, contact.grid.starts, patches.connectivity)
+            groups["bearing_patches"] = contact.patches(labels, None)
+        return {"bearing": {"threshold": np.array(threshold)}, **groups}

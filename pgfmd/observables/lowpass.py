@@ -1,16 +1,21 @@
-"""f(q) numerically determined: the contact area of the surface low-passed at q, under the same load."""
+"""f(q) as solved: the contact area of the surface without its modes beyond q, under the same load."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transfer import restrict
-from pgfmd.observables.staircase import contact_area
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.grid.cell import Cell
+from pgfmd.io.schema import Dataset, Groups
+from pgfmd.observables.observable import Cost, Observable
+from pgfmd.options.rules import many, number
+from pgfmd.options.section import key
+
+if TYPE_CHECKING:
+    from pgfmd.observables.solved_contact import SolvedContact
 
 POINTS_PER_WAVE = 8
 """Grid points to the shortest wavelength that is left.  With the staircase correction the area is then within 1 % of
@@ -19,79 +24,79 @@ FEWEST_POINTS = 4
 """The same where more would take the full grid; the area is then within 2 %."""
 TOLERANCE = 1e-4
 """Certified error of the contacts that are solved: their area has converged to a few parts in 1e4."""
+TRANSFORMS = 30
+"""Work of one of these contacts, in transforms of the grid on which it is solved."""
+MEMORY = 60.0
+"""Bytes per point of the grid on which one of them is solved, heights, pressure and gap included."""
 
-Relax = Callable[..., ContactSolution]
-"""relax(grid, heights, start=None) solves the contact of heights (nx_local, ny) on a grid at the load in question, from
-a neighbour's pressure if one is given.  Collective."""
 
-
-def lowpass_areas(
-    grid: SlabGrid, heights: np.ndarray, cutoffs: np.ndarray, relax: Relax, start: np.ndarray | None = None
-) -> np.ndarray:
-    """Relative contact area, corrected for the staircase, of the surface without modes |q| > each cutoff.  Collective.
-
-    heights, start (nx_local, ny); cutoffs in radians per length.  Each surface is solved on the coarsest grid that
-    resolves it, from the one before on the same grid; on `grid` itself from `start`, so that no third field is kept.
+@dataclass(frozen=True, kw_only=True)
+class Lowpass(Observable):
+    """Contact areas of the surface low-passed at each q, at the same load, each solved on the coarsest grid that
+    resolves it.
     """
-    areas, levels = np.empty(len(cutoffs)), {}
-    for index, cutoff in enumerate(cutoffs):
-        levels.setdefault(coarsening(grid, cutoff), []).append(index)
-    for index in levels.pop(1, ()):
-        areas[index] = _area(grid, relax(grid, lowpass(grid, heights, cutoffs[index]), start=start))
-    finer = grid
-    for factor, indices in sorted(levels.items()):
-        coarse, before = grid.coarse(factor), None
-        heights = restrict(finer, coarse, heights)
-        if finer is not grid:
-            finer.free()
-        finer = coarse
-        for index in indices:
-            solution = relax(coarse, lowpass(coarse, heights, cutoffs[index]), start=before)
-            areas[index], before = _area(coarse, solution), solution.pressure
-    if finer is not grid:
-        finer.free()
-    return areas
+
+    name = "lowpass"
+    where = "output.lowpass"
+    layout = {
+        "lowpass_area": {
+            "q": Dataset("1/({length})", "cut-off wave number, radians per length", ("q",)),
+            "area": Dataset("1", "relative contact area f_c of the surface without modes beyond q", ("q",)),
+            "area_corrected": Dataset("1", "f_c without the pixel staircase, as contact_area_corrected", ("q",)),
+        }
+    }
+
+    # Radians per length; not given: doubled from the longest wave of the cell to the surface's shortest.
+    q: tuple[float, ...] = key(many(number(above=0)), ())
+
+    def cutoffs(self, cell: Cell, highest: float) -> np.ndarray:
+        """The wave numbers at which the surface is cut off; `highest`: its own largest."""
+        return np.array(self.q) if self.q else octaves(cell, highest)
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """That of the contacts solved on their coarser grids."""
+        highest = highest_wave_number(cell) if cutoff is None else cutoff
+        shares = [coarsening(cell, q) ** -2 for q in self.cutoffs(cell, highest) if is_lower(q, highest)]
+        return Cost(transforms=TRANSFORMS * sum(shares), memory=8 + MEMORY * max(shares, default=0))
+
+    def measure(self, contact: SolvedContact) -> Groups:
+        """Solves one contact for each q below the surface's own cut-off.  Collective."""
+        from pgfmd.observables.statistics.lowpass import lowpass_areas
+
+        surface, solution = contact.surface, contact.solution
+        highest = highest_wave_number(surface.cell) if surface.cutoff is None else surface.cutoff
+        cutoffs = self.cutoffs(surface.cell, highest)
+        areas = np.empty((len(cutoffs), 2))
+        areas[:] = contact.area.fraction, contact.area.corrected  # of the surface with all its modes
+        lower = [index for index, q in enumerate(cutoffs) if is_lower(q, highest)]
+        coarse = [(coarsening(surface.cell, cutoffs[index]), cutoffs[index]) for index in lower]
+        areas[lower] = lowpass_areas(surface.grid, surface.heights, coarse, contact.solve, solution.pressure)
+        return {"lowpass_area": {"q": cutoffs, "area": areas[:, 0], "area_corrected": areas[:, 1]}}
 
 
-def _area(grid: SlabGrid, solution: ContactSolution) -> float:
-    return contact_area(grid, solution.pressure).corrected
+def is_lower(cutoff: float, highest: float) -> bool:
+    """Whether a surface with modes up to `highest` has any beyond the cut-off."""
+    return cutoff < highest * (1 - 1e-9)
 
 
-def coarsening(grid: SlabGrid, cutoff: float) -> int:
-    """The largest power of two by which the grid may be coarsened so that waves up to `cutoff` are resolved."""
-    points = 2 * math.pi / (cutoff * max(grid.spacing)) * (1 + 1e-9)  # of `grid` to the shortest wave
-    factor = 1
-    while points >= 2 * factor * POINTS_PER_WAVE and min(grid.shape) >= 2 * factor * POINTS_PER_WAVE:
-        factor *= 2
-    return 2 if factor == 1 and points >= 2 * FEWEST_POINTS and min(grid.shape) >= 2 * POINTS_PER_WAVE else factor
-
-
-def highest_wave_number(grid: SlabGrid) -> float:
+def highest_wave_number(cell: Cell) -> float:
     """|q| beyond which a grid has no modes, that of its corners."""
-    return float(np.hypot(*(math.pi / step for step in grid.spacing)))
+    return math.hypot(*(math.pi / step for step in cell.steps))
 
 
-def lowpass(grid: SlabGrid, field: np.ndarray, cutoff: float) -> np.ndarray:
-    """The field (nx_local, ny) without its modes |q| > cutoff.  One transform.  Collective."""
-    out, limit = np.empty(grid.local_shape), (cutoff * (1 + 1e-9)) ** 2
-
-    def fill(first: int, stop: int, rows: np.ndarray):
-        rows[...] = field[first:stop]
-
-    def cut(block: np.ndarray, first: int, stop: int):
-        block[grid.qx**2 + grid.qy[first:stop] ** 2 > limit] = 0
-
-    def keep(first: int, stop: int, rows: np.ndarray):
-        np.divide(rows, float(grid.size), out=out[first:stop])
-
-    grid.convolve(fill, cut, keep)
-    return out
-
-
-def octaves(grid: SlabGrid, q_max: float) -> np.ndarray:
-    """Cut-offs doubled from the longest wave of the cell on, and last q_max."""
-    lowest = 2 * math.pi / max(grid.lengths)
-    if q_max <= lowest:
+def octaves(cell: Cell, highest: float) -> np.ndarray:
+    """Cut-offs doubled from the longest wave of the cell on, and last `highest`."""
+    lowest = 2 * math.pi / max(cell.lengths)
+    if highest <= lowest:
         return np.array([lowest])
-    cutoffs = lowest * 2.0 ** np.arange(max(math.ceil(math.log2(q_max / lowest) - 1e-9), 0) + 1)
-    return np.append(cutoffs[:-1], q_max)
+    cutoffs = lowest * 2.0 ** np.arange(max(math.ceil(math.log2(highest / lowest) - 1e-9), 0) + 1)
+    return np.append(cutoffs[:-1], highest)
+
+
+def coarsening(cell: Cell, cutoff: float) -> int:
+    """The largest power of two by which the grid may be coarsened so that waves up to `cutoff` are resolved."""
+    points = 2 * math.pi / (cutoff * max(cell.steps)) * (1 + 1e-9)  # of the full grid to the shortest wave
+    factor = 1
+    while points >= 2 * factor * POINTS_PER_WAVE and min(cell.shape) >= 2 * factor * POINTS_PER_WAVE:
+        factor *= 2
+    return 2 if factor == 1 and points >= 2 * FEWEST_POINTS and min(cell.shape) >= 2 * POINTS_PER_WAVE else factor

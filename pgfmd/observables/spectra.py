@@ -1,199 +1,54 @@
-"""Spectra and autocorrelations of doubly periodic fields, and their averages over direction.  NumPy and SciPy only.
-
-A field has shape (nx, ny) on a cell of lengths (lx, ly).  Its Fourier coefficients are f̃(q) = (1/N) Σ f(r) exp(−iq·r),
-N = nx·ny, so that Σ_q |f̃|² is the mean square of the field: this is the normalisation of every spectrum in this
-package and in the result files (N² times smaller than the square of an unnormalised transform).  Half spectra have
-shape (nx, ny//2+1), ky ≥ 0.
-
-The averages take blocks of modes or of points, in any layout, and return sums that may be added up over blocks and over
-ranks.
-"""
+"""Power spectra of stress, contact and heights, averaged over direction."""
 
 from __future__ import annotations
 
-import numpy as np
-from scipy import fft
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
+from pgfmd.io.schema import Groups
+from pgfmd.observables.observable import Cost, Observable, spectrum_layout
+from pgfmd.options.rules import choice, flag, integer
+from pgfmd.options.section import key
 
-HAIR = 1e-9
-"""Bin edges lie this much, relatively, above their nominal place: rounding cannot move a mode that lies on an edge."""
-
-BLOCK = 1 << 18
-"""Entries that are binned at a time: temporaries stay in the cache."""
-
-
-def wave_numbers(shape, lengths) -> tuple[np.ndarray, np.ndarray]:
-    """qx (nx, 1) in FFT order and qy (1, ny//2+1), ky ≥ 0, of a half spectrum; radians per length."""
-    (nx, ny), (lx, ly) = shape, lengths
-    return 2 * np.pi / lx * (fft.fftfreq(nx) * nx)[:, None], 2 * np.pi / ly * np.arange(ny // 2 + 1)[None, :]
+if TYPE_CHECKING:
+    from pgfmd.observables.solved_contact import SolvedContact
 
 
-def hermitian_weight(ny: int) -> np.ndarray:
-    """How many modes of the whole spectrum an entry of the half spectrum stands for: 1 or 2, shape (ny//2+1,)."""
-    weight = np.full(ny // 2 + 1, 2.0)
-    weight[0] = 1
-    if ny % 2 == 0:
-        weight[-1] = 1
-    return weight
+@dataclass(frozen=True, kw_only=True)
+class Spectra(Observable):
+    """Mean of |f̃(q)|² over the modes in each bin of |q|, for the pressure, the contact (1 in contact, 0 outside) and
+    the heights, and of Re h̃* σ̃.
 
-
-def power_spectrum(field) -> np.ndarray:
-    """|f̃|² of a real field (nx, ny): half spectrum (nx, ny//2+1), squared unit of the field."""
-    return np.abs(fft.rfft2(field, norm="forward")) ** 2
-
-
-def cross_spectrum(first, second) -> np.ndarray:
-    """Re(f̃ g̃*) of two real fields (nx, ny): half spectrum (nx, ny//2+1)."""
-    transformed = fft.rfft2(first, norm="forward")
-    return (transformed * np.conj(fft.rfft2(second, norm="forward"))).real
-
-
-def autocorrelation(field) -> np.ndarray:
-    """C(Δr) = ⟨f(r) f(r + Δr)⟩ over all r of the periodic field (nx, ny), same shape; C[0, 0] is the mean square."""
-    return fft.irfft2(power_spectrum(field), s=np.shape(field), norm="forward")
-
-
-def bin_edges(shape, lengths, spacing="log", *, per_decade=20, width=None, q_max=None) -> np.ndarray:
-    """Edges (m+1,) of narrow bins in |q| > 0 that hold every mode of the grid, or every one up to `q_max`.
-
-    "log": `per_decade` bins to a decade, the first centred on the smallest wave number of the cell; at small q, where
-    modes are sparse, each distinct |q| then has a bin of its own and bins between stay empty.  "linear": bins centred
-    on multiples of `width` (default: the smallest wave number), a wider one starting below the smallest.  With `q_max`
-    the last edge lies there, so that no average mixes in modes beyond (set it to the cut-off q_s).  The edges depend on
-    the arguments alone.  Radians per length.
-
-    :raises InputError: if `spacing` is neither, or a width, density or limit is not positive.
+    Fourier coefficients are f̃(q) = (1/N) Σ f(r) exp(−iq·r) over the N points, so that Σ |f̃|² over all modes is ⟨f²⟩.
     """
-    _require_positive(per_decade=per_decade, width=1 if width is None else width, q_max=1 if q_max is None else q_max)
-    lowest = 2 * np.pi / max(lengths)
-    highest = 2 * np.pi * np.hypot(*(n // 2 / length for n, length in zip(shape, lengths, strict=True)))
-    top = max(highest, lowest) if q_max is None else q_max
-    if spacing == "log":
-        count = int(np.ceil(max(per_decade * np.log10(top / lowest), 0) + 0.5))
-        edges = lowest * 10 ** ((np.arange(count + 1) - 0.5) / per_decade)
-    elif spacing == "linear":
-        width = lowest if width is None else width
-        edges = width * (np.arange(int(np.ceil(top / width + 0.5))) + 0.5)
-        edges = np.append(min(edges[0], lowest / 2), edges[1:] if edges.size > 1 else 1.5 * width)
-    else:
-        raise InputError(f'spacing = {spacing!r}: must be "log" or "linear"')
-    edges *= 1 + HAIR
-    if q_max is None:
-        return edges
-    return np.append(edges[edges < q_max], q_max * (1 + HAIR))
 
-
-def lag_edges(shape, lengths, width=None) -> np.ndarray:
-    """Edges (m+1,) of bins in the distance r, centred on multiples of `width` (default: the larger grid spacing).
-
-    The first bin holds r = 0 alone; the last one ends at half the shorter side of the cell, up to where circles are
-    whole.
-
-    :raises InputError: if `width` is not positive.
-    """
-    _require_positive(width=1 if width is None else width)
-    spacing = [length / n for n, length in zip(shape, lengths, strict=True)]
-    width = max(spacing) if width is None else width
-    half = min(lengths) / 2
-    edges = width * (np.arange(int(half / width) + 2) - 0.5)
-    edges[1] = min(width, *spacing) / 2
-    return np.append(edges[edges < half], half) * (1 + HAIR)
-
-
-def distances(shape, lengths, rows=slice(None)) -> np.ndarray:
-    """Distance of each grid point (rows, ny) from the point (0, 0), to the nearest periodic image."""
-    x, y = (np.minimum(np.arange(n), n - np.arange(n)) * (length / n) for n, length in zip(shape, lengths, strict=True))
-    return np.hypot(x[rows, None], y[None, :])
-
-
-def accumulate(edges, q, weight, *values) -> np.ndarray:
-    """Sums over a block of modes in each bin: rows Σw, Σ w q, and Σ w v for each of `values`; shape (2 + k, m).
-
-    `q`, `weight` and the values broadcast against each other in any layout (also |r| and an autocorrelation).  A mode
-    belongs to bin i if edges[i] < q ≤ edges[i+1]; those outside all bins, q = 0 among them, are left out.  Add up the
-    result over blocks or ranks and hand it to `radial_mean`.
-    """
-    q, weight, *values = np.broadcast_arrays(q, weight, *values)
-    count = len(edges) - 1
-    sums = np.zeros((2 + len(values), count))
-    step = max(1, BLOCK * len(q) // max(q.size, 1)) if q.ndim else 1
-    for start in range(0, len(q), step):
-        rows = slice(start, start + step)
-        index, block_weight = np.searchsorted(edges, q[rows].ravel()), weight[rows].ravel()
-        for total, value in zip(sums, (None, q, *values), strict=True):
-            terms = block_weight if value is None else block_weight * value[rows].ravel()
-            total += np.bincount(index, terms, minlength=count + 2)[1 : count + 1]
-    return sums
-
-
-def radial_mean(sums) -> tuple[np.ndarray, ...]:
-    """From the sums of `accumulate`: mean q, mean of each value and count of modes, for the m' bins that are not empty.
-
-    Returns (q, value, …, count), each of shape (m',).
-    """
-    sums = sums[:, sums[0] > 0]
-    return (*(sums[1:] / sums[0]), sums[0])
-
-
-def radial_average(power, shape, lengths, **bins) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of a half spectrum (nx, ny//2+1) over direction in the bins of `bin_edges(shape, lengths, **bins)`.
-
-    Returns q, value and the count of modes, each of shape (m,), empty bins left out.
-    """
-    edges, q = bin_edges(shape, lengths, **bins), np.hypot(*wave_numbers(shape, lengths))
-    return radial_mean(accumulate(edges, q, hermitian_weight(shape[1]), power))
-
-
-def radial_autocorrelation(correlation, lengths, width=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of an autocorrelation (nx, ny) over direction in the bins of `lag_edges`: r, value, count, each (m,)."""
-    shape = np.shape(correlation)
-    edges = lag_edges(shape, lengths, width)
-    return radial_mean(accumulate(edges, distances(shape, lengths), 1.0, correlation))
-
-
-def axis_autocorrelation(correlation, lengths, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """An autocorrelation (nx, ny) along one axis, from lag 0 to half the cell: lags (n//2+1,) and values (n//2+1,)."""
-    n = np.shape(correlation)[axis]
-    lags = np.arange(n // 2 + 1)
-    return lags * (lengths[axis] / n), np.take(correlation, 0, axis=1 - axis)[lags]
-
-
-def sum_rules(
-    fraction, mean_pressure, mean_square, contact_zero, stress_zero, contact_sum, stress_sum
-) -> dict[str, float]:
-    """Relative residuals of the exact sum rules that tie the spectra of contact and stress to real-space means.
-
-    From the contact area f_c, ⟨σ⟩ and ⟨σ²⟩ over the whole surface, the q = 0 entries of both spectra and their sums
-    over all modes.  The rules: C̃_c(0) = f_c², C̃_σ(0) = ⟨σ⟩², Σ C̃_c = f_c, Σ C̃_σ = ⟨σ²⟩, and, with m₂ = ⟨σ²⟩
-    f_c/⟨σ⟩², f_c Σ_{q≠0} C̃/C̃(0) = 1 − f_c for contact and m₂ − f_c for stress.  Without contact all residuals are
-    zero.
-    """
-    if fraction == 0 or mean_pressure == 0:
-        return {f"{field}_{rule}": 0.0 for field in ("contact", "stress") for rule in ("zero", "sum", "rest")}
-    m2 = mean_square * fraction / mean_pressure**2
-    return {
-        "contact_zero": contact_zero / fraction**2 - 1,
-        "stress_zero": stress_zero / mean_pressure**2 - 1,
-        "contact_sum": contact_sum / fraction - 1,
-        "stress_sum": stress_sum / mean_square - 1,
-        "contact_rest": fraction * (contact_sum - contact_zero) / contact_zero - (1 - fraction),
-        "stress_rest": (fraction * (stress_sum - stress_zero) / stress_zero - (m2 - fraction)) / m2,
+    name = "spectra"
+    where = "output.spectra"
+    layout = {
+        "stress_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure"),
+        "contact_spectrum": spectrum_layout("1", "|Θ̃|² of the contact"),
+        "height_spectrum": spectrum_layout("{length}^2", "|h̃|² of the heights"),
+        "cross_spectrum": spectrum_layout("{pressure}*{length}", "Re h̃* σ̃ of heights and pressure"),
     }
 
+    spacing: str = key(choice("log", "linear"), "log")  # of the bins
+    bins: int = key(integer(1, 10**6), 20)  # per decade of |q| (log), or bins up to the largest |q| (linear)
+    # The bins end at the surface's shortest wave, q_s = 2π/lambda_s, unless this is true; then they hold every mode of
+    # the grid.
+    all_modes: bool = key(flag(), False)
 
-def field_sum_rules(pressure) -> dict[str, float]:
-    """`sum_rules` of a pressure field (nx, ny) with exact zeros outside contact."""
-    pressure = np.asarray(pressure, float)
-    contact = (pressure > 0).astype(float)
-    weight = hermitian_weight(pressure.shape[1])
-    spectra = [power_spectrum(field) for field in (contact, pressure)]
-    zeros, sums = [s[0, 0] for s in spectra], [np.sum(weight * s) for s in spectra]
-    return sum_rules(contact.mean(), pressure.mean(), np.mean(pressure**2), *zeros, *sums)
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """A forward transform each for the pressure, the contact, and both heights and pressure."""
+        return Cost(transforms=1.5)
 
-
-def _require_positive(**numbers):
-    """:raises InputError: naming the first of the numbers that is not positive and finite."""
-    for name, number in numbers.items():
-        if not 0 < number < np.inf:
-            raise InputError(f"{name} = {number:g}: must be positive and finite")
+    def measure(self, contact: SolvedContact) -> Groups:
+        """Shares its transforms with the autocorrelations.  Collective."""
+        modes = contact.surface.modes
+        power = {
+            "stress": contact.stress.power,
+            "contact": contact.indicator.power,
+            "height": contact.surface.correlations.power,
+            "cross": contact.cross_power,
+        }
+        return {f"{name}_spectrum": modes.means(sums, "q") for name, sums in power.items()}

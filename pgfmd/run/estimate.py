@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from pgfmd.job.job import Job
+from pgfmd.observables.observable import Cost
 
 # The arrays that live at the peak of a run, in bytes per grid point, summed over ranks.
 ARRAYS = {
@@ -28,6 +29,7 @@ EXPONENTIAL = {
     "targets and their sums": 34,
     "rows of the coarse grid": 6,
 }
+MEASURING = 32.0  # heights, pressure, gap and strips, while an observable is measured
 PER_RANK = 6e6  # bytes: blocks of the transforms
 
 # What a solve to the default tolerance takes, in forward + backward transforms of double precision (the hard wall does
@@ -55,7 +57,7 @@ def estimate(job: Job, ranks: int) -> Estimate:
     width = 4 if job.output.precision == "float32" else 8
     fields = sum(1 if name == "height" else loads for name in job.output.fields)
     solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_AREA)
-    work = TRANSFORMS[job.wall.kind] * solves + 2 * len(job.output.observables) * loads
+    work = TRANSFORMS[job.wall.kind] * solves + sum(cost.transforms for cost in costs(job)) * loads
     return Estimate(
         memory=bytes_per_point(job) * rows * job.grid.n[1] + PER_RANK,
         files=fields * points * width,
@@ -64,11 +66,18 @@ def estimate(job: Job, ranks: int) -> Estimate:
 
 
 def bytes_per_point(job: Job) -> float:
-    """Bytes per grid point at the peak, over all ranks."""
+    """Bytes per grid point at the peak, over all ranks: while a load is solved, or an observable measured."""
     if job.wall.kind == "exponential":
-        return sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
-    sets = (PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area) for area in contact_areas(job))
-    return sum(ARRAYS.values()) + sum(HARD.values()) + max(sets)
+        solving = sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
+    else:
+        sets = (PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area) for area in contact_areas(job))
+        solving = sum(ARRAYS.values()) + sum(HARD.values()) + max(sets)
+    return max(solving, MEASURING + max((cost.memory for cost in costs(job)), default=0.0))
+
+
+def costs(job: Job) -> list[Cost]:
+    """What the observables that are asked for cost, for one load."""
+    return [observable.cost(job.grid, job.surface.cutoff(job.grid)) for observable in job.output.asked]
 
 
 def contact_areas(job: Job) -> list[float]:

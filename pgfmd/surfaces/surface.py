@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -35,6 +36,11 @@ class Surface(Section):
     def shortest_wavelength(self, cell: Cell) -> float:
         """Wavelength (length) below which the spectrum is zero; 0 if every mode of the grid may count."""
         return 0.0
+
+    def cutoff(self, cell: Cell) -> float | None:
+        """Wave number beyond which the spectrum is zero; None if every mode of the grid may count."""
+        shortest = self.shortest_wavelength(cell)
+        return 2 * math.pi / shortest if shortest else None
 
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         """Heights (nx_local, ny) in units of length, float64.  Collective.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.kernels import count_edges
+from pgfmd.observables.statistics.kernels import count_edges
 
 STAIRCASE = (math.pi - 1 + math.log(2)) / 24
 """Area per pixel edge, in pixels, by which counting pixels errs on average: Yastrebov, Anciaux, Molinari (2017),

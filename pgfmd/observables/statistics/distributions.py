@@ -12,7 +12,7 @@ import numpy as np
 from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.kernels import histogram, positive_range, power_sums
+from pgfmd.observables.statistics.kernels import histogram, positive_range, power_sums
 from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this

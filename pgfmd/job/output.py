@@ -1,0 +1,42 @@
+"""The section [output] of a job: fields, units, and a table of options for each observable.  No MPI here."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+from pgfmd.io.schema import FIELDS
+from pgfmd.observables.contact_patches import ContactPatches
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.table import OBSERVABLES
+from pgfmd.options.rules import choice, many, text
+from pgfmd.options.section import Section, key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written(Section):
+    """What is written.  What is not asked for is not computed; option tables act on observables that are."""
+
+    where = "output"
+    fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), ())
+    observables: tuple[str, ...] = key(many(choice(*OBSERVABLES), distinct=True), ())
+    precision: str = key(choice("float64", "float32"), "float64")  # of the fields in the file
+    # Names that label the results.  Nothing is converted, but the heights of a file that says its own unit.
+    length_unit: str = key(text(), "length")
+    pressure_unit: str = key(text(), "pressure")
+
+    @property
+    def asked(self) -> list[Observable]:
+        """The observables that are measured, with their options."""
+        return [getattr(self, name) for name in self.observables]
+
+    @property
+    def connectivity(self) -> int:
+        """Of contact patches, in their table and in the field of labels."""
+        patches: ContactPatches = getattr(self, ContactPatches.name)
+        return patches.connectivity
+
+
+# Written with one more key for each observable, the table [output.NAME].
+TABLES = [(name, kind, key(kind)) for name, kind in OBSERVABLES.items()]
+Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), frozen=True, kw_only=True)

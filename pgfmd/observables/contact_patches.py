@@ -1,0 +1,49 @@
+"""The contact patches: connected sets of grid points in contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pgfmd.grid.cell import Cell
+from pgfmd.io.schema import Dataset, Groups
+from pgfmd.observables.observable import Cost, Observable
+from pgfmd.options.rules import choice
+from pgfmd.options.section import key
+
+if TYPE_CHECKING:
+    from pgfmd.observables.solved_contact import SolvedContact
+
+PATCH = ("patch",)
+SHAPES = {
+    "area": Dataset("{length}^2", "area", PATCH),
+    "perimeter": Dataset("{length}", "perimeter along pixel edges", PATCH),
+    "extent_x": Dataset("{length}", "extent in x, periodic", PATCH),
+    "extent_y": Dataset("{length}", "extent in y, periodic", PATCH),
+    "percolates_x": Dataset("1", "1 if connected to its own periodic image along x", PATCH),
+    "percolates_y": Dataset("1", "1 if connected to its own periodic image along y", PATCH),
+}
+LOADS = {
+    "load": Dataset("{pressure}*{length}^2", "load", PATCH),
+    "mean_pressure": Dataset("{pressure}", "mean pressure", PATCH),
+    "peak_pressure": Dataset("{pressure}", "peak pressure", PATCH),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPatches(Observable):
+    """A table of the contact patches, one entry each, in the order of the numbers in the field `labels`."""
+
+    name = "patches"
+    where = "output.patches"
+    layout = {"patches": {**SHAPES, **LOADS}}
+
+    connectivity: int = key(choice(8, 4), 8)  # 8: points are neighbours over edges and corners; 4: over edges only
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """A mask and the runs of points in contact in each row."""
+        return Cost(memory=2.0)
+
+    def measure(self, contact: SolvedContact) -> Groups:
+        """The table on rank 0, empty elsewhere.  Collective."""
+        return {"patches": contact.patches(contact.labels(self.connectivity), contact.solution.pressure)}

@@ -1,0 +1,72 @@
+"""`Observable`: what each observable says of itself.
+
+One file for each in this folder, and one line in `table`.  These files are read by `pgfmd check` and by serial tools,
+which have neither MPI nor compiled loops: what needs them is imported inside `measure`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from pgfmd.grid.cell import Cell
+from pgfmd.io.schema import Dataset, Groups, Layout
+from pgfmd.options.section import Section
+
+if TYPE_CHECKING:
+    from pgfmd.observables.solved_contact import SolvedContact
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one load costs: transforms (forward and backward, double precision), and memory in bytes per grid point
+    beside that of the heights, the pressure and the gap.
+    """
+
+    transforms: float = 0.0
+    memory: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observable(Section):
+    """Something that is measured on each solved contact.  Its fields are the keys of the table [output.NAME].
+
+    name: by which the job asks for it.  layout: the groups of datasets that it may write; a dataset whose name is that
+    of an axis holds the coordinates of this axis.
+    """
+
+    name: ClassVar[str]
+    layout: ClassVar[Layout]
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """What measuring one load costs, at most (what several observables need is computed once).
+
+        cutoff: wave number beyond which the surface has no modes; None: it has all of the grid's.
+        """
+        return Cost()
+
+    def measure(self, contact: SolvedContact) -> Groups:
+        """The results, complete on rank 0.  Collective."""
+        raise NotImplementedError
+
+
+def spectrum_layout(unit: str, what: str) -> dict[str, Dataset]:
+    """The datasets of a spectrum averaged over direction: q, value and count of the bins that hold modes, edges of all
+    bins.
+    """
+    return {
+        "q": Dataset("1/({length})", "mean wave number of the bin, radians per length", ("q",)),
+        "value": Dataset(unit, f"mean {what}", ("q",)),
+        "count": Dataset("1", "modes in the bin, of all directions", ("q",)),
+        "edges": Dataset("1/({length})", "edges of all bins", ("edge",)),
+    }
+
+
+def correlation_layout(unit: str, what: str) -> dict[str, Dataset]:
+    """The datasets of an autocorrelation: r, value and count of the bins that hold points, edges of all bins."""
+    return {
+        "r": Dataset("{length}", "mean distance of the points in the bin", ("r",)),
+        "value": Dataset(unit, what, ("r",)),
+        "count": Dataset("1", "points in the bin", ("r",)),
+        "edges": Dataset("{length}", "edges of all bins", ("edge",)),
+    }

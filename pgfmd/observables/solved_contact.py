@@ -1,0 +1,110 @@
+"""`SolvedContact`: what several observables need of one solved contact, each computed when it is first needed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgfmd.grid.callbacks import source
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.patches.labelling import Labels, label_patches
+from pgfmd.observables.patches.table import patch_table
+from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.observables.statistics.correlations import Correlations, correlate, indicator
+from pgfmd.observables.statistics.staircase import Area, contact_area
+from pgfmd.options.section import Section
+from pgfmd.solvers.solution import ContactSolution
+
+Solve = Callable[[SlabGrid, np.ndarray, float, np.ndarray | None], ContactSolution]
+"""(grid, heights, mean pressure, pressure to start from or None) → the contact of other heights, same solid and
+wall.
+"""
+
+
+@dataclass(frozen=True)
+class SolvedContact:
+    """One load of a run.  Every property and method is collective on first use.
+
+    asked: the observables that are measured, by name
+    """
+
+    surface: RoughSurface
+    solution: ContactSolution
+    asked: Mapping[str, Section]
+    solver: Solve
+
+    @property
+    def grid(self) -> SlabGrid:
+        """The grid of the fields."""
+        return self.surface.grid
+
+    @cached_property
+    def area(self) -> Area:
+        """Contact area, raw and corrected."""
+        return contact_area(self.grid, self.solution.pressure)
+
+    @cached_property
+    def stress(self) -> Correlations:
+        """Spectrum, and autocorrelation if one is asked for, of the pressure."""
+        return self.surface.correlate(source(self.solution.pressure))
+
+    @cached_property
+    def indicator(self) -> Correlations:
+        """The same of the contact: 1 in contact, 0 outside."""
+        return self.surface.correlate(indicator(self.solution.pressure, 0.0))
+
+    @cached_property
+    def cross_power(self) -> np.ndarray:
+        """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃: one forward
+        transform, and no spectrum is kept.
+
+        α makes both fields equally large, so that little is lost in the difference.
+        """
+        stress, height = self.stress.power, self.surface.correlations.power
+        alpha = math.sqrt(stress[1:].sum() / (height[1:].sum() or math.inf))
+        if alpha == 0:
+            return np.zeros_like(stress)
+        heights, pressure = self.surface.heights, self.solution.pressure
+
+        def both(first: int, stop: int, rows: np.ndarray) -> None:
+            np.multiply(heights[first:stop], alpha, out=rows)
+            rows += pressure[first:stop]
+
+        return (correlate(self.grid, both, self.surface.modes).power - stress - alpha**2 * height) / (2 * alpha)
+
+    def labels(self, connectivity: int) -> Labels:
+        """The contact patches."""
+        if connectivity not in self._labels:
+            mask = self.solution.pressure > 0
+            self._labels[connectivity] = label_patches(self.grid.comm, mask, self.grid.starts, connectivity)
+        return self._labels[connectivity]
+
+    @cached_property
+    def _labels(self) -> dict[int, Labels]:
+        return {}
+
+    def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
+        """The table of patches on rank 0, empty elsewhere."""
+        table = patch_table(labels, self.grid.spacing, pressure)
+        return {} if table is None else {name: column for name, column in vars(table).items() if column is not None}
+
+    def solve(self, grid: SlabGrid, heights: np.ndarray, start: np.ndarray | None) -> ContactSolution:
+        """The contact of other heights, which may be overwritten, under the same load."""
+        return self.solver(grid, heights, self.solution.mean_pressure, start)
+
+    def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:
+        """The fields (nx_local, ny) of `schema.FIELDS` of this load that are named."""
+        fields = {}
+        for name in names:
+            if name in ("pressure", "gap"):
+                fields[name] = getattr(self.solution, name)
+            elif name == "displacement":
+                position = self.solution.gap + self.surface.heights
+                fields[name] = position - self.grid.reduction.sum(position) / self.grid.size
+            elif name == "labels":
+                fields[name] = self.labels(connectivity).label_field()
+        return fields

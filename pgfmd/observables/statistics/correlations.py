@@ -1,0 +1,171 @@
+"""Spectra and autocorrelations of distributed fields, averaged over direction, without any array of their size.
+
+A field passes through the grid's transform in blocks; each block of modes is squared and summed into bins while it is
+in the cache, and goes back to real space as the autocorrelation, which is summed into bins row by row.  One forward
+transform gives a spectrum, one more backward the autocorrelation too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_in_place
+from pgfmd.observables.statistics.spectra import HAIR, bin_edges, lag_edges
+
+
+@dataclass(frozen=True)
+class Correlations:
+    """Second-order statistics of one field f; the same on all ranks.  f̃(q) = (1/N) Σ_r f(r) exp(−iq·r)."""
+
+    power: np.ndarray  # Σ |f̃|² over the modes of q = 0 (and below the first edge), each bin, and beyond: (m + 2,)
+    acf: np.ndarray | None = None  # Σ C(Δr) over the points of each bin of lags: (k + 2,)
+    acf_x: np.ndarray | None = None  # C(Δx, 0): (nx//2 + 1,)
+    acf_y: np.ndarray | None = None  # C(0, Δy): (ny//2 + 1,)
+
+
+class Rings:
+    """Bins of ρ = √(along[i] + across[j]) for the entries (j, i) of a distributed array.  Collective to make.
+
+    Bin b holds edges[b] < ρ ≤ edges[b+1].
+    along (n,), across (this rank's rows,): squares;  weight: how many entries one of row j stands for.
+    Sums over bins have shape (edges + 1,): the first is what lies below the first edge, the last what is beyond.
+    """
+
+    def __init__(self, grid: SlabGrid, along: np.ndarray, across: np.ndarray, weight: np.ndarray, edges: np.ndarray):
+        self.comm, self.along, self.across, self.weight = grid.comm, along, across, np.ascontiguousarray(weight)
+        self.edges = np.asarray(edges)
+        self._squares = np.sign(edges) * np.square(edges)
+        counts, roots = {}, {}
+
+        def part(first: int, stop: int) -> None:
+            counts[first], roots[first] = np.zeros((2, len(edges) + 1))
+            rows = across[first:stop], self.weight[first:stop]
+            bin_geometry(along, *rows, self._squares, counts[first], roots[first])
+
+        grid.threads.split(part, len(across))
+        self.count, self.roots = self.total(counts), self.total(roots)
+
+    def sums(self, values: np.ndarray, first: int, stop: int) -> np.ndarray:
+        """Weighted sums over the bins of rows first … stop − 1 of this rank, values (stop − first, n)."""
+        out = np.zeros(len(self.edges) + 1)
+        bin_rows(values, self.along, self.across[first:stop], self.weight[first:stop], self._squares, out)
+        return out
+
+    def total(self, parts: dict[int, np.ndarray]) -> np.ndarray:
+        """Sum of the parts over blocks, in their order whatever thread made them, and over the ranks.  Collective."""
+        out = np.sum([np.zeros(len(self.edges) + 1), *(parts[first] for first in sorted(parts))], axis=0)
+        self.comm.Allreduce(MPI.IN_PLACE, out)
+        return out
+
+    def means(self, sums: np.ndarray, place: str) -> dict[str, np.ndarray]:
+        """Means over the bins that hold something: mean ρ under the name `place`, value, count; and edges of all
+        bins.
+        """
+        inner = slice(1, len(self.edges))
+        filled = self.count[inner] > 0
+        count, roots, sums = (entry[inner][filled] for entry in (self.count, self.roots, sums))
+        return {place: roots / count, "value": sums / count, "count": count, "edges": self.edges}
+
+
+def mode_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
+    """Bins of |q| for the modes of a grid.  Collective."""
+    return Rings(grid, grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0], edges)
+
+
+def lag_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
+    """Bins of the periodic distance |Δr| for the points of a grid.  Collective."""
+    x, y = (_fold(n) * step for n, step in zip(grid.shape, grid.spacing, strict=True))
+    return Rings(grid, y**2, x[grid.rows] ** 2, np.ones(grid.local_shape[0]), edges)
+
+
+def correlate(
+    grid: SlabGrid, fill: Rows, modes: Rings, lags: Rings | None = None, watch: Columns | None = None
+) -> Correlations:
+    """Spectrum, and with `lags` autocorrelation ⟨f(r) f(r + Δr)⟩, of the field whose rows `fill` makes.  Collective.
+
+    One forward transform, and one backward for the autocorrelation.
+    watch(power, first, stop) sees each block N²|f̃|² (stop − first, nx), on any thread.
+    """
+    square_size = float(grid.size) ** 2
+    power: dict[int, np.ndarray] = {}
+
+    def square(block: np.ndarray, first: int, stop: int) -> None:
+        parts = block.view(np.float64).reshape(*block.shape, 2)
+        power_in_place(parts)
+        power[first] = modes.sums(parts[..., 0], first, stop)
+        if watch is not None:
+            watch(parts[..., 0], first, stop)
+
+    if lags is None:
+        grid.read_spectrum(fill, square)
+        return Correlations(modes.total(power) / square_size)
+    sums: dict[int, np.ndarray] = {}
+    column, row = np.empty(grid.local_shape[0]), np.empty(grid.shape[1])
+
+    def collect(first: int, stop: int, rows: np.ndarray) -> None:
+        rows /= square_size
+        sums[first] = lags.sums(rows, first, stop)
+        column[first:stop] = rows[:, 0]
+        if first == 0:
+            row[:] = rows[0]
+
+    grid.convolve(fill, square, collect)
+    grid.comm.Bcast(row)  # that of rank 0, which holds Δx = 0
+    (nx, ny), counts = grid.shape, np.diff(grid.starts)
+    along_x = np.empty(nx)
+    grid.comm.Allgatherv(column, [along_x, counts])
+    return Correlations(
+        modes.total(power) / square_size, lags.total(sums), along_x[: nx // 2 + 1], row[: ny // 2 + 1]
+    )  # fmt: skip
+
+
+def along_axis(grid: SlabGrid, values: np.ndarray, axis: int) -> dict[str, np.ndarray]:
+    """An autocorrelation along an axis as r, value, count and edges, one point in each bin of one grid spacing."""
+    step = grid.spacing[axis]
+    steps = np.arange(len(values) + 1)
+    return {"r": steps[:-1] * step, "value": values, "count": np.ones(len(values)), "edges": (steps - 0.5) * step}
+
+
+def indicator(field: np.ndarray, threshold: float) -> Rows:
+    """Fills blocks of rows with 1 where the field is above the threshold, and 0 elsewhere."""
+
+    def fill(first: int, stop: int, rows: np.ndarray) -> None:
+        np.greater(field[first:stop], threshold, out=rows)
+
+    return fill
+
+
+def _fold(n: int) -> np.ndarray:
+    """Periodic distances of the points 0 … n−1 from point 0, in grid spacings."""
+    return np.minimum(np.arange(n), n - np.arange(n)).astype(float)
+
+
+def wave_number_bins(grid: SlabGrid, spacing: str = "log", bins: int = 20, q_max: float | None = None) -> np.ndarray:
+    """Edges (m + 1,) of bins in |q|: `bins` to a decade ("log") or in all up to the largest |q| or q_max ("linear").
+
+    Raises InputError for another spacing.
+    """
+    if spacing == "linear":
+        top = np.hypot(*(np.pi * (n // 2 * 2) / length for n, length in zip(grid.shape, grid.lengths, strict=True)))
+        top = top if q_max is None else min(q_max, top)
+        return bin_edges(grid.shape, grid.lengths, "linear", width=top / bins or 1.0, q_max=q_max)
+    return bin_edges(grid.shape, grid.lengths, spacing, per_decade=bins, q_max=q_max)
+
+
+def lag_bins(grid: SlabGrid, spacing: str = "log", bins: int = 20) -> np.ndarray:
+    """Edges (k + 1,) of bins in distance, up to half the shorter side: `bins` to a decade, or in all ("linear").
+
+    The first bin holds Δr = 0 alone.  Raises InputError for another spacing.
+    """
+    half, step = min(grid.lengths) / 2, min(grid.spacing)
+    if spacing != "log":
+        return lag_edges(grid.shape, grid.lengths, half / bins)
+    count = max(int(np.ceil(bins * np.log10(half / step) + 0.5)), 0)
+    edges = step * 10 ** ((np.arange(count + 1) - 0.5) / bins)
+    edges = np.concatenate([[-edges[0], min(edges[0], step / 2)], edges[1:]]) if len(edges) > 1 else np.array([-half])
+    return np.append(edges[edges < half], half) * (1 + HAIR)

@@ -1,0 +1,62 @@
+"""Contacts of a surface without its short waves, solved on the coarsest grids that resolve them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pgfmd.grid.callbacks import source
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import restrict
+from pgfmd.observables.statistics.staircase import contact_area
+from pgfmd.solvers.solution import ContactSolution
+
+Solve = Callable[[SlabGrid, np.ndarray, np.ndarray | None], ContactSolution]
+"""(grid, heights, pressure to start from or None) → contact of these heights, which may be overwritten.  Collective."""
+
+
+def lowpass_areas(
+    grid: SlabGrid, heights: np.ndarray, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
+) -> np.ndarray:
+    """Relative contact area, raw and corrected for the staircase, without modes |q| > each cutoff: (cutoffs, 2).
+    Collective.
+
+    heights (nx_local, ny);  cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per
+    length
+    start: a pressure (nx_local, ny), for contacts on the full grid; those on a coarser one start from each other
+    """
+    areas, levels = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
+    for index, (factor, _) in enumerate(cutoffs):
+        levels.setdefault(factor, []).append(index)
+    fine = grid
+    for factor, indices in sorted(levels.items()):
+        coarse, before = grid, start
+        if factor > 1:
+            coarse, before = grid.coarse(factor), None
+            heights = restrict(fine, coarse, heights)
+            if fine is not grid:
+                fine.free()
+            fine = coarse
+        for index in indices:
+            solution = solve(coarse, lowpass(coarse, heights, cutoffs[index][1]), before)
+            area = contact_area(coarse, solution.pressure)
+            areas[index] = area.fraction, area.corrected
+            before = solution.pressure if factor > 1 else before
+    if fine is not grid:
+        fine.free()
+    return areas
+
+
+def lowpass(grid: SlabGrid, field: np.ndarray, cutoff: float) -> np.ndarray:
+    """The field (nx_local, ny) without its modes |q| > cutoff.  One transform.  Collective."""
+    out, limit = np.empty(grid.local_shape), (cutoff * (1 + 1e-9)) ** 2
+
+    def cut(block: np.ndarray, first: int, stop: int) -> None:
+        block[grid.q_squared(first, stop) > limit] = 0
+
+    def keep(first: int, stop: int, rows: np.ndarray) -> None:
+        np.divide(rows, float(grid.size), out=out[first:stop])
+
+    grid.convolve(source(field), cut, keep)
+    return out

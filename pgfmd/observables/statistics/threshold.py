@@ -1,0 +1,50 @@
+"""The value of a distributed field above which a given number of its points lie."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.statistics.kernels import count_digits
+
+DIGIT = 16  # bits fixed in one pass over the field
+
+
+def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> float:
+    """The height t above which exactly `count` points of the distributed field (nx_local, ny) lie: h > t.  Collective.
+
+    It is the largest height that does not count (below all heights if all do).  Where heights are equal no such t may
+    exist; then fewer points lie above.  The number is found digit by digit, in four passes that count how many heights
+    have each value of the next 16 bits: nothing is sorted, and nothing of the size of the field travels.
+    """
+    if not 0 <= count <= grid.size:
+        raise ValueError(f"{count} of {grid.size} points")
+    if count == grid.size:
+        return float(np.nextafter(grid.reduction.min(heights), -np.inf))
+    rank = grid.size - count - 1  # of the threshold, from the lowest height, 0
+    prefix = 0
+    keys = heights.view(np.int64)
+    for shift in range(64 - DIGIT, -1, -DIGIT):
+        counts = _count(grid, keys, prefix, shift)
+        below = np.cumsum(counts)
+        digit = int(np.searchsorted(below, rank, side="right"))
+        rank -= int(below[digit] - counts[digit])
+        prefix = prefix << DIGIT | digit
+    bits = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
+    return float(np.array(bits, np.uint64).view(np.float64))
+
+
+def _count(grid: SlabGrid, keys: np.ndarray, prefix: int, shift: int) -> np.ndarray:
+    """How many keys begin with the digits `prefix`, by the digit that follows: (2^16,) int64.  Collective."""
+    parts = []
+
+    def part(first: int, stop: int):
+        counts = np.zeros(1 << DIGIT, np.int64)
+        count_digits(keys, np.uint64(prefix), shift, first, stop, counts)
+        parts.append(counts)
+
+    grid.threads.split(part, len(keys))
+    total = np.sum(parts, axis=0)
+    grid.comm.Allreduce(MPI.IN_PLACE, total)
+    return total

@@ -1,0 +1,27 @@
+"""The observables that a job may ask for, in the order in which they are measured.  A new one gets a line here."""
+
+from __future__ import annotations
+
+from pgfmd.io.schema import Layout
+from pgfmd.observables.acf import Acf
+from pgfmd.observables.bearing import Bearing
+from pgfmd.observables.contact_patches import ContactPatches
+from pgfmd.observables.histogram import Histogram
+from pgfmd.observables.lowpass import Lowpass
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.spectra import Spectra
+
+OBSERVABLES: dict[str, type[Observable]] = {
+    kind.name: kind
+    for kind in (
+        Histogram,
+        Spectra,
+        Acf,
+        ContactPatches,
+        Bearing,
+        Lowpass,
+    )
+}
+
+LAYOUT: Layout = {group: datasets for kind in OBSERVABLES.values() for group, datasets in kind.layout.items()}
+"""Every group that a load may have in observables.h5."""
