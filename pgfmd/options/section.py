@@ -16,12 +16,20 @@ from pgfmd.options.rules import Rule
 from pgfmd.options.text import as_toml_value, guess, printable, show
 
 
-def key(rule: Rule | type[Section] | Kinds, default: Any = None, *, needed: bool = False) -> Any:
+def key(
+    rule: Rule | type[Section] | Kinds,
+    default: Any = None,
+    about: str = "",
+    *,
+    needed: bool = False,
+    example: Any = None,
+) -> Any:
     """A dataclass field with its rule.
 
-    needed: it has no default.  A default of None means that the key may be left out.
+    about: what the key means, for the reference.  needed: it has no default, and an example in the reference instead.
+    A default of None means that the key may be left out.
     """
-    metadata = {"rule": rule, "needed": needed}
+    metadata = {"rule": rule, "needed": needed, "about": about, "example": example}
     if isinstance(rule, type):
         return dataclasses.field(default_factory=rule, metadata=metadata)
     if isinstance(rule, Kinds) and rule.default is not None:
