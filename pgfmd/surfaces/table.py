@@ -5,6 +5,7 @@ from pgfmd.surfaces.file import FromFile
 from pgfmd.surfaces.paraboloid import Paraboloid
 from pgfmd.surfaces.self_affine import SelfAffine
 from pgfmd.surfaces.sinusoid import Sinusoid
+from pgfmd.surfaces.spectrum import FromSpectrum
 
 SURFACES = Kinds(
     "surface",
@@ -13,5 +14,6 @@ SURFACES = Kinds(
         FromFile,
         Sinusoid,
         Paraboloid,
+        FromSpectrum,
     ),
 )

@@ -1,0 +1,79 @@
+"""Randomly rough surfaces of any isotropic spectrum, given as a table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
+from pgfmd.options.rules import integer, text
+from pgfmd.options.section import key
+from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.text import read_table
+
+if TYPE_CHECKING:
+    from pgfmd.grid.slab_grid import SlabGrid
+
+SLACK = 1e-9  # relative: a mode that lies on an end of the table belongs to it on every grid
+
+
+@dataclass(frozen=True, kw_only=True)
+class FromSpectrum(Surface):
+    """Isotropic roughness whose spectrum C(q) is a table: a power law between its entries, zero beyond its ends.
+
+    C is the two-dimensional spectrum C^2D = A₀ ⟨|h̃|²⟩ = ⟨|∫ h exp(−iq·r) d²r|²⟩/A₀ (length⁴), h̃ the Fourier coefficient
+    and A₀ the area of the cell, so that ⟨h²⟩ = ∫ C d²q/(2π)² (Jacobs, Junge, Pastewka 2017,
+    doi:10.1088/2051-672X/aa51f8).  Amplitudes are Gaussian: one surface has these means only on average over seeds.
+    """
+
+    kind = "spectrum"
+    # .npy of shape (m, 2), or text of two columns: q (radians per length), increasing, and C (length⁴), all > 0.
+    path: str = key(text(), needed=True)
+    seed: int = key(integer(0), 1)  # one seed is one surface, on any grid; its numbers are those of "self-affine"
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        return (self.path,)
+
+    def table(self) -> tuple[np.ndarray, np.ndarray]:
+        """q and C, each (m,).  Raises InputError if the file holds no such table."""
+        try:
+            is_array = self.path.endswith(".npy")
+            table = np.load(self.path, allow_pickle=False) if is_array else read_table(self.path)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(f"{self.path}: cannot be read as a table: {' '.join(str(error).split())}") from None
+        if table is None or table.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != 2 or len(table) < 2:
+            raise InputError(f"{self.path}: must hold two columns of numbers, q and C(q), and at least two lines")
+        q, spectrum = table.T.astype(np.float64)
+        if not (np.isfinite(table).all() and (q > 0).all() and (np.diff(q) > 0).all() and (spectrum > 0).all()):
+            raise InputError(f"{self.path}: all q and C(q) must be > 0 and finite, each q larger than the one before")
+        return q, spectrum
+
+    def shortest_wavelength(self, cell: Cell) -> float:
+        shortest = 2 * math.pi / float(self.table()[0][-1])
+        return shortest if shortest > min(cell.steps) * (1 + SLACK) else 0.0
+
+    def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
+        from pgfmd.parallel.collectives import from_root
+        from pgfmd.surfaces.random_modes import RandomModes  # compiled code, which only a run needs
+
+        q, spectrum = from_root(grid.comm, self.table)
+        unit = 2 * math.pi / max(grid.lengths)
+        places, roots = np.log(q / unit), np.log(spectrum / (grid.lengths[0] * grid.lengths[1])) / 2
+
+        def amplitude(k_squared: np.ndarray) -> np.ndarray:
+            place = np.log(k_squared, where=k_squared > 0, out=np.full(len(k_squared), -np.inf)) / 2
+            inside = (place >= places[0] - SLACK) & (place <= places[-1] + SLACK)
+            return np.exp(np.interp(place, places, roots)) * inside
+
+        heights, slope = RandomModes(grid, self.seed, amplitude, q[-1] / unit * (1 + SLACK)).heights()
+        if not slope > 0:
+            raise InputError(
+                f"{self.path}: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between q = {q[0]:g} and "
+                f"{q[-1]:g}; its lowest is {unit:g}"
+            )
+        return heights
