@@ -11,7 +11,11 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.physics.elasticity import Elasticity
-from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution
 
 
@@ -36,7 +40,7 @@ def solve(
     heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
     zeta: range of an exponential wall, with σ_ref = contact_modulus; None: a hard wall.  thickness, base, poisson: a
-    slab instead of a half-space.  method: see `solvers.choice`.  start: a pressure like the heights to begin with.
+    slab instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights to begin with.
     tolerance: certified relative energy error.  threads: of this process; OMP_NUM_THREADS or the free cores if None.
     Raises InputError for heights that are not finite or wrongly split and values out of range, SolverError if the
     tolerance cannot be reached.
@@ -58,8 +62,9 @@ def solve(
     if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
     try:
-        elasticity = Elasticity(contact_modulus, thickness, base, poisson)
-        wall = Wall("hard") if zeta is None else Wall("exponential", zeta)
-        return solve_contact(grid, heights, float(pressure), elasticity, wall, method, tolerance, start=start)
+        solid = Elasticity(contact_modulus, thickness, base, poisson)
+        law = HardWall() if zeta is None else ExponentialWall(zeta=zeta)
+        problem = ContactProblem(grid, heights, solid, law, float(pressure))
+        return solve_contact(problem, Solver(method=method, tolerance=tolerance), start)
     finally:
         grid.free()

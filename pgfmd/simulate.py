@@ -21,11 +21,12 @@ from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.run import machine
 from pgfmd.run.estimate import estimate
 from pgfmd.run.progress import Progress
 from pgfmd.run.stop import Watch
-from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import Loads
 from pgfmd.solvers.solution import ContactSolution
 
@@ -52,8 +53,8 @@ def simulate(
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
         machine.report(comm, estimate(job, comm.size).memory)  # now: a wrong input is answered by one line
-        elasticity = make_elasticity(job)
-        observer = make_observer(job, grid, heights, elasticity)
+        problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
+        observer = Observer(problem, job.output.asked, job.surface.cutoff(job.grid))
         checkpoints = Checkpoints(
             comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
         )  # fmt: skip
@@ -64,7 +65,7 @@ def simulate(
             if "height" in job.output.fields and not writer.former.has_height:
                 writer.write_field("height", heights)
         steps = _Steps(job, grid, watch, checkpoints)
-        loads = make_loads(job, grid, heights, elasticity, steps)
+        loads = make_loads(job, problem, steps)
         for index in writer.pending:
             with phases("solve"), steps.of_load(index):
                 loads.resume(checkpoints.load(index))
@@ -88,26 +89,14 @@ def make_elasticity(job: Job) -> Elasticity:
     return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 
-def make_observer(job: Job, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity) -> Observer:
-    """What the job asks to measure.  Collective."""
-    return Observer(grid, heights, elasticity, job.output.asked, job.surface.cutoff(job.grid))
-
-
-def make_loads(
-    job: Job, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, steps: _Steps
-) -> Loads:  # fmt: skip
-    """The job's loads, solved by its method with its wall.  Collective."""
-    wall = Wall(job.wall.kind, getattr(job.wall, "zeta", None), getattr(job.wall, "sigma_ref", None))
-    solver, load = job.solver, job.load
+def make_loads(job: Job, problem: ContactProblem, steps: _Steps) -> Loads:
+    """The job's loads, solved by its method.  Collective."""
 
     def solve(mean_pressure: float, start: np.ndarray | None, tolerance: float) -> ContactSolution:
-        return solve_contact(
-            grid, heights, mean_pressure, elasticity, wall, solver.method, tolerance, solver.max_iterations, start,
-            partial(steps.see, mean_pressure),
-        )  # fmt: skip
+        options = dataclasses.replace(job.solver, tolerance=tolerance)
+        return solve_contact(problem.at(mean_pressure), options, start, partial(steps.see, mean_pressure))
 
-    hard = wall.kind == "hard"
-    return Loads(load.control, solve, grid, heights, elasticity, solver.tolerance, load.area_tolerance, hard)
+    return Loads(job.load.control, solve, problem, job.solver.tolerance, job.load.area_tolerance)
 
 
 class _Steps:

@@ -136,7 +136,7 @@ REFUSED = {
     "load.pressure=[]": "load.pressure = []: must be a list that is not empty",
     'load.pressure=["a"]': 'load.pressure = ["a"]: must be',
     "load.contact_area=[0.1]": "exactly one of pressure, contact_area, mean_gap, displacement; found pressure and cont",
-    "solver.method=newton": 'solver.method = "newton": is for wall.kind = "exponential"; here it is "hard"',
+    "solver.method=newton": 'solver.method = "newton": must be one of auto, active-set, gfmd for wall.kind = "hard"',
     "solver.tolerance=0": "solver.tolerance = 0: must be a number > 0 and < 1",
     "output.fields=[gap, gap]": "output.fields = ",
     'output.fields=["gap", "gap"]': "must be a list without repetition of: one of",

@@ -10,8 +10,10 @@ import pytest
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.exponential import ExponentialWall, wright_omega
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -20,6 +22,12 @@ from pgfmd.theory.exponential import response
 pytestmark = pytest.mark.mpi
 
 SOLID = Elasticity(8 / 3)
+
+
+def solve(grid, heights, load, zeta, sigma_ref=None, **keywords):
+    """The contact of those heights at that mean pressure.  Collective."""
+    law = ExponentialWall(zeta=zeta, sigma_ref=sigma_ref)
+    return solve_exponential_wall(ContactProblem(grid, heights, SOLID, law, load), **keywords)
 
 
 def norm(grid, field) -> float:
@@ -37,7 +45,7 @@ def test_the_response_to_a_small_wave_is_that_of_field_theory(comm, scale):
     """σ̃ = G₁ (E'q/2) h̃ up to terms quadratic in amplitude/ζ: 1.2e-5 at 1e-2, with that wave (solved independently)."""
     grid, zeta, load = SlabGrid(comm, (64, 64)), 0.5, 0.02
     heights = sinusoid(grid, scale * zeta, (3, 0))
-    found = solve_exponential_wall(grid, heights, load, SOLID, zeta, tolerance=1e-14)
+    found = solve(grid, heights, load, zeta, tolerance=1e-14)
     q = 2 * np.pi * 3 / 64
     expected = load + response(q, load, zeta, contact_modulus=8 / 3) * 8 / 3 * q / 2 * heights
     wave = grid.reduction.dot(found.pressure, heights) / grid.reduction.dot(expected - load, heights)
@@ -52,7 +60,7 @@ def test_the_wall_answers_its_gap_and_carries_the_load(rough, zeta):
     """σ = σ_ref exp(−gap/ζ) at every point, ⟨σ⟩ = p̄, and the gap's mean is the mean gap."""
     grid, heights = rough
     zeta *= math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
-    found = solve_exponential_wall(grid, heights, 0.01, SOLID, zeta, 2.0, tolerance=1e-14)
+    found = solve(grid, heights, 0.01, zeta, 2.0, tolerance=1e-14)
     wall = 2.0 * np.exp(-found.gap / zeta)
     # D ~ ½ζ⟨p ln²(p/σ)⟩/⟨pu⟩ = 1e-14 leaves relative pressures of about √(1e-14 ⟨pu⟩/(ζ p̄)).
     allowed = 3 * math.sqrt(1e-14 * max(1, 2 * found.elastic_energy / (zeta * 0.01)))
@@ -64,7 +72,7 @@ def test_the_wall_answers_its_gap_and_carries_the_load(rough, zeta):
 def test_the_displacement_belongs_to_the_pressure(rough):
     """K(gap + h) = p for all modes but the mean, by the transforms of the grid: E'q/2 written here again."""
     grid, heights = rough
-    found = solve_exponential_wall(grid, heights, 0.01, SOLID, 0.1, tolerance=1e-10)
+    found = solve(grid, heights, 0.01, 0.1, tolerance=1e-10)
     stress = grid.backward(4 / 3 * np.sqrt(grid.q_squared()) * grid.forward(found.gap + heights))
     assert norm(grid, stress - (found.pressure - 0.01)) < 1e-12 * norm(grid, stress)  # rounding only
 
@@ -72,9 +80,9 @@ def test_the_displacement_belongs_to_the_pressure(rough):
 def test_thin_walls_tend_to_the_hard_one(rough):
     """As ζ → 0 pressures tend to those of the hard wall; halving ζ brings them nearer."""
     grid, heights = rough
-    hard = solve_hard_wall(grid, heights, 0.01, SOLID, 1e-12).pressure
+    hard = solve_hard_wall(ContactProblem(grid, heights, SOLID, HardWall(), 0.01), 1e-12).pressure
     apart = [
-        norm(grid, solve_exponential_wall(grid, heights, 0.01, SOLID, zeta, tolerance=1e-9).pressure - hard)
+        norm(grid, solve(grid, heights, 0.01, zeta, tolerance=1e-9).pressure - hard)
         for zeta in (4e-3, 2e-3, 1e-3, 1e-4)
     ]
     assert apart == sorted(apart, reverse=True)
@@ -84,9 +92,9 @@ def test_thin_walls_tend_to_the_hard_one(rough):
 def test_the_certificate_bounds_the_error(rough):
     """½‖p − p*‖²_G ≤ D at loose tolerances, p* solved to 1e-14."""
     grid, heights = rough
-    exact = solve_exponential_wall(grid, heights, 0.01, SOLID, 0.05, tolerance=1e-14)
+    exact = solve(grid, heights, 0.01, 0.05, tolerance=1e-14)
     for tolerance in (1e-1, 1e-3, 1e-5):
-        found = solve_exponential_wall(grid, heights, 0.01, SOLID, 0.05, tolerance=tolerance)
+        found = solve(grid, heights, 0.01, 0.05, tolerance=tolerance)
         apart = found.pressure - exact.pressure
         displacement = grid.backward(SOLID.compliance(np.sqrt(grid.q_squared())) * grid.forward(apart))
         energy = grid.reduction.dot(apart, displacement) / grid.size / 2
@@ -98,7 +106,7 @@ def test_energy_and_gap_belong_together(rough):
     """dE_el/dp̄ = −p̄ dḡ/dp̄ − dE_wall/dp̄ with E_wall = ζ p̄: the load's work is stored in solid and wall."""
     grid, heights = rough
     zeta, load, step = 0.05, 0.01, 1e-3
-    solutions = [solve_exponential_wall(grid, heights, load * f, SOLID, zeta, 1.0, 1e-15) for f in (1 - step, 1 + step)]
+    solutions = [solve(grid, heights, load * f, zeta, 1.0, tolerance=1e-15) for f in (1 - step, 1 + step)]
     low, high = solutions
     change = high.elastic_energy - low.elastic_energy
     work = -load * (high.mean_gap - low.mean_gap)
@@ -109,7 +117,7 @@ def test_energy_and_gap_belong_together(rough):
 def test_sigma_ref_shifts_the_gap_alone(rough):
     """A factor on σ_ref changes the gap by ζ ln(factor) and the pressure not at all."""
     grid, heights = rough
-    one, two = (solve_exponential_wall(grid, heights, 0.01, SOLID, 0.1, ref, 1e-8) for ref in (1.0, 7.0))
+    one, two = (solve(grid, heights, 0.01, 0.1, ref, tolerance=1e-8) for ref in (1.0, 7.0))
     assert np.array_equal(one.pressure, two.pressure)
     assert two.mean_gap - one.mean_gap == pytest.approx(0.1 * math.log(7), rel=1e-12)
 
@@ -118,8 +126,9 @@ def test_units_do_not_matter(rough):
     """Metres and pascals give the same contact: lengths × 1e-9, pressures × 1e11."""
     grid, heights = rough
     small = SlabGrid(grid.comm, grid.shape, tuple(1e-9 * length for length in grid.lengths))
-    one = solve_exponential_wall(grid, heights, 0.01, SOLID, 0.1, 1.0, 1e-10)
-    two = solve_exponential_wall(small, heights * 1e-9, 1e9, Elasticity(8e11 / 3), 1e-10, 1e11, 1e-10)
+    one = solve(grid, heights, 0.01, 0.1, 1.0, tolerance=1e-10)
+    law = ExponentialWall(zeta=1e-10, sigma_ref=1e11)
+    two = solve_exponential_wall(ContactProblem(small, heights * 1e-9, Elasticity(8e11 / 3), law, 1e9), 1e-10)
     assert norm(grid, two.pressure / 1e11 - one.pressure) < 1e-5 * norm(grid, one.pressure)
     assert two.mean_gap * 1e9 == pytest.approx(one.mean_gap, rel=1e-6)
 
@@ -129,8 +138,8 @@ def test_a_neighbouring_load_is_as_good_a_start_as_coarse_grids(rough):
     grid, heights = rough
     before = None
     for load in (0.002, 0.01, 0.03, 0.01, 0.002):
-        cold = solve_exponential_wall(grid, heights, load, SOLID, 0.1, tolerance=1e-18)
-        warm = solve_exponential_wall(grid, heights, load, SOLID, 0.1, tolerance=1e-18, start=before)
+        cold = solve(grid, heights, load, 0.1, tolerance=1e-18)
+        warm = solve(grid, heights, load, 0.1, tolerance=1e-18, start=before)
         assert norm(grid, warm.pressure - cold.pressure) < 1e-8 * norm(grid, cold.pressure)
         before = warm.pressure
 
@@ -138,7 +147,7 @@ def test_a_neighbouring_load_is_as_good_a_start_as_coarse_grids(rough):
 def test_a_flat_surface_is_pressed_evenly(comm):
     """Without roughness p = p̄ and the gap is ζ ln(σ_ref/p̄)."""
     grid = SlabGrid(comm, (16, 16))
-    found = solve_exponential_wall(grid, np.full(grid.local_shape, 5.0), 0.1, SOLID, 0.3, 1.0)
+    found = solve(grid, np.full(grid.local_shape, 5.0), 0.1, 0.3, 1.0)
     assert np.all(found.pressure == 0.1)
     assert found.gap == pytest.approx(-0.3 * math.log(0.1))
 
@@ -146,14 +155,14 @@ def test_a_flat_surface_is_pressed_evenly(comm):
 @pytest.mark.parametrize(("load", "zeta"), [(0.0, 1.0), (1.0, 0.0), (math.nan, 1.0), (1.0, math.inf)])
 def test_a_wall_that_cannot_be_is_refused(rough, load, zeta):
     """No load, no ζ, or ones that are not finite are wrong input."""
-    with pytest.raises(InputError, match="positive"):
-        solve_exponential_wall(*rough, load, SOLID, zeta)
+    with pytest.raises(InputError, match="positive|> 0"):
+        solve(*rough, load, zeta)
 
 
 def test_an_accuracy_beyond_rounding_is_an_error(rough):
     """What cannot be certified is not returned."""
     with pytest.raises(SolverError, match="certified error stays"):
-        solve_exponential_wall(*rough, 0.03, SOLID, 1e-3, tolerance=1e-30)
+        solve(*rough, 0.03, 1e-3, tolerance=1e-30)
 
 
 def test_few_transforms_are_enough(comm):
@@ -161,8 +170,8 @@ def test_few_transforms_are_enough(comm):
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.3, 16.0, 0.031, 1)
     for zeta in (0.25, 1.0):
-        exact = solve_exponential_wall(grid, heights, 0.004, SOLID, zeta, tolerance=1e-15)
-        found = solve_exponential_wall(grid, heights, 0.004, SOLID, zeta, tolerance=1e-12)
+        exact = solve(grid, heights, 0.004, zeta, tolerance=1e-15)
+        found = solve(grid, heights, 0.004, zeta, tolerance=1e-12)
         assert found.transforms <= 60
         assert norm(grid, found.pressure - exact.pressure) <= 1e-6 * norm(grid, exact.pressure)
 
@@ -171,7 +180,7 @@ def test_omega_solves_its_equation():
     """ω + ln ω = z from −700 to 1e8 to rounding: mixed error against scipy's Wright omega function."""
     wrightomega = pytest.importorskip("scipy.special").wrightomega
     z = np.concatenate([np.linspace(-700, 10, 4001), np.geomspace(10, 1e8, 500)])
-    found = np.array([kernels.wright_omega(value) for value in z])
+    found = np.array([wright_omega(value) for value in z])
     assert np.max(np.abs(found / wrightomega(z) - 1)) < 1e-14
 
 
@@ -197,7 +206,7 @@ def test_the_spectrum_of_figure_8(comm, zeta, expected):
 def figure_8_bands(grid, seed, load, zeta) -> list[float]:
     """Σ|σ̃|² / Σ|G₁ (E'q/2) h̃|² of each shell of |k|, as it is drawn, averaged over 4–7, 8–15, 16–32.  Collective."""
     heights = self_affine(grid, 0.3, 32.0, 0.031, seed)
-    found = solve_exponential_wall(grid, heights, load, SOLID, zeta, tolerance=1e-8)
+    found = solve(grid, heights, load, zeta, tolerance=1e-8)
     q = np.sqrt(grid.q_squared())
     stress = np.abs(grid.forward(found.pressure)) ** 2 * grid.hermitian_weight
     field = response(q, load, zeta, contact_modulus=8 / 3) * 4 / 3 * q * np.abs(grid.forward(heights))

@@ -10,10 +10,14 @@ import pytest
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
 
@@ -33,7 +37,10 @@ def test_westergaard(comm):
     n, amplitude, f = 256, 1.0, 0.5
     grid = SlabGrid(comm, (n, 8))
     load = f * np.pi * 8 / 3 * amplitude / n
-    found = solve_gfmd(grid, sinusoid(grid, amplitude, (1, 0)), load, SOLID, tolerance=1e-11)
+    found = solve_gfmd(
+        ContactProblem(grid, sinusoid(grid, amplitude, (1, 0)), SOLID, HardWall(), load),
+        tolerance=1e-11,
+    )
     assert found.mean_gap == pytest.approx(amplitude * (1 - f + f * math.log(f)), abs=5e-6 * amplitude)
     energy = np.pi * 8 / 3 * amplitude**2 / n * f**2 * (1 - 2 * math.log(f)) / 4
     assert found.elastic_energy == pytest.approx(energy, rel=1e-4)
@@ -45,9 +52,9 @@ def test_the_sinusoid_in_both_directions_agrees_with_the_default(comm, zeta):
     grid = SlabGrid(comm, (64, 64))
     heights = sinusoid(grid, 1.0, (1, 1))
     load = 0.2 * math.sqrt(2) * np.pi * 8 / 3 / 64
-    wall = Wall("exponential", zeta, 1.0) if zeta else Wall()
-    one = solve_contact(grid, heights, load, SOLID, wall, "gfmd", 1e-12)
-    two = solve_contact(grid, heights, load, SOLID, wall, "auto", 1e-13)
+    wall = ExponentialWall(zeta=zeta, sigma_ref=1.0) if zeta else HardWall()
+    one = solve_contact(ContactProblem(grid, heights, SOLID, wall, load), Solver(method="gfmd", tolerance=1e-12))
+    two = solve_contact(ContactProblem(grid, heights, SOLID, wall, load), Solver(method="auto", tolerance=1e-13))
     assert apart(grid, one, two) < 1e-5
     assert one.mean_gap == pytest.approx(two.mean_gap, rel=1e-6)
     assert one.elastic_energy == pytest.approx(two.elastic_energy, rel=1e-5)
@@ -57,8 +64,8 @@ def test_a_rough_surface_agrees_with_the_hard_wall(comm):
     """512², H = 0.3, λ_s = 8: pressures to 1e-5, the same contact, the certified error kept."""
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.3, 8.0, 0.031, 2)
-    one = solve_gfmd(grid, heights, 0.004, SOLID, tolerance=1e-8)
-    two = solve_hard_wall(grid, heights, 0.004, SOLID, 1e-10)
+    one = solve_gfmd(ContactProblem(grid, heights, SOLID, HardWall(), 0.004), tolerance=1e-8)
+    two = solve_hard_wall(ContactProblem(grid, heights, SOLID, HardWall(), 0.004), 1e-10)
     assert apart(grid, one, two) < 1e-5
     assert one.certified_error <= 1e-8
     different = grid.reduction.sum((one.pressure > 0) != (two.pressure > 0))
@@ -69,8 +76,12 @@ def test_a_rough_surface_agrees_with_the_exponential_wall(comm):
     """512², ζ = 0.05: pressures to 1e-5."""
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.3, 8.0, 0.031, 2)
-    one = solve_gfmd(grid, heights, 0.004, SOLID, 0.05, 1.0, tolerance=1e-11)
-    two = solve_exponential_wall(grid, heights, 0.004, SOLID, 0.05, 1.0, 1e-13)
+    one = solve_gfmd(
+        ContactProblem(grid, heights, SOLID, ExponentialWall(zeta=0.05, sigma_ref=1.0), 0.004), tolerance=1e-11
+    )
+    two = solve_exponential_wall(
+        ContactProblem(grid, heights, SOLID, ExponentialWall(zeta=0.05, sigma_ref=1.0), 0.004), 1e-13
+    )
     assert apart(grid, one, two) < 1e-5
     assert one.mean_gap == pytest.approx(two.mean_gap, rel=1e-6)
 
@@ -80,8 +91,8 @@ def test_slabs_agree_with_the_hard_wall(comm, base):
     """A slab of 8 pixels, ν = 0.4: pressures to 1e-5 with each base."""
     grid = SlabGrid(comm, (64, 64))
     heights, solid = self_affine(grid, 0.8, 8.0, 0.1, 2), Elasticity(1.0, 8.0, base, 0.4)
-    one = solve_gfmd(grid, heights, 0.01, solid, tolerance=1e-11)
-    two = solve_contact(grid, heights, 0.01, solid, Wall(), tolerance=1e-11)
+    one = solve_gfmd(ContactProblem(grid, heights, solid, HardWall(), 0.01), tolerance=1e-11)
+    two = solve_contact(ContactProblem(grid, heights, solid, HardWall(), 0.01), Solver(tolerance=1e-11))
     assert apart(grid, one, two) < 1e-5
 
 
@@ -89,23 +100,26 @@ def test_what_does_not_arrive_is_an_error(comm):
     """Too few steps are said, not hidden."""
     grid = SlabGrid(comm, (32, 32))
     with pytest.raises(SolverError, match="after 10 steps"):
-        solve_gfmd(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), 0.01, SOLID, tolerance=1e-12, max_steps=10)
+        solve_gfmd(
+            ContactProblem(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), SOLID, HardWall(), 0.01),
+            tolerance=1e-12,
+            max_steps=10,
+        )
 
 
-def test_nothing_to_carry_is_wrong_input(comm):
-    """Dynamics need a load; `solve_contact` answers a hard wall without one."""
+@pytest.mark.parametrize("method", ["auto", "gfmd", "active-set"])
+def test_without_a_load_the_highest_point_touches(comm, method):
+    """A hard wall that carries nothing is answered by every method: mean gap = highest point over the mean."""
     grid = SlabGrid(comm, (8, 8))
-    heights = sinusoid(grid, 1.0)
-    with pytest.raises(InputError, match="positive"):
-        solve_gfmd(grid, heights, 0.0, SOLID)
-    assert solve_contact(grid, heights, 0.0, SOLID, Wall(), "gfmd").mean_gap == pytest.approx(1.0)
+    problem = ContactProblem(grid, sinusoid(grid, 1.0), SOLID, HardWall(), 0.0)
+    assert solve_contact(problem, Solver(method=method)).mean_gap == pytest.approx(1.0)
 
 
 def test_methods_belong_to_walls(comm):
     """Newton's method is not for the hard wall."""
     grid = SlabGrid(comm, (8, 8))
     with pytest.raises(InputError, match="newton"):
-        solve_contact(grid, sinusoid(grid, 1.0), 0.1, SOLID, Wall(), "newton")
+        solve_contact(ContactProblem(grid, sinusoid(grid, 1.0), SOLID, HardWall(), 0.1), Solver(method="newton"))
 
 
 def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
@@ -115,9 +129,9 @@ def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
     def fail(*_):
         raise SolverError("no")
 
-    monkeypatch.setattr(dispatch, "solve_hard_wall", fail)
+    monkeypatch.setitem(dispatch.SOLVERS, "active-set", fail)
     grid = SlabGrid(comm, (32, 32))
-    heights = self_affine(grid, 0.8, 4.0, 0.1, 2)
-    assert solve_contact(grid, heights, 0.01, SOLID, Wall(), tolerance=1e-8).certified_error <= 1e-8
+    problem = ContactProblem(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), SOLID, HardWall(), 0.01)
+    assert solve_contact(problem, Solver(tolerance=1e-8)).certified_error <= 1e-8
     with pytest.raises(SolverError):
-        solve_contact(grid, heights, 0.01, SOLID, Wall(), "active-set")
+        solve_contact(problem, Solver(method="active-set"))

@@ -8,6 +8,8 @@ from pgfmd.api import solve
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import nested_iteration
 from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
@@ -44,7 +46,7 @@ def westergaard(comm, n, load=0.5):
     x = (coordinates(grid)[0] * np.ones((1, 4)) + 0.5 / n + 0.5) % 1.0 - 0.5
     theory = exact.Westergaard(1.0, 1.0, MODULUS)
     mean = load * theory.full_pressure
-    found = solve_hard_wall(grid, np.cos(2 * np.pi * x), mean, Elasticity(MODULUS), 1e-13)
+    found = solve_hard_wall(ContactProblem(grid, np.cos(2 * np.pi * x), Elasticity(MODULUS), HardWall(), mean), 1e-13)
     expected = theory.pressure(x, mean)
     wrong, sums = np.abs(found.pressure - expected), grid.reduction.sum
     width = sums(found.pressure > 0) / 8 / n
@@ -85,7 +87,9 @@ def test_two_dimensional_sinusoid(comm, row):
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     full = exact.Sinusoid2D(1.0, 1.0, MODULUS).full_pressure
     load = table["load"]
-    found = solve_hard_wall(grid, sinusoid(grid, 1.0, (1, 1)), load * full, Elasticity(MODULUS), 1e-9)
+    found = solve_hard_wall(
+        ContactProblem(grid, sinusoid(grid, 1.0, (1, 1)), Elasticity(MODULUS), HardWall(), load * full), 1e-9
+    )
     area = corrected_area(whole(grid, found.pressure))
     assert abs(area - table["area"]) <= (0.006 if load == 0.2 else 0.003)
     assert abs(found.mean_gap - table["gap"]) <= 2e-4
@@ -97,7 +101,9 @@ def test_periodic_hertz(comm):
     """Radius and peak pressure at a_H/L = 0.1 on 512² to 1e-4 (the theory's own terms beyond are 1e-5)."""
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     radius, load = 1.0, 4 * MODULUS * 0.1**3 / 3
-    found = solve_hard_wall(grid, paraboloid(grid, radius), load, Elasticity(MODULUS), 1e-11)
+    found = solve_hard_wall(
+        ContactProblem(grid, paraboloid(grid, radius), Elasticity(MODULUS), HardWall(), load), 1e-11
+    )
     expected = hertz.periodic_contact(load, radius, 1.0, contact_modulus=MODULUS)
     x, y = coordinates(grid)
     second = grid.reduction.sum(((x - 0.5) ** 2 + (y - 0.5) ** 2) * found.pressure) / grid.reduction.sum(found.pressure)
@@ -111,7 +117,7 @@ def test_full_contact_is_exact(comm):
     heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
     response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
     mean = -1.01 * grid.reduction.min(response)
-    found = solve_hard_wall(grid, heights, mean, Elasticity(MODULUS), 1e-6)
+    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), mean), 1e-6)
     assert grid.reduction.max(np.abs(found.pressure - mean - response)) < 1e-10 * mean
     assert (found.iterations, found.mean_gap, found.certified_error) == (0, 0.0, 0.0)
 
@@ -121,7 +127,9 @@ def test_just_below_full_contact(comm):
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.8, 8.0, 0.031, 1)
     response = grid.backward(grid.forward(heights) * MODULUS / 2 * np.sqrt(grid.q_squared()))
-    found = solve_hard_wall(grid, heights, -0.97 * grid.reduction.min(response), Elasticity(MODULUS), 1e-10)
+    found = solve_hard_wall(
+        ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), -0.97 * grid.reduction.min(response)), 1e-10
+    )
     open_points = grid.reduction.sum(found.gap > 0)
     assert 0 < open_points < 100
     assert found.certified_error <= 1e-10
@@ -131,11 +139,11 @@ def test_zero_load_and_flat_surface(comm):
     """No load: no pressure, the surfaces touch at the summit.  A flat surface: uniform pressure, no gap."""
     grid = SlabGrid(comm, (32, 24))
     heights = self_affine(grid, 0.8, 4.0, 1.0, 1) + 5.0
-    found = solve_hard_wall(grid, heights, 0.0, Elasticity(1.0))
+    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.0))
     assert not found.pressure.any()
     assert np.allclose(found.gap, grid.reduction.max(heights) - heights, atol=1e-12)
     assert found.mean_gap == pytest.approx(grid.reduction.max(heights) - 5.0, rel=1e-12)
-    flat = solve_hard_wall(grid, np.full(grid.local_shape, 3.0), 0.2, Elasticity(1.0))
+    flat = solve_hard_wall(ContactProblem(grid, np.full(grid.local_shape, 3.0), Elasticity(1.0), HardWall(), 0.2))
     assert np.allclose(flat.pressure, 0.2, rtol=1e-14)
     assert flat.mean_gap == 0
 
@@ -146,7 +154,7 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
     """p ≥ 0, gap ≥ 0, p·gap = 0, mean p = p̄, and u = Gp up to a constant wherever points touch: for any grid."""
     grid = SlabGrid(comm, shape)
     heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
-    found = solve_hard_wall(grid, heights, load, Elasticity(1.0), 1e-11)
+    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), load), 1e-11)
     assert grid.reduction.min(found.pressure) >= 0
     assert grid.reduction.min(found.gap) >= 0
     assert not (found.pressure * found.gap).any()
@@ -166,14 +174,14 @@ def test_certificate_bounds_the_true_error(comm):
     """½‖p − p*‖²_G ≤ D at every outer step, p* being solved to 1e-13."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
-    exactly = solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-13)
+    exactly = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-13)
     seen = []
 
     def watch(level, state):
         if level is grid:
             seen.append((state.pressure / level.reduction.sum(state.pressure), state.error))
 
-    solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-9, monitor=watch)
+    solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-9, monitor=watch)
     q = np.sqrt(grid.q_squared())
     compliance = np.divide(2, q, out=np.zeros_like(q), where=q > 0)
     assert len(seen) > 3
@@ -190,8 +198,11 @@ def test_cut_tensions_count_in_second_order(comm):
     grid = SlabGrid(comm, (48, 40))
     heights = self_affine(grid, 0.5, 4.0, 0.031, 1)
     load = 0.003 * MODULUS
-    exactly = whole(grid, solve_hard_wall(grid, heights.copy(), load, Elasticity(MODULUS), 1e-12).pressure)
-    solver = PressureSteps(grid, heights, nested_iteration._Scaled(Elasticity(MODULUS), 1.0), load * grid.size)
+    exactly = whole(
+        grid,
+        solve_hard_wall(ContactProblem(grid, heights.copy(), Elasticity(MODULUS), HardWall(), load), 1e-12).pressure,
+    )
+    solver = PressureSteps(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), load))
     state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
     for tolerance in (0.0, np.inf):
         solver.compute_gap(state, np.float64)
@@ -219,13 +230,20 @@ def test_tolerance_is_met(comm, tolerance):
     """The certified error is at most the tolerance, down to 1e-12: no stagnation in single precision."""
     grid = SlabGrid(comm, (128, 128))
     heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
-    assert solve_hard_wall(grid, heights, 0.003, Elasticity(MODULUS), tolerance).certified_error <= tolerance
+    assert (
+        solve_hard_wall(
+            ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.003), tolerance
+        ).certified_error
+        <= tolerance
+    )
 
 
 def solved(comm, heights, load, modulus=1.0, lengths=None, start=None):
     """Whole pressure of a whole surface, solved to 1e-12 on the ranks of comm; and the solution."""
     grid = SlabGrid(comm, heights.shape, lengths)
-    found = solve_hard_wall(grid, heights[grid.rows].copy(), load, Elasticity(modulus), 1e-12, start=start)
+    found = solve_hard_wall(
+        ContactProblem(grid, heights[grid.rows].copy(), Elasticity(modulus), HardWall(), load), 1e-12, start=start
+    )
     return whole(grid, found.pressure), found
 
 
@@ -235,7 +253,9 @@ def test_work_does_not_grow_with_the_grid(comm):
     for n in (512, 2048):
         grid = SlabGrid(comm, (n, n))
         heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
-        counts.append(solve_hard_wall(grid, heights, 0.0044, Elasticity(2.0), 1e-4).transforms)
+        counts.append(
+            solve_hard_wall(ContactProblem(grid, heights, Elasticity(2.0), HardWall(), 0.0044), 1e-4).transforms
+        )
     assert counts[1] < 1.25 * counts[0]
 
 
@@ -298,7 +318,11 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     found = []
     for mostly in (0.0, 2.0):
         monkeypatch.setattr(nested_iteration, "MOSTLY", mostly)
-        found.append(nested_iteration.solve_hard_wall(grid, heights, 0.0085 * MODULUS, Elasticity(MODULUS), 1e-12))
+        found.append(
+            nested_iteration.solve_hard_wall(
+                ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0085 * MODULUS), 1e-12
+            )
+        )
     by_gaps, by_pressures = (solution.pressure for solution in found)
     assert 0.35 < grid.reduction.sum(by_gaps > 0) / grid.size < 0.65
     difference = grid.reduction.sum((by_gaps - by_pressures) ** 2) / grid.reduction.sum(by_gaps**2)
@@ -350,7 +374,9 @@ def test_heights_are_kept_unless_given_away(comm, rough):
     """The heights come back untouched; where they may be overwritten the answer is the same."""
     grid = SlabGrid(comm, rough.shape)
     heights = rough[grid.rows].copy()
-    kept = solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-10)
+    kept = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-10)
     assert np.array_equal(heights, rough[grid.rows])
-    given = solve_hard_wall(grid, heights, 0.1, Elasticity(1.0), 1e-10, overwrite_heights=True)
+    given = solve_hard_wall(
+        ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-10, overwrite_heights=True
+    )
     assert np.array_equal(kept.pressure, given.pressure)

@@ -7,6 +7,8 @@ from mpi4py import MPI
 from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness
 from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
@@ -230,12 +232,16 @@ def test_a_mountain_in_one_slab(n):
         if level is grid:
             seen.append(np.concatenate(comm.allgather(state.pressure)))
 
-    mine = solve_hard_wall(grid, heights[grid.rows], 1e-3, Elasticity(1.0), 1e-9, monitor=monitor)
-    alone = solve_hard_wall(one, heights, 1e-3, Elasticity(1.0), 1e-9)
+    mine = solve_hard_wall(
+        ContactProblem(grid, heights[grid.rows], Elasticity(1.0), HardWall(), 1e-3), 1e-9, monitor=monitor
+    )
+    alone = solve_hard_wall(ContactProblem(one, heights, Elasticity(1.0), HardWall(), 1e-3), 1e-9)
     found = np.concatenate(comm.allgather(mine.pressure))
     assert np.abs(found - alone.pressure).max() < 1e-3 * alone.pressure.max()
     assert np.array_equal(seen[-1] > 0, found > 0)
-    again = solve_hard_wall(grid, heights[grid.rows], 1e-3, Elasticity(1.0), 1e-9, start=mine.pressure)
+    again = solve_hard_wall(
+        ContactProblem(grid, heights[grid.rows], Elasticity(1.0), HardWall(), 1e-3), 1e-9, start=mine.pressure
+    )
     again = np.concatenate(comm.allgather(again.pressure))
     assert np.abs(again - alone.pressure).max() < 1e-3 * alone.pressure.max()
 

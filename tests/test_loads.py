@@ -10,8 +10,12 @@ import pytest
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
-from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import Loads
+from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
 
@@ -24,15 +28,14 @@ class Counted:
     """`Loads` of a surface, and how often they solved."""
 
     def __init__(self, control, grid, heights, solid=SOLID, wall=None, tolerance=1e-6, **keywords):
-        self.solves, self.wall = 0, wall or Wall()
+        self.solves, self.wall = 0, wall or HardWall()
 
         def solve(pressure, start, tolerance):
             self.solves += 1
-            return solve_contact(grid, heights, pressure, solid, self.wall, tolerance=tolerance, start=start)
+            return solve_contact(problem.at(pressure), Solver(tolerance=tolerance), start)
 
-        self.loads = Loads(
-            control, solve, grid, heights, solid, tolerance, hard=self.wall.kind == "hard", **keywords
-        )  # fmt: skip
+        problem = ContactProblem(grid, heights, solid, self.wall)
+        self.loads = Loads(control, solve, problem, tolerance, **keywords)
 
     def solution(self, target):
         return self.loads.solution(target)
@@ -63,7 +66,7 @@ def test_a_load_does_not_depend_on_the_loads_before(rough):
     counted = Counted("pressure", grid, heights, tolerance=1e-13)
     for load in (0.004, 0.00402, 0.0041, 0.02, 0.0199, 0.0041, 0.00402, 0.004):
         found = counted.solution(load)
-        cold = solve_contact(grid, heights, load, SOLID, Wall(), tolerance=1e-13)
+        cold = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-13))
         apart = found.pressure - cold.pressure
         assert math.sqrt(grid.reduction.dot(apart, apart) / grid.reduction.dot(cold.pressure, cold.pressure)) < 1e-8
 
@@ -90,7 +93,7 @@ def test_mean_gaps_are_met(rough, gap):
 def test_mean_gaps_under_an_exponential_wall_may_be_negative(rough):
     """A soft wall lets the surfaces overlap."""
     grid, heights = rough
-    found = Counted("mean_gap", grid, heights, wall=Wall("exponential", 0.1, 1.0)).solution(-0.05)
+    found = Counted("mean_gap", grid, heights, wall=ExponentialWall(zeta=0.1, sigma_ref=1.0)).solution(-0.05)
     assert grid.reduction.sum(found.gap) / grid.size == pytest.approx(-0.05, abs=1e-5)
 
 
@@ -132,7 +135,7 @@ def test_controls_that_make_no_sense_are_refused(rough):
     """Areas under an exponential wall, a flat surface, an unknown control."""
     grid, heights = rough
     with pytest.raises(InputError, match="touches everywhere"):
-        Counted("contact_area", grid, heights, wall=Wall("exponential", 1.0))
+        Counted("contact_area", grid, heights, wall=ExponentialWall(zeta=1.0))
     with pytest.raises(InputError, match="flat"):
         Counted("mean_gap", grid, 0 * heights)
     with pytest.raises(InputError, match="must be one of"):
@@ -143,8 +146,7 @@ def test_energy_and_gap_belong_together(rough):
     """dE_el/dp̄ = −p̄ dḡ/dp̄ for the hard wall, by central differences (relative error of order step²)."""
     grid, heights = rough
     load, step = 0.01, 1e-3
-    low, high = (
-        solve_contact(grid, heights, load * f, SOLID, Wall(), tolerance=1e-12) for f in (1 - step, 1 + step)
-    )  # fmt: skip
+    problem = ContactProblem(grid, heights, SOLID, HardWall())
+    low, high = (solve_contact(problem.at(load * f), Solver(tolerance=1e-12)) for f in (1 - step, 1 + step))
     work = -load * (high.mean_gap - low.mean_gap)
     assert high.elastic_energy - low.elastic_energy == pytest.approx(work, rel=1e-4)

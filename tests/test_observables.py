@@ -23,6 +23,8 @@ from pgfmd.observables.statistics.lowpass import lowpass
 from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.solution import ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
@@ -62,7 +64,7 @@ def observe(comm, shape, lengths, names=NAMES[:5], cutoff=None, **tables):
     """Groups of whole fields that are cut into slabs; those of rank 0 on every rank."""
     grid = SlabGrid(comm, shape, lengths)
     heights, pressure = (field[grid.rows].copy() for field in fields(shape))
-    observer = Observer(grid, heights, Elasticity(MODULUS), asked(names, **tables), cutoff)
+    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()), asked(names, **tables), cutoff)
     return comm.bcast(observer.groups(observer.contact(solved(pressure))))
 
 
@@ -222,7 +224,7 @@ def test_work(comm, names, first, each):
     """Only what is asked for is computed: transforms for the heights, once, and for each load."""
     grid = SlabGrid(comm, (24, 24))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(grid, heights, Elasticity(MODULUS), asked(names))
+    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()), asked(names))
     assert grid.transforms == first
     contact = observer.contact(solved(pressure))
     observer.row(contact)
@@ -237,9 +239,9 @@ def test_memory(comm):
     tracemalloc.start()
     grid, solid = SlabGrid(comm, (512, 512)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 8, 0.05, 5)
-    observer = Observer(grid, heights, solid, asked(NAMES), 2 * np.pi / 8)
+    observer = Observer(ContactProblem(grid, heights, solid, HardWall()), asked(NAMES), 2 * np.pi / 8)
     tracemalloc.reset_peak()
-    solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-3)
+    solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-3)
     solving = tracemalloc.get_traced_memory()[1]
     tracemalloc.reset_peak()
     observer.groups(observer.contact(solution))
@@ -277,14 +279,15 @@ def test_row(comm):
     """κ = f_c E' g/p̄ with the surface's spectral slope, and nan at no load; all numbers of the schema are there."""
     grid = SlabGrid(comm, (32, 48), (32.0, 24.0))
     heights = self_affine(grid, 0.5, 1, 0.07, 3)
-    observer = Observer(grid, heights, Elasticity(MODULUS))
+    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()))
     assert observer.surface.rms_slope == pytest.approx(0.07, rel=1e-12)  # that of which the surface was made
-    solution = solve_hard_wall(grid, heights, 0.01, Elasticity(MODULUS), 1e-3)
+    solution = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.01), 1e-3)
     row = observer.row(observer.contact(solution))
     assert row.keys() == schema.LOADS.keys()
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12)
-    nothing = observer.row(observer.contact(solve_hard_wall(grid, heights, 0.0, Elasticity(MODULUS))))
+    unloaded = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0))
+    nothing = observer.row(observer.contact(unloaded))
     assert nothing["contact_area"] == nothing["contact_area_corrected"] == 0 and math.isnan(nothing["kappa"])
 
 
@@ -292,7 +295,7 @@ def test_patches_hold_the_contact(comm):
     """Areas add up to the contact area, loads to the load; labels are the numbers of the rows of the table."""
     grid = SlabGrid(comm, (24, 30), (24.0, 15.0))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(grid, heights, Elasticity(MODULUS), asked(["patches"]))
+    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()), asked(["patches"]))
     contact = observer.contact(solved(pressure))
     table = comm.bcast(observer.groups(contact)["patches"])
     assert table["area"].sum() == contact.area.pixels * grid.pixel_area
@@ -402,11 +405,12 @@ def test_area_of_the_low_passed_surface(comm):
     load = 0.1 * np.sqrt(2) * np.pi * MODULUS * 0.01
     q = 2 * np.pi * np.array([8.0, 30.0])  # on 64² and 256² points
 
-    def solve(at, smooth, mean_pressure, start):
-        assert at.shape[0] < 512 and start is None and mean_pressure == load
-        return solve_hard_wall(at, smooth, mean_pressure, Elasticity(MODULUS), 1e-8)
+    def solve(problem, start):
+        assert problem.grid.shape[0] < 512 and start is None and problem.mean_pressure == load
+        return solve_hard_wall(problem, 1e-8)
 
-    observer = Observer(grid, heights, Elasticity(MODULUS), asked(["lowpass"], lowpass={"q": q}), solve=solve)
+    problem = ContactProblem(grid, heights, Elasticity(MODULUS), HardWall())
+    observer = Observer(problem, asked(["lowpass"], lowpass={"q": q}), solve=solve)
     nothing = np.zeros(grid.local_shape)
     contact = observer.contact(dataclasses.replace(solved(nothing), mean_pressure=load))
     found = observer.groups(contact)["lowpass_area"]
@@ -424,11 +428,12 @@ def test_area_is_that_of_the_finest_grid(comm):
     """
     grid, solid = SlabGrid(comm, (256, 256)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
-    observer = Observer(grid, heights, solid, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
-    solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-4)
+    problem = ContactProblem(grid, heights, solid, HardWall(), 0.01)
+    observer = Observer(problem, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
+    solution = solve_hard_wall(problem, 1e-4)
     found = observer.groups(observer.contact(solution))["lowpass_area"]
     for q, area in zip(found["q"], found["area_corrected"], strict=True):
-        direct = solve_hard_wall(grid, lowpass(grid, heights, q), 0.01, solid, 1e-6)
+        direct = solve_hard_wall(problem.on(grid, lowpass(grid, heights, q)), 1e-6)
         assert area == pytest.approx(contact_area(grid, direct.pressure).corrected, rel=0.02)
     assert np.all(np.diff(found["area_corrected"]) < 0)
 
@@ -444,9 +449,9 @@ def test_area_of_the_whole_surface(comm):
     """f(q) ends at the contact area itself, without another solution, and leaves that one as it was, bit for bit."""
     grid, solid = SlabGrid(comm, (64, 64)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 1, 0.05, 5)
-    solution = solve_hard_wall(grid, heights, 0.01, solid, 1e-6)
+    solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-6)
     before = solution.pressure.copy(), solution.gap.copy(), heights.copy()
-    observer = Observer(grid, heights, solid, asked(["lowpass"]))
+    observer = Observer(ContactProblem(grid, heights, solid, HardWall()), asked(["lowpass"]))
     contact = observer.contact(solution)
     found = observer.groups(contact)["lowpass_area"]
     assert found["area"][-1] == contact.area.fraction

@@ -11,13 +11,17 @@ def contact(request, comm):
     """Heights and our pressure (256, 256): self-affine, to a certified error of 1e-12."""
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
     hurst, lambda_s = request.param
     grid = SlabGrid(comm, (N, N))
     heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
-    return heights, solve_hard_wall(grid, heights, PRESSURE, Elasticity(MODULUS), 1e-12).pressure
+    return heights, solve_hard_wall(
+        ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), PRESSURE), 1e-12
+    ).pressure
 
 
 def _agree(theirs: np.ndarray, ours: np.ndarray) -> None:

@@ -13,6 +13,9 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.results import Results
 from pgfmd.job import job
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.simulate import simulate
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
@@ -56,7 +59,9 @@ def test_waves_along_both_axes_of_stretched_pixels(comm):
         shape, lengths = (n, other), (1.0, 5 * other / n)
         grid = SlabGrid(comm, shape[::-1] if axis else shape, lengths[::-1] if axis else lengths)
         x = (coordinates(grid)[axis] + np.zeros(grid.local_shape) + 0.5 / n + 0.5) % 1.0 - 0.5
-        solution = solve_hard_wall(grid, np.cos(2 * np.pi * x), mean, Elasticity(MODULUS), 1e-13)
+        solution = solve_hard_wall(
+            ContactProblem(grid, np.cos(2 * np.pi * x), Elasticity(MODULUS), HardWall(), mean), 1e-13
+        )
         expected, pressure = whole(grid, theory.pressure(x, mean)), whole(grid, solution.pressure)
         assert np.linalg.norm(pressure - expected) <= 2e-3 * np.linalg.norm(expected)
         assert abs(solution.mean_gap - theory.mean_gap(mean)) <= 16e-6  # second order: 1e-6 at 1024
@@ -75,7 +80,7 @@ def test_contact_conditions_on_stretched_pixels(stretched):
     gap exclude each other."""
     grid, heights = stretched
     tolerance, mean = 1e-10, 0.01
-    found = solve_hard_wall(grid, heights, mean, Elasticity(MODULUS), tolerance)
+    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), mean), tolerance)
     pressure, heights = whole(grid, found.pressure), whole(grid, heights)
     gap, displacement = gap_of(pressure, heights, grid.lengths)
     energy = np.mean(pressure * displacement) / 2
@@ -91,7 +96,10 @@ def test_exponential_wall_on_stretched_pixels(stretched):
     relative pressures of about √(1e-14 · 2 E_el/(ζ p̄))."""
     grid, heights = stretched
     mean, zeta = 0.01, 0.2 * math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
-    found = solve_exponential_wall(grid, heights, mean, Elasticity(MODULUS), zeta, 2.0, tolerance=1e-14)
+    found = solve_exponential_wall(
+        ContactProblem(grid, heights, Elasticity(MODULUS), ExponentialWall(zeta=zeta, sigma_ref=2.0), mean),
+        tolerance=1e-14,
+    )
     pressure, heights = whole(grid, found.pressure), whole(grid, heights)
     gap, _ = gap_of(pressure, heights, grid.lengths)
     wall = 2.0 * np.exp(-(gap - gap.mean() + found.mean_gap) / zeta)

@@ -1,7 +1,7 @@
 """How the solver scales: measured parts of a run, and from them a model of a big machine.
 
-    mpirun -n P python -m mpi4py tools/scaling.py measure OUT.jsonl --n 1024 [--exchanged]      # appends one line
-    python tools/scaling.py draw OUT.jsonl --output DIR                                         # CSV and pictures
+mpirun -n P python -m mpi4py tools/scaling.py measure OUT.jsonl --n 1024 [--exchanged]      # appends one line
+python tools/scaling.py draw OUT.jsonl --output DIR                                         # CSV and pictures
 """
 
 from __future__ import annotations
@@ -30,25 +30,26 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.parallel.collectives import Reduction
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
-    comm = MPI.COMM_WORLD
+    comm, solid = MPI.COMM_WORLD, Elasticity(2.66667)
     grid = SlabGrid(comm, (n, n), shared=False if exchanged else None)
     found = {"n": n, "ranks": comm.size, "exchanged": exchanged, "threads": grid.threads.count}
     for kind in (np.float32, np.float64):
         found |= {f"{name} {np.dtype(kind).name}": value for name, value in _transform_parts(grid, kind).items()}
     small = SlabGrid(comm, (64 * comm.size, 64), shared=grid._shared)  # so that nothing is compiled or loaded later
-    solve_hard_wall(small, self_affine(small, 0.8, 8.0, 0.031, 1), 0.0036, Elasticity(2.66667))
+    solve_hard_wall(ContactProblem(small, self_affine(small, 0.8, 8.0, 0.031, 1), solid, HardWall(), 0.0036))
     heights = self_affine(grid, 0.8, n / 64, 0.031, 1)
     reductions = _Counter(Reduction, ("sum", "sums", "max", "min", "dot"))
     fetches = _Counter(SlabGrid, ("fetch",))
     fine = grid.transforms
     began = time.perf_counter()
     steps = []
-    solution = solve_hard_wall(
-        grid, heights, 0.0036, Elasticity(2.66667), 1e-6, monitor=lambda level, state: steps.append(level)
-    )  # fmt: skip
+    problem = ContactProblem(grid, heights, solid, HardWall(), 0.0036)
+    solution = solve_hard_wall(problem, 1e-6, monitor=lambda level, state: steps.append(level))
     found |= {
         "solve": time.perf_counter() - began, "transforms": solution.transforms,
         "fine transforms": grid.transforms - fine, "steps": sum(level is grid for level in steps),

@@ -19,7 +19,12 @@ from mpi4py import MPI
 from pgfmd import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
-from pgfmd.solvers.dispatch import Wall, solve_contact
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 
 TOLERANCE = 1e-6
@@ -34,7 +39,7 @@ class Case:
     heights: np.ndarray
     pressure: float
     elasticity: Elasticity = Elasticity(1.0)
-    wall: Wall = Wall()
+    wall: ContactLaw = HardWall()
     method: str = "auto"
     error: type[Exception] | None = None
 
@@ -50,28 +55,28 @@ def cases() -> Iterator[Case]:
     base = rough()
     for power in (-8, -5, -3, -2, -1, 0, 3):
         yield Case(f"load 1e{power} E'g", base, 0.1 * 10.0**power)
-        yield Case(f"load 1e{power} E'g, exponential", base, 0.1 * 10.0**power, wall=Wall("exponential", base.std()))
+        yield Case(f"load 1e{power} E'g, exponential", base, 0.1 * 10.0**power, wall=ExponentialWall(zeta=base.std()))
     yield Case("load 1e-300", base, 1e-300)
     yield Case("no load", base, 0.0)
-    yield Case("no load, exponential", base, 0.0, wall=Wall("exponential", 1.0), error=InputError)
+    yield Case("no load, exponential", base, 0.0, wall=ExponentialWall(zeta=1.0), error=InputError)
     yield Case("offset 1e9", base + 1e9, 0.01)
     for scale in (1e-12, 1e12):
         yield Case(f"heights × {scale:g}", base * scale, 0.01 * scale)
-        yield Case(f"heights × {scale:g}, exponential", base * scale, 0.01 * scale, wall=Wall("exponential", scale))
+        yield Case(f"heights × {scale:g}, exponential", base * scale, 0.01 * scale, wall=ExponentialWall(zeta=scale))
     for modulus in (1e-12, 1e12):
         yield Case(f"modulus × {modulus:g}", base, 0.01 * modulus, Elasticity(modulus))
     for hurst in (0.0, 0.3, 0.5, 1.0):
         yield Case(f"H = {hurst:g}", rough(hurst=hurst, lambda_s=1.0), 0.01)
     for ratio in (1e-4, 1e-3, 1e-2, 0.1, 1, 10, 100):
         for load in (1e-4, 1e-2, 0.1):
-            yield Case(f"ζ = {ratio:g} h_rms, p = {load:g}", base, load, wall=Wall("exponential", ratio * base.std()))
+            yield Case(f"ζ = {ratio:g} h_rms, p = {load:g}", base, load, wall=ExponentialWall(zeta=ratio * base.std()))
     yield from slabs(base)
     yield from shapes()
     yield from surfaces()
     wave = np.cos(2 * np.pi * np.arange(64) / 64)[:, None] * np.ones(64)
     for method in ("auto", "gfmd"):
         yield Case(f"Westergaard, {method}", wave, 0.02, method=method)
-    yield Case("GFMD, exponential", base, 0.01, wall=Wall("exponential", 0.1 * base.std()), method="gfmd")
+    yield Case("GFMD, exponential", base, 0.01, wall=ExponentialWall(zeta=0.1 * base.std()), method="gfmd")
 
 
 def slabs(base: np.ndarray) -> Iterator[Case]:
@@ -92,7 +97,7 @@ def shapes() -> Iterator[Case]:
         shape = (n, n) if isinstance(n, int) else n
         heights = generator.standard_normal(shape)
         yield Case(f"{shape[0]} × {shape[1]} points, noise", heights, 0.1)
-        yield Case(f"{shape[0]} × {shape[1]} points, exponential", heights, 0.1, wall=Wall("exponential", 0.1))
+        yield Case(f"{shape[0]} × {shape[1]} points, exponential", heights, 0.1, wall=ExponentialWall(zeta=0.1))
 
 
 def surfaces() -> Iterator[Case]:
@@ -116,7 +121,7 @@ def surfaces() -> Iterator[Case]:
         for load in (1e-6, 0.02, 1.0):
             yield Case(f"{name}, p = {load:g} h", heights, load * size)
             if name not in ("denormals", "huge", "range of 1e300"):
-                wall = Wall("exponential", 0.05 * size)
+                wall = ExponentialWall(zeta=0.05 * size)
                 yield Case(f"{name}, p = {load:g} h, exponential", heights, load * size, wall=wall)
     for value in (np.nan, np.inf):
         broken = rough()
@@ -150,7 +155,10 @@ def attempt(case: Case, tolerance: float) -> tuple[str, float, int]:
     heights = np.ascontiguousarray(case.heights, dtype=np.float64)
     if not np.isfinite(heights).all():
         raise InputError("heights: all must be finite")
-    found = solve_contact(grid, heights, case.pressure, elasticity, case.wall, case.method, tolerance)
+    found = solve_contact(
+        ContactProblem(grid, heights, elasticity, case.wall, case.pressure),
+        Solver(method=case.method, tolerance=tolerance),
+    )
     return verify(found, heights, grid, elasticity, case, tolerance), found.certified_error, found.iterations
 
 

@@ -14,10 +14,14 @@ from typing import Any
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.job.output import Output, Written
-from pgfmd.job.sections import CONTROLS, LAWS, HardWall, Load, Run, Solid, Solver, Wall
+from pgfmd.job.sections import CONTROLS, Load, Run, Solid
 from pgfmd.options import section as tables
 from pgfmd.options.section import Kinds, Section, build, wrong
 from pgfmd.options.text import guess, printable, show
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.laws.table import LAWS
+from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.table import SURFACES
 
@@ -29,7 +33,7 @@ class Job:
     grid: Cell
     surface: Surface
     solid: Solid = dataclasses.field(default_factory=Solid)
-    wall: Wall = dataclasses.field(default_factory=HardWall)
+    wall: ContactLaw = dataclasses.field(default_factory=HardWall)
     load: Load
     solver: Solver = dataclasses.field(default_factory=Solver)
     output: Written = dataclasses.field(default_factory=Output)
@@ -38,12 +42,9 @@ class Job:
 
     def __post_init__(self) -> None:
         self.surface.check_in(self.grid)
-        method, wall = self.solver.method, self.wall.kind
-        for name, walls in (("active-set", "hard"), ("newton", "exponential")):
-            if method == name and wall != walls:
-                raise wrong(self.solver, "method", f'is for wall.kind = "{walls}"; here it is "{wall}"')
-        if wall == "exponential" and 0.0 in (self.load.pressure or ()):
-            raise wrong(self.load, "pressure", "must be > 0 under an exponential wall, which never lets go")
+        self.solver.check_law(self.wall)
+        if not self.wall.releases and 0.0 in (self.load.pressure or ()):
+            raise wrong(self.load, "pressure", f'must be > 0 with wall.kind = "{self.wall.kind}", which never lets go')
 
 
 SECTIONS: dict[str, type[Section] | Kinds] = {

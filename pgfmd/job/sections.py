@@ -1,4 +1,4 @@
-"""The sections of a job that belong to no door: solid, load, solver, output, run.  No MPI here.
+"""The sections of a job that belong to no door: solid, load, output, run.  No MPI here.
 
 The fields of a class are the keys of its TOML table; the comment beside a key is its meaning.  All numbers are in one
 consistent set of units, chosen by the user.
@@ -10,9 +10,8 @@ import math
 from dataclasses import dataclass
 
 from pgfmd.errors import InputError
-from pgfmd.grid.cell import TRANSFORMS
-from pgfmd.options.rules import POSITIVE, choice, integer, many, number
-from pgfmd.options.section import Kinds, Section, key, wrong
+from pgfmd.options.rules import POSITIVE, choice, many, number
+from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
 
@@ -85,32 +84,6 @@ def _moduli(given: dict[str, float]) -> dict[str, float | None] | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wall(Section):
-    """The law between the gap and the pressure."""
-
-    where = "wall"
-
-
-@dataclass(frozen=True, kw_only=True)
-class HardWall(Wall):
-    """No penetration."""
-
-    kind = "hard"
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExponentialWall(Wall):
-    """σ = sigma_ref exp(−gap/ζ)."""
-
-    kind = "exponential"
-    zeta: float | None = key(POSITIVE, needed=True)  # σ = sigma_ref exp(−gap/ζ)
-    sigma_ref: float | None = key(POSITIVE)  # the contact modulus if not given
-
-
-LAWS = Kinds("wall", (HardWall, ExponentialWall), default=HardWall)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Load(Section):
     """What is imposed, one solution per entry, in the order given: exactly one of the four lists."""
 
@@ -140,17 +113,6 @@ class Load(Section):
 
 
 CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solver(Section):
-    """How the contact is found, and how well: the certified relative energy error D/(2 E_el) at which it stops."""
-
-    where = "solver"
-    method: str = key(choice("auto", "active-set", "newton", "gfmd"), "auto")
-    tolerance: float = key(number(above=0, below=1), 1e-6)
-    max_iterations: int = key(integer(1), 10000)
-    transform: str = key(choice(*TRANSFORMS), "blocked")  # who transforms: blocks in cache, or the library mpi4py-fft
 
 
 @dataclass(frozen=True, kw_only=True)

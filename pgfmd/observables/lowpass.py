@@ -70,7 +70,7 @@ class Lowpass(Observable):
         areas[:] = contact.area.fraction, contact.area.corrected  # of the surface with all its modes
         lower = [index for index, q in enumerate(cutoffs) if is_lower(q, highest)]
         coarse = [(coarsening(surface.cell, cutoffs[index]), cutoffs[index]) for index in lower]
-        areas[lower] = lowpass_areas(surface.grid, surface.heights, coarse, contact.solve, solution.pressure)
+        areas[lower] = lowpass_areas(contact.problem, coarse, contact.solve, solution.pressure)
         return {"lowpass_area": {"q": cutoffs, "area": areas[:, 0], "area_corrected": areas[:, 1]}}
 
 

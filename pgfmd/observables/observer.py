@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable
+from functools import partial
 
-import numpy as np
-
-from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.lowpass import TOLERANCE
@@ -18,8 +16,9 @@ from pgfmd.observables.solved_contact import Solve, SolvedContact
 from pgfmd.observables.spectra import Spectra
 from pgfmd.observables.statistics.correlations import lag_bins, lag_rings, mode_rings, wave_number_bins
 from pgfmd.observables.table import OBSERVABLES
-from pgfmd.physics.elasticity import Elasticity
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution
 
 
@@ -27,48 +26,45 @@ class Observer:
     """Measures solved contacts of one rough surface.  Making one costs half a transform (a whole one for
     autocorrelations). Collective.
 
-    heights (nx_local, ny) are kept, not copied.  cutoff: wave number beyond which the surface has no modes (None:
-    none). seconds: time spent so far on each observable; what several share counts for the first.
+    problem: its heights are kept, not copied; its load does not matter.  cutoff: wave number beyond which the surface
+    has no modes (None: none).  solve: what solves the contacts of "lowpass", the law's own solver if None.
+    seconds: time spent so far on each observable; what several share counts for the first.
     """
 
     def __init__(
         self,
-        grid: SlabGrid,
-        heights: np.ndarray,
-        elasticity: Elasticity,
+        problem: ContactProblem,
         observables: Iterable[Observable] = (),
         cutoff: float | None = None,
         solve: Solve | None = None,
     ):
+        grid = problem.grid
         asked = {observable.name: observable for observable in observables}
         self.asked = {name: asked[name] for name in OBSERVABLES if name in asked}
-        self.contact_modulus, self.seconds = elasticity.contact_modulus, dict[str, float]()
+        self.problem, self.seconds = problem, dict[str, float]()
         spectra, acf = asked.get("spectra", Spectra()), asked.get("acf")
         assert isinstance(spectra, Spectra)
         q_max = None if spectra.all_modes else cutoff
         modes = mode_rings(grid, wave_number_bins(grid, spectra.spacing, spectra.bins, q_max))
         lags = lag_rings(grid, lag_bins(grid, acf.spacing, acf.bins)) if isinstance(acf, Acf) else None
-        self.surface = RoughSurface(grid, heights, cutoff, modes, lags)
-
-        def hard(grid: SlabGrid, heights: np.ndarray, load: float, start: np.ndarray | None) -> ContactSolution:
-            return solve_hard_wall(grid, heights, load, elasticity, TOLERANCE, start, overwrite_heights=True)
-
-        self._solve = solve or hard
+        self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
+        options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
+        self._solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope
 
     def contact(self, solution: ContactSolution) -> SolvedContact:
         """What is measured on one load."""
-        return SolvedContact(self.surface, solution, self.asked, self._solve)
+        return SolvedContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
 
     def row(self, contact: SolvedContact) -> dict[str, float]:
         """The numbers of `schema.LOADS`; the same on all ranks.  Collective."""
         area, solution = contact.area, contact.solution
-        load = solution.mean_pressure
+        load, modulus = solution.mean_pressure, self.problem.solid.contact_modulus
         return {
             "mean_pressure": load,
             "contact_area": area.fraction,
             "contact_area_corrected": area.corrected,
-            "kappa": area.fraction * self.contact_modulus * self.surface.rms_slope / load if load > 0 else math.nan,
+            "kappa": area.fraction * modulus * self.surface.rms_slope / load if load > 0 else math.nan,
             "mean_gap": solution.mean_gap,
             "elastic_energy": solution.elastic_energy,
             "certified_error": solution.certified_error,

@@ -17,25 +17,25 @@ from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.statistics.correlations import Correlations, correlate, indicator
 from pgfmd.observables.statistics.staircase import Area, contact_area
 from pgfmd.options.section import Section
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
-Solve = Callable[[SlabGrid, np.ndarray, float, np.ndarray | None], ContactSolution]
-"""(grid, heights, mean pressure, pressure to start from or None) → the contact of other heights, same solid and
-wall.
-"""
+Solve = Callable[..., ContactSolution]
+"""solve(problem, start=pressure to start from or None) → the contact, for heights that may be overwritten."""
 
 
 @dataclass(frozen=True)
 class SolvedContact:
     """One load of a run.  Every property and method is collective on first use.
 
-    asked: the observables that are measured, by name
+    problem: what was solved;  asked: the observables that are measured, by name
     """
 
+    problem: ContactProblem
     surface: RoughSurface
     solution: ContactSolution
     asked: Mapping[str, Section]
-    solver: Solve
+    solve: Solve
 
     @property
     def grid(self) -> SlabGrid:
@@ -91,10 +91,6 @@ class SolvedContact:
         """The table of patches on rank 0, empty elsewhere."""
         table = patch_table(labels, self.grid.spacing, pressure)
         return {} if table is None else {name: column for name, column in vars(table).items() if column is not None}
-
-    def solve(self, grid: SlabGrid, heights: np.ndarray, start: np.ndarray | None) -> ContactSolution:
-        """The contact of other heights, which may be overwritten, under the same load."""
-        return self.solver(grid, heights, self.solution.mean_pressure, start)
 
     def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:
         """The fields (nx_local, ny) of `schema.FIELDS` of this load that are named."""

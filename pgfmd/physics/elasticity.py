@@ -7,6 +7,7 @@ imposed load it only shifts the solid as a whole.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -40,6 +41,10 @@ class Elasticity:
             raise InputError(f"base = {self.base!r}: must be one of {', '.join(BASES)}")
         if not -1 < self.poisson < 0.5:
             raise InputError(f"poisson = {self.poisson!r}: must lie between -1 and 0.5, both excluded")
+
+    def in_units(self, height: float, pressure: float) -> Elasticity:
+        """The same solid where displacements and pressures count in these units (wave numbers are as they were)."""
+        return dataclasses.replace(self, contact_modulus=self.contact_modulus * height / pressure)
 
     def slab_factor(self, t: np.ndarray) -> np.ndarray:
         """F(t) for t = q d > 0; tends to 1 as t → ∞.
@@ -81,9 +86,17 @@ class Elasticity:
         """
         q = np.asarray(q, dtype=np.float64)
         if math.isinf(self.thickness):
-            return 0.5 * self.contact_modulus * q
+            return self.half_space_stiffness(q)
         factor = self.slab_factor(np.where(q > 0, q * self.thickness, 1.0))
-        return 0.5 * self.contact_modulus * q * factor
+        return self.half_space_stiffness(q) * factor
+
+    def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
+        """(E'/2) q, that of a half-space of the same contact modulus."""
+        return 0.5 * self.contact_modulus * q
+
+    def half_space_compliance(self, q: np.ndarray) -> np.ndarray:
+        """1/half_space_stiffness, for q > 0."""
+        return 1 / self.half_space_stiffness(q)
 
     def compliance(self, q: np.ndarray) -> np.ndarray:
         """1/stiffness, and 0 at q = 0."""

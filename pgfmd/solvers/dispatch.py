@@ -1,67 +1,53 @@
-"""One call for every wall and method."""
+"""One call for every contact law and method."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from pgfmd.errors import InputError, SolverError
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.errors import SolverError
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution
 
+SOLVERS: dict[str, Callable[..., ContactSolution]] = {
+    "active-set": solve_hard_wall,
+    "newton": solve_exponential_wall,
+    "gfmd": solve_gfmd,
+}
 RESCUE = 4000  # steps of dynamics after another method has failed
 log = logging.getLogger("pgfmd")
-METHODS = {"hard": ("auto", "active-set", "gfmd"), "exponential": ("auto", "newton", "gfmd")}
-
-
-@dataclass(frozen=True)
-class Wall:
-    """Hard ("hard"), or exponential ("exponential"): σ = σ_ref exp(−gap/ζ), with σ_ref the contact modulus if None."""
-
-    kind: str = "hard"
-    zeta: float | None = None
-    sigma_ref: float | None = None
 
 
 def solve_contact(
-    grid: SlabGrid,
-    heights: np.ndarray,
-    mean_pressure: float,
-    elasticity: Elasticity,
-    wall: Wall,
-    method: str = "auto",
-    tolerance: float = 1e-6,
-    max_iterations: int = 10000,
+    problem: ContactProblem,
+    options: Solver = Solver(),  # noqa: B008  (frozen)
     start: np.ndarray | None = None,
     monitor: Callable | None = None,
+    overwrite_heights: bool = False,
 ) -> ContactSolution:
-    """Contact of heights (nx_local, ny) with that wall at the mean pressure, by that method.  Collective.
+    """The contact by the method that the options name, to their tolerance.  Collective.
 
-    "auto" takes the fastest method, and dynamics should that fail.  `max_iterations` limits the steps of "gfmd"; the
-    other methods stop by themselves.  `start`, a pressure (nx_local, ny), replaces coarse grids.  Raises InputError for
-    a method that the wall does not know, SolverError.
+    start: a pressure (nx_local, ny) that replaces coarse grids.  monitor(grid, state): called after each outer step.
+    overwrite_heights: use their memory, unless method "auto" may need them again.  Raises InputError for a method that
+    the law does not take and values out of range, SolverError if the tolerance cannot be reached.
     """
-    if method not in METHODS[wall.kind]:
-        raise InputError(f"method {method!r}: must be one of {', '.join(METHODS[wall.kind])} for a wall of this kind")
-    common = grid, heights, mean_pressure, elasticity
-    if method == "gfmd" and (mean_pressure > 0 or wall.kind != "hard"):
-        law = wall.zeta or 0.0, wall.sigma_ref
-        return solve_gfmd(*common, *law, tolerance, max_iterations, start=start, monitor=monitor)
+    options.check_law(problem.law)
+    method = problem.law.methods[0] if options.method == "auto" else options.method
+    rescued = options.method == "auto" and "gfmd" in problem.law.methods
+    limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
     try:
-        if wall.kind == "exponential":
-            return solve_exponential_wall(*common, wall.zeta, wall.sigma_ref, tolerance, start, monitor)
-        return solve_hard_wall(*common, tolerance, start, monitor)
+        return SOLVERS[method](
+            problem, options.tolerance, start, monitor, overwrite_heights and not rescued, **limit
+        )  # fmt: skip
     except SolverError as failure:
-        if method != "auto" or mean_pressure == 0:
+        if not rescued:
             raise
-        if grid.comm.rank == 0:
+        if problem.grid.comm.rank == 0:
             log.info("%s; trying dynamics, which are slower but always converge", failure)
-    law = wall.zeta or 0.0, wall.sigma_ref
-    return solve_gfmd(*common, *law, tolerance, min(max_iterations, RESCUE), monitor=monitor)
+    return solve_gfmd(problem, options.tolerance, None, monitor, max_steps=RESCUE)

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.special import erfinv
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
 Solve = Callable[[float, np.ndarray | None, float], ContactSolution]
@@ -41,31 +40,28 @@ class Loads:
         self,
         control: str,
         solve: Solve,
-        grid: SlabGrid,
-        heights: np.ndarray,
-        elasticity: Elasticity,
+        problem: ContactProblem,
         tolerance: float = 1e-6,
         area_tolerance: float = 0.005,
-        hard: bool = True,
     ):
         if control not in CONTROLS:
             raise InputError(f"load control {control!r}: must be one of {', '.join(CONTROLS)}")
-        if control == "contact_area" and not hard:
-            raise InputError("load.contact_area: an exponential wall touches everywhere; impose another quantity")
-        self.control, self._solve, self.grid = control, solve, grid
-        self.tolerance, self.area_tolerance, self.hard = tolerance, area_tolerance, hard
+        if control == "contact_area" and not problem.law.releases:
+            raise InputError(f"load.contact_area: a wall of kind {problem.law.kind} touches everywhere")
+        self.control, self._solve, self.grid, self.law = control, solve, problem.grid, problem.law
+        self.tolerance, self.area_tolerance = tolerance, area_tolerance
         self.previous: ContactSolution | None = None
         self._resumed: np.ndarray | None = None
         if control == "pressure":
             return
-        reduce = grid.reduction
+        grid, heights, reduce = problem.grid, problem.heights, problem.grid.reduction
         mean = reduce.sum(heights) / grid.size
         self.summit = reduce.max(heights) - mean
         self.height = math.sqrt(reduce.sum((heights - mean) ** 2) / grid.size)
         if self.height == 0:
             raise InputError(f"load.{control}: the surface is flat: its contact is full at any load; impose a pressure")
-        self.stress = _full_contact_stress(grid, heights, elasticity)
-        mean_stiffness = elasticity.mean_stiffness()
+        self.stress = _full_contact_stress(problem)
+        mean_stiffness = problem.solid.mean_stiffness()
         self.mean_compliance = 1 / mean_stiffness if mean_stiffness > 0 else 0.0
 
     def resume(self, pressure: np.ndarray | None) -> None:
@@ -119,7 +115,7 @@ class Loads:
 
     def _out_of_touch(self, target: float) -> bool:
         """Whether a hard wall carries nothing there; raises InputError beyond full contact."""
-        if not self.hard:
+        if not self.law.releases:
             return False
         if self.control == "mean_gap":
             low, high, apart = 0.0, math.inf, target >= self.summit
@@ -181,15 +177,15 @@ def _next(points, low, high, wanted: float) -> float:
     return at + max(-3.0, min(3.0, step))
 
 
-def _full_contact_stress(grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity) -> float:
+def _full_contact_stress(problem: ContactProblem) -> float:
     """Rms of the stress of full contact, Kh (Persson's s).  Collective."""
-    parts = []
+    grid, heights, parts = problem.grid, problem.heights, []
 
     def fill(first: int, stop: int, rows: np.ndarray):
         rows[...] = heights[first:stop]
 
     def action(block: np.ndarray, first: int, stop: int):
-        stress = np.abs(block) * elasticity.stiffness(np.hypot(grid.qx, grid.qy[first:stop]))
+        stress = np.abs(block) * problem.solid.stiffness(np.hypot(grid.qx, grid.qy[first:stop]))
         parts.append((first, float(np.sum(grid.hermitian_weight[first:stop] * stress**2))))
 
     grid.read_spectrum(fill, action)

@@ -57,6 +57,8 @@ def prepare(case: Case, folder: Path) -> None:
     from pgfmd.errors import SolverError
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
@@ -70,7 +72,7 @@ def prepare(case: Case, folder: Path) -> None:
         np.save(path, heights)
 
     def solve(pressure: float, tolerance: float):
-        return solve_hard_wall(grid, heights, pressure, elasticity, tolerance)
+        return solve_hard_wall(ContactProblem(grid, heights, elasticity, HardWall(), pressure), tolerance)
 
     pressure = _load_for(case.area, lambda p: float(np.mean(solve(p, 1e-3).pressure > 0)))
     for tolerance in REFERENCE_ERRORS:

@@ -99,6 +99,8 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
     from pgfmd.grid.fftw import save_wisdom
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
@@ -109,7 +111,9 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
             heights = self_affine(grid, hurst, lambda_s * size / n if size < n else lambda_s, RMS_SLOPE, SEED)
             comm.Barrier()
             began = time.perf_counter()
-            solve_hard_wall(grid, heights, likely_pressure(area), Elasticity(CONTACT_MODULUS), tolerance)
+            solve_hard_wall(
+                ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), likely_pressure(area)), tolerance
+            )
             comm.Barrier()
             seconds.append(time.perf_counter() - began)
         save_wisdom()

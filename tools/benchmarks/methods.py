@@ -21,11 +21,15 @@ def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: flo
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
-    solution = solve_hard_wall(grid, heights, mean_pressure, Elasticity(CONTACT_MODULUS), tolerance)
+    solution = solve_hard_wall(
+        ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), mean_pressure), tolerance
+    )
     recorder.note(solution.pressure, solution.transforms)
     recorder.add_tail()
     grid.free()
@@ -37,6 +41,8 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     coarser = {}
@@ -50,7 +56,11 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
-    solve_hard_wall(grid, heights, mean_pressure, Elasticity(CONTACT_MODULUS), tolerance, monitor=monitor)
+    solve_hard_wall(
+        ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), mean_pressure),
+        tolerance,
+        monitor=monitor,
+    )
     recorder.add_tail()
     grid.free()
 
@@ -83,6 +93,8 @@ def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: floa
     from pgfmd.errors import SolverError
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.gfmd import solve_gfmd
 
     def watch(_, state):
@@ -92,7 +104,12 @@ def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: floa
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
     elasticity = Elasticity(CONTACT_MODULUS)
     with contextlib.suppress(EnoughError, SolverError):
-        solve_gfmd(grid, heights, mean_pressure, elasticity, tolerance=tolerance, max_steps=100_000, monitor=watch)
+        solve_gfmd(
+            ContactProblem(grid, heights, elasticity, HardWall(), mean_pressure),
+            tolerance=tolerance,
+            max_steps=100_000,
+            monitor=watch,
+        )
 
 
 def aspher(

@@ -34,6 +34,8 @@ def _solve(refinement: int) -> tuple:
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
@@ -42,7 +44,7 @@ def _solve(refinement: int) -> tuple:
     n = RATIO * refinement
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))
     heights = self_affine(grid, HURST, LENGTH / RATIO, RMS_SLOPE, SEED)
-    solution = solve_hard_wall(grid, heights, PRESSURE, Elasticity(CONTACT_MODULUS), 1e-9)
+    solution = solve_hard_wall(ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), PRESSURE), 1e-9)
     contact = solution.pressure > 0
     edges = sum(np.count_nonzero(contact != np.roll(contact, 1, axis)) for axis in (0, 1))
     raw = float(np.mean(contact))

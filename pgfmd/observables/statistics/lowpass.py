@@ -10,25 +10,27 @@ from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.observables.statistics.staircase import contact_area
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
-Solve = Callable[[SlabGrid, np.ndarray, np.ndarray | None], ContactSolution]
-"""(grid, heights, pressure to start from or None) → contact of these heights, which may be overwritten.  Collective."""
+Solve = Callable[..., ContactSolution]
+"""solve(problem, start=pressure to start from or None) → the contact; its heights may be overwritten.  Collective."""
 
 
 def lowpass_areas(
-    grid: SlabGrid, heights: np.ndarray, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
+    problem: ContactProblem, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
 ) -> np.ndarray:
     """Relative contact area, raw and corrected for the staircase, without modes |q| > each cutoff: (cutoffs, 2).
     Collective.
 
-    heights (nx_local, ny);  cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per
+    cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per
     length
     start: a pressure (nx_local, ny), for contacts on the full grid; those on a coarser one start from each other
     """
     areas, levels = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
     for index, (factor, _) in enumerate(cutoffs):
         levels.setdefault(factor, []).append(index)
+    grid, heights = problem.grid, problem.heights
     fine = grid
     for factor, indices in sorted(levels.items()):
         coarse, before = grid, start
@@ -39,7 +41,7 @@ def lowpass_areas(
                 fine.free()
             fine = coarse
         for index in indices:
-            solution = solve(coarse, lowpass(coarse, heights, cutoffs[index][1]), before)
+            solution = solve(problem.on(coarse, lowpass(coarse, heights, cutoffs[index][1])), start=before)
             area = contact_area(coarse, solution.pressure)
             areas[index] = area.fraction, area.corrected
             before = solution.pressure if factor > 1 else before

@@ -25,8 +25,7 @@ import numpy as np
 from pgfmd.errors import SolverError
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import Rows
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_set import segments
 
 INNER_REDUCTION = 0.1  # of the residual; less wastes outer steps, more is lost when the set changes
@@ -52,18 +51,17 @@ class State:
 
 
 class Relaxation:
-    """Relaxation of heights (nx_local, ny) on `grid` under the total load Σp: looks at a state, improves it, until it
-    is certified.
-    """
+    """Relaxation of a dimensionless problem: looks at a state, improves it, until it is certified."""
 
-    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float, exact: bool = True):
+    def __init__(self, problem: ContactProblem, exact: bool = True):
         """exact: the certificate must hold strictly; without, the grid only begins a finer one, and one to a few per
         cent will do.
         """
-        self.grid, self.heights, self.load, self.exact = grid, heights, load, exact
+        grid = problem.grid
+        self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
         self.least = np.empty(segments(grid))  # gap of each segment
         self.compliance = {
-            kind: elasticity.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
+            kind: problem.solid.apply_compliance(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
         }
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import INNER_REDUCTION, MOST_INNER, SINGLE_LIMIT, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import solve_on_set
 from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
@@ -32,15 +32,12 @@ class GapSteps(Relaxation):
     Attributes: points, the open set (None at first); values (count,), the gap on it after the last sweep.
     """
 
-    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float, exact: bool = True):
-        super().__init__(grid, heights, elasticity, load, exact)
-        self.stiffness = {
-            kind: elasticity.apply_stiffness(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)
-        }
-        self.inner = inner_response(
-            grid, elasticity.half_space_stiffness, elasticity.stiffness, self.stiffness[np.float32]
-        )
-        self.preconditioner = NearCompliance(grid, elasticity.half_space_compliance)
+    def __init__(self, problem: ContactProblem, exact: bool = True):
+        super().__init__(problem, exact)
+        grid, solid = problem.grid, problem.solid
+        self.stiffness = {kind: solid.apply_stiffness(grid, kind, 1 / grid.size) for kind in (np.float32, np.float64)}
+        self.inner = inner_response(grid, solid.half_space_stiffness, solid.stiffness, self.stiffness[np.float32])
+        self.preconditioner = NearCompliance(grid, solid.half_space_compliance)
         self.points = self.values = None
 
     def free(self) -> None:

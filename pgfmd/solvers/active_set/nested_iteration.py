@@ -1,13 +1,11 @@
 """Nested iteration for the hard wall: solve coarse grids first, each a quarter of the work of the next, and start
 from them.
 
-`solve_hard_wall` is the solver that the rest of the program calls; it makes heights dimensionless, answers what needs
-no iteration, runs the levels and gives physical quantities back.
+`solve_hard_wall` is the solver that the rest of the program calls.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -15,11 +13,11 @@ import numpy as np
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import Interpolation, restrict
-from pgfmd.physics.elasticity import Elasticity
-from pgfmd.solvers import nondimensional
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import INNER_REDUCTION, State
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
@@ -28,103 +26,49 @@ PRESSED = 6.0  # times a bound of the rms pressure at full contact: loads that m
 MOSTLY = 0.45  # share of points in contact above which the others are the better unknowns
 COARSE_TOLERANCE = 2e-3  # certified error of coarse grids, unless their solver knows better (`Relaxation.goal`)
 
+Monitor = Callable[[SlabGrid, State], None]
+
 
 def solve_hard_wall(
-    grid: SlabGrid,
-    heights: np.ndarray,
-    mean_pressure: float,
-    elasticity: Elasticity,
+    problem: ContactProblem,
     tolerance: float = 1e-6,
     start: np.ndarray | None = None,
-    monitor: Callable[[SlabGrid, State], None] | None = None,
+    monitor: Monitor | None = None,
     overwrite_heights: bool = False,
 ) -> ContactSolution:
     """Pressure and gap of a hard, frictionless contact at the imposed mean pressure, to a certified relative energy
     error.  Collective.
 
-    heights: (nx_local, ny) in units of length, of any offset and size.  start: a pressure (nx_local, ny) from a
-    neighbouring load to begin with, instead of coarse grids.  monitor: called after each outer step.
-    overwrite_heights: use their memory, for heights that nobody needs afterwards.  Raises SolverError if the tolerance
-    cannot be reached.
+    start: a pressure (nx_local, ny) from a neighbouring load to begin with, instead of coarse grids.  monitor: called
+    after each outer step.  overwrite_heights: use their memory, for heights that nobody needs afterwards.  Raises
+    InputError for what is out of range, SolverError if the tolerance cannot be reached.
     """
-    began, transforms = time.perf_counter(), grid.transforms
-    reduce = grid.reduction
-    heights, height = nondimensional.dimensionless(grid, heights, mean_pressure, elasticity, overwrite_heights)
-    unit = elasticity.contact_modulus * (height or 1.0) / min(grid.spacing)  # of pressure
-    scaled = _Scaled(elasticity, unit / (height or 1.0))
-    if mean_pressure == 0 or height == 0:  # nothing touches, or everything does
-        pressure = np.full(grid.local_shape, float(mean_pressure))
-        highest = reduce.max(heights) * height
-        gap = highest - heights * height
-        return ContactSolution(
-            pressure, gap, mean_pressure, highest, 0.0, 0.0, 0.0, 0, 0.0, time.perf_counter() - began
-        )
-    load = mean_pressure / unit
-    extra = 0.0
+    units = Dimensionless(problem, overwrite_heights=overwrite_heights)
+    if units.uniform is not None:
+        return units.uniform
+    scaled, grid, extra = units.problem, problem.grid, 0.0
     if start is None:
-        state, extra = _cascade(grid, heights, scaled, load, tolerance, monitor)
-    elif (state := _full_contact(grid, heights, scaled, load)) is None:
-        contact = reduce.sum(np.count_nonzero(start)) / grid.size
-        state = State(start / unit, np.empty(grid.local_shape))
+        state, extra = _cascade(scaled, tolerance, monitor)
+    elif (state := _full_contact(scaled)) is None:
+        contact = grid.reduction.sum(np.count_nonzero(start)) / grid.size
+        state = State(start / units.units.pressure, np.empty(grid.local_shape))
         np.maximum(state.pressure, 0, out=state.pressure)
-        state.pressure *= load * grid.size / reduce.sum(state.pressure)
-        state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact)
-
-    def finish(first: int, stop: int) -> float:
-        return kernels.finish_rows(state.pressure[first:stop], state.gap[first:stop], state.level, unit, height)
-
-    violation = reduce.max(grid.threads.collect(finish, grid.local_shape[0]))
-    return ContactSolution(
-        pressure=state.pressure,
-        gap=state.gap,
-        mean_pressure=mean_pressure,
-        mean_gap=-state.level * height,
-        elastic_energy=state.energy / grid.size * unit * height,
-        certified_error=state.error,
-        max_violation=violation,
-        iterations=state.iterations,
-        transforms=grid.transforms - transforms + extra,
-        seconds=time.perf_counter() - began,
-    )
+        state.pressure *= scaled.load / grid.reduction.sum(state.pressure)
+        state = _relax(scaled, state, tolerance, monitor, contact)
+    return units.solution(state, state.energy / grid.size, extra)
 
 
-class _Scaled:
-    """The elastic response in dimensionless quantities: displacement in rms heights per pressure in `pressure_unit`."""
-
-    def __init__(self, elasticity: Elasticity, factor: float):
-        self.elasticity, self.factor = elasticity, factor
-
-    def apply_compliance(self, grid: SlabGrid, dtype, factor: float):
-        return self.elasticity.apply_compliance(grid, dtype, factor * self.factor)
-
-    def apply_stiffness(self, grid: SlabGrid, dtype, factor: float):
-        return self.elasticity.apply_stiffness(grid, dtype, factor / self.factor)
-
-    def stiffness(self, q: np.ndarray) -> np.ndarray:
-        return self.elasticity.stiffness(q) / self.factor
-
-    def compliance(self, q: np.ndarray) -> np.ndarray:
-        return self.elasticity.compliance(q) * self.factor
-
-    def half_space_compliance(self, q: np.ndarray) -> np.ndarray:
-        return 1 / self.half_space_stiffness(q)
-
-    def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
-        return 0.5 * self.elasticity.contact_modulus * q / self.factor
-
-
-def _full_contact(
-    grid: SlabGrid, heights: np.ndarray, scaled: _Scaled, load: float, margin: float = 1.0
-) -> State | None:
+def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     """The exact answer p = p̄ + Kh, if that is nowhere negative.  Collective.
 
     The rms value of Kh takes half a transform, and only a load above it is worth the other half; differences along y,
     which are free, bound it from below.  A load less than `margin` times that bound is not looked at.
     """
-    if load < margin * _least_deviation(grid, heights, scaled):
+    grid, heights, load = problem.grid, problem.heights, problem.mean_pressure
+    if load < margin * _least_deviation(problem):
         return None
     squares = []
-    action = scaled.apply_stiffness(grid, np.float64, 1.0)
+    action = problem.solid.apply_stiffness(grid, np.float64, 1.0)
 
     def measure(block: np.ndarray, first: int, stop: int):
         action(block, first, stop)
@@ -150,78 +94,89 @@ def _full_contact(
     return State(pressure, np.zeros(grid.local_shape), 0.0, energy, 0.0, grid.size)
 
 
-def _least_deviation(grid: SlabGrid, heights: np.ndarray, scaled: _Scaled) -> float:
+def _least_deviation(problem: ContactProblem) -> float:
     """A lower bound of the rms value of Kh, as |q| ≥ 2 sin(q_y a/2)/a.  Collective."""
-
+    grid, heights = problem.grid, problem.heights
     parts = grid.threads.collect(lambda a, b: kernels.squares_of_steps(heights[a:b]), grid.local_shape[0])
     q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
-    factor = np.min(scaled.stiffness(q) / q)
+    factor = np.min(problem.solid.stiffness(q) / q)
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
 
 
-def _relax(grid, heights, scaled, load, state, tolerance, monitor, contact: float, exact: bool = True) -> State:
+def _relax(
+    problem: ContactProblem,
+    state: State,
+    tolerance: float,
+    monitor: Monitor | None,
+    contact: float,
+    exact: bool = True,
+) -> State:
     """Relax a state of which about the share `contact` of all points touch.  Collective."""
     steps = GapSteps if contact > MOSTLY else PressureSteps
-    solver = steps(grid, heights, scaled, load * grid.size, exact)
+    solver = steps(problem, exact)
     if steps is GapSteps and state.energy > 0:  # the coarse grid's gap is better than any that its pressure makes
         solver.improve(state, INNER_REDUCTION, tolerance, np.float32)
-    seen = None if monitor is None else lambda state: monitor(grid, state)
+    seen = None if monitor is None else lambda state: monitor(problem.grid, state)
     state = solver.relax(state, tolerance, seen)
     solver.free()
     return state
 
 
-def _cascade(grid, heights, scaled, load, tolerance, monitor, exact: bool = True) -> tuple[State, float]:
-    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser
-    grids, weighted by size.
+def _cascade(
+    problem: ContactProblem, tolerance: float, monitor: Monitor | None, exact: bool = True
+) -> tuple[State, float]:
+    """Solve this grid from the next coarser one.  Returns the state and the transforms spent on coarser grids,
+    weighted by size.
     """
-    if (state := _full_contact(grid, heights, scaled, load, PRESSED)) is not None:
+    grid = problem.grid
+    if (state := _full_contact(problem, PRESSED)) is not None:
         return state, 0.0
-    coarse, coarse_heights = _coarser(grid, heights)
+    coarse = _coarser(problem)
     if coarse is None:
-        if (state := _full_contact(grid, heights, scaled, load)) is None:
-            state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
-            state = _relax(grid, heights, scaled, load, state, tolerance, monitor, 0.0, exact)
+        if (state := _full_contact(problem)) is None:
+            state = State(np.full(grid.local_shape, problem.mean_pressure), np.empty(grid.local_shape))
+            state = _relax(problem, state, tolerance, monitor, 0.0, exact)
         return state, 0.0
-    found, extra = _cascade(coarse, coarse_heights, scaled, load, COARSE_TOLERANCE, monitor, False)
-    contact, iterations = found.contact / coarse.size, found.iterations
-    state = full = _full_contact(grid, heights, scaled, load) if contact == 1 else None
+    found, extra = _cascade(coarse, COARSE_TOLERANCE, monitor, False)
+    contact, iterations = found.contact / coarse.grid.size, found.iterations
+    state = full = _full_contact(problem) if contact == 1 else None
     if full is None:
-        state = _prolong(coarse, found, coarse_heights, grid, heights, load, scaled)
-    extra = (extra + coarse.transforms) * coarse.size / grid.size
-    coarse.free()
-    del found, coarse_heights
+        state = _prolong(coarse, found, problem)
+    extra = (extra + coarse.grid.transforms) * coarse.grid.size / grid.size
+    coarse.grid.free()
+    del found, coarse
     if full is None:
-        state = _relax(grid, heights, scaled, load, state, tolerance, monitor, contact, exact)
+        state = _relax(problem, state, tolerance, monitor, contact, exact)
     state.iterations += iterations
     return state, extra
 
 
-def _coarser(grid: SlabGrid, heights: np.ndarray) -> tuple[SlabGrid | None, np.ndarray | None]:
-    """The next coarser grid and its heights, if it has something to say.  Collective."""
-    if min(grid.shape) <= COARSEST:
-        return None, None
-    coarse = grid.coarse()
-    coarse_heights = restrict(grid, coarse, heights, np.float32)
-    if coarse.reduction.dot(coarse_heights, coarse_heights) < FLAT**2 * coarse.size:
-        return None, None
-    return coarse, coarse_heights
+def _coarser(problem: ContactProblem) -> ContactProblem | None:
+    """The problem on the next coarser grid, if its answer is a start.  Collective."""
+    if min(problem.grid.shape) <= COARSEST:
+        return None
+    coarse = problem.grid.coarse()
+    heights = restrict(problem.grid, coarse, problem.heights, np.float32)
+    if coarse.reduction.dot(heights, heights) < FLAT**2 * coarse.size:
+        return None
+    return problem.on(coarse, heights)
 
 
-def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load, scaled: _Scaled) -> State:
+def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> State:
     """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the
     interpolated gap.
 
     So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.  Inside,
     linear interpolation would miss up to 8 % of a wave of eight coarse pixels.
     """
+    grid, heights, load = problem.grid, problem.heights, problem.mean_pressure
     displacement = found.gap  # whose memory is not needed any more
-    displacement += coarse_heights
+    displacement += coarse.heights
     displacement -= found.level
-    interpolation = Interpolation(coarse, grid, [displacement, found.pressure])
-    reach = max(coarse.spacing) * scaled.factor / scaled.elasticity.contact_modulus
+    interpolation = Interpolation(coarse.grid, grid, [displacement, found.pressure])
+    reach = max(coarse.grid.spacing) / problem.solid.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
-    gaps_matter = found.contact > MOSTLY * coarse.size
+    gaps_matter = found.contact > MOSTLY * coarse.grid.size
 
     sums = np.empty((-(-grid.local_shape[0] // grid.band), 2))
 
@@ -237,4 +192,4 @@ def _prolong(coarse, found: State, coarse_heights, grid: SlabGrid, heights, load
         grid.threads.scale(pressure, load * grid.size / total)
     else:  # the coarse grid says nothing about this one
         pressure[...] = load
-    return State(pressure, gap, energy=found.energy * grid.size / coarse.size if gaps_matter else 0.0)
+    return State(pressure, gap, energy=found.energy * grid.size / coarse.grid.size if gaps_matter else 0.0)

@@ -8,8 +8,7 @@ import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import Rows
-from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import MOST_INNER, SINGLE_LIMIT, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import solve_on_set
 from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
@@ -28,12 +27,11 @@ class PressureSteps(Relaxation):
     lies below the level of contact.
     """
 
-    def __init__(self, grid: SlabGrid, heights: np.ndarray, elasticity: Elasticity, load: float, exact: bool = True):
-        super().__init__(grid, heights, elasticity, load, exact)
-        self.inner = inner_response(
-            grid, elasticity.half_space_compliance, elasticity.compliance, self.compliance[np.float32]
-        )
-        self.preconditioner = MultilevelStiffness(grid, elasticity.half_space_stiffness, elasticity.stiffness)
+    def __init__(self, problem: ContactProblem, exact: bool = True):
+        super().__init__(problem, exact)
+        grid, solid = problem.grid, problem.solid
+        self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
+        self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
         self.points = self.residual = None
 
     def free(self) -> None:

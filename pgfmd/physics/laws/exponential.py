@@ -1,0 +1,161 @@
+"""The exponential wall: p = σ_ref exp(−gap/ζ).
+
+Its dual energy is ζ times the negative entropy of the pressure, φ(p) = ζ p (ln(p/σ_ref) − 1).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numba
+import numpy as np
+
+from pgfmd.options.rules import POSITIVE
+from pgfmd.options.section import key
+from pgfmd.physics.laws.law import Certificate, ContactLaw, Total, Units
+
+if TYPE_CHECKING:
+    from pgfmd.physics.elasticity import Elasticity
+
+_jit = numba.njit(nogil=True, cache=True, error_model="numpy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExponentialWall(ContactLaw):
+    """A wall that repels from afar: pressure = sigma_ref exp(−gap/zeta).  sigma_ref shifts gaps, no more."""
+
+    kind: ClassVar[str] = "exponential"
+    methods: ClassVar[tuple[str, ...]] = ("newton", "gfmd")
+    releases: ClassVar[bool] = False
+
+    zeta: float = key(POSITIVE, about="ζ, the length over which the pressure decays", needed=True, example=0.25)
+    sigma_ref: float | None = key(POSITIVE, about="pressure at gap 0; the contact modulus if not given")
+
+    @property
+    def range(self) -> float:
+        """ζ."""
+        return self.zeta
+
+    def gap(self, pressure: float, solid: Elasticity) -> float:
+        """ζ ln(σ_ref/p)."""
+        return self.zeta * math.log((self.sigma_ref or solid.contact_modulus) / pressure)
+
+    def in_units(self, units: Units) -> ExponentialWall:
+        """p̂ = exp(−ĝ/ζ̂)."""
+        return ExponentialWall(zeta=self.zeta / units.height, sigma_ref=1.0)
+
+    def softer(self, factor: float) -> ExponentialWall:
+        """The same with ζ larger by that factor."""
+        return dataclasses.replace(self, zeta=self.zeta * factor)
+
+    def respond(
+        self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
+    ) -> tuple[float, float]:
+        """p with compliance · p + ζ ln p = target + level."""
+        return respond(target, compliance, self.zeta, level, pressure, first, stop)
+
+    def certify(
+        self, total: Total, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, least: float
+    ) -> Certificate:
+        """ζ times the relative entropy of the pressure to the wall's answer σ to its gap: Σ p̂ ln(p̂/σ̂).
+
+        That is the duality gap to the primal ½⟨u, Ku⟩ + ζ ln⟨exp(−(u − h)/ζ)⟩ at u = Gp̂ (Fenchel for the quadratic
+        form, Gibbs' variational principle for the other term).  As ζ → 0 it tends to that of the hard wall.
+        """
+        count, weight, potential, work, loaded = total(moments, pressure, gap, heights, self.zeta, least)
+        log_scale = -math.log(weight / count)
+        (apart,) = total(divergence, pressure, gap, self.zeta, least, log_scale)
+        return Certificate(self.zeta * log_scale + least, self.zeta * apart, potential, work, int(loaded))
+
+    def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
+        """The violation counts where the pressure exceeds its mean."""
+        return finish_rows(pressure, gap, self.zeta, level, *units)
+
+
+@_jit
+def wright_omega(z):
+    """ω > 0 with ω + ln ω = z, to a few units of rounding.
+
+    Iteration of Fritsch, Shafer and Crowley 1973, doi:10.1145/361952.361970.
+    """
+    if z < -1:
+        x = math.exp(z)
+        w = x / (1 + x)
+        if z < -40:
+            return x
+    elif z < 3:
+        w = 1 + (z - 1) / 2 + (z - 1) ** 2 / 16
+    else:
+        logarithm = math.log(z)
+        w = z - logarithm + logarithm / z
+    for _ in range(2):
+        r = z - w - math.log(w)
+        t = (1 + w) * (1 + w + 2 * r / 3)
+        w *= 1 + r / (1 + w) * (t - r / 2) / (t - r)
+    return w
+
+
+@_jit
+def respond(target, compliance, zeta, level, pressure, first, stop):
+    """p̂ with compliance p̂ + ζ ln p̂ = target + level; returns Σ p̂ and Σ dp̂/dlevel."""
+    b = zeta / compliance
+    shift = -math.log(b)
+    total = slope = 0.0
+    for i in range(first, stop):
+        for j in range(target.shape[1]):
+            w = wright_omega((target[i, j] + level) / zeta + shift)
+            pressure[i, j] = b * w
+            total += b * w
+            slope += w / (1 + w)
+    return total, slope / compliance
+
+
+@_jit
+def moments(pressure, gap, heights, zeta, least, first, stop):
+    """(points, Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂), Σ p̂ (g + h), #{p̂ > 1}) of some rows."""
+    weight = potential = work = 0.0
+    loaded = 0
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            g, p = gap[i, j], pressure[i, j]
+            away = g - least
+            if away < 745 * zeta:
+                weight += math.exp(-away / zeta)
+            if p > 0:
+                potential += p * (away + zeta * math.log(p))
+                work += p * (g + heights[i, j])
+                loaded += p > 1
+    return (stop - first) * gap.shape[1], weight, potential, work, loaded
+
+
+@_jit
+def divergence(pressure, gap, zeta, least, log_scale, first, stop):
+    """Σ p̂ ln(p̂/σ̂) − p̂ + σ̂ with σ̂ = exp((least − g)/ζ + log_scale): no term is negative, so nothing cancels."""
+    total = 0.0
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            p = pressure[i, j]
+            exponent = (least - gap[i, j]) / zeta + log_scale
+            if p > 0:
+                t = math.log(p) - exponent
+                total += p * (t + math.expm1(-t)) if t > -30 else p * (t - 1) + math.exp(exponent)
+            elif exponent > -745:
+                total += math.exp(exponent)
+    return total
+
+
+@_jit
+def finish_rows(pressure, gap, zeta, level, height, unit, offset):
+    """p = unit · p̂ and gap = height · (g − level) + offset; returns the largest |g + ζ ln p̂ − level| where p̂ ≥ 1."""
+    largest = 0.0
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            away = gap[i, j] - level
+            if pressure[i, j] >= 1:
+                largest = max(largest, abs(away + zeta * math.log(pressure[i, j])))
+            gap[i, j] = away * height + offset
+            pressure[i, j] *= unit
+    return largest

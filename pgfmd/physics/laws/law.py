@@ -1,0 +1,99 @@
+"""What a contact law is: the relation between the pressure p on a point and the gap g there.
+
+A convex law is given by its dual energy per area φ(p), which is infinite for pressures that it does not admit; the gap
+at a pressure is −dφ/dp.  The contact at an imposed mean pressure is then the minimum of
+
+    J(p) = ½⟨p, Gp⟩ − ⟨p, h⟩ + ⟨φ(p)⟩        (G: compliance of the solid, h: heights)
+
+over the pressures of that mean.  A new law is one file here that defines a `ContactLaw`, and its line in `table`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from pgfmd.options.section import Section
+
+if TYPE_CHECKING:
+    from pgfmd.physics.elasticity import Elasticity
+
+Total = Callable[..., np.ndarray]
+"""total(kernel, *arguments): sums over all points of what kernel(*arguments, first, stop) returns for rows first …
+stop−1 of the slab.  Collective."""
+
+
+class Units(NamedTuple):
+    """From a dimensionless contact to the physical one: p = pressure · p̂, gap = height · (ĝ − level) + offset."""
+
+    height: float
+    pressure: float
+    offset: float
+
+
+class Certificate(NamedTuple):
+    """What a feasible pressure p and its gap g = Gp − h tell.
+
+    level: the gap is best measured from there.  bound: of Σ (J(p) − J(p*)).  potential: Σ (p (g − min g) + φ(p));
+    work: Σ p (g + h); contact: number of points that count as touching while a solver is at work.
+    """
+
+    level: float
+    bound: float
+    potential: float
+    work: float
+    contact: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactLaw(Section):
+    """A contact law; its fields are the keys of the table [wall].  Fields of points are (nx_local, ny).
+
+    methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
+    releases: whether it can carry nothing at all; else every load is positive.
+    """
+
+    where: ClassVar[str] = "wall"
+    methods: ClassVar[tuple[str, ...]] = ()
+    convex: ClassVar[bool] = True
+    releases: ClassVar[bool] = True
+
+    @property
+    def highest(self) -> float:
+        """Admissible pressures lie between 0 and this one."""
+        return math.inf
+
+    @property
+    def range(self) -> float:
+        """The length over which the pressure changes with the gap; 0 for a wall that is hard."""
+        return 0.0
+
+    def gap(self, pressure: float, solid: Elasticity) -> float:
+        """The gap −dφ/dp at which a point carries that pressure."""
+        raise NotImplementedError
+
+    def in_units(self, units: Units) -> ContactLaw:
+        """The law between dimensionless quantities; its gap at p̂ = 1 is 0."""
+        raise NotImplementedError
+
+    def respond(self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int):
+        """The resolvent: sets p with compliance · p − gap(p) = target + level in rows first … stop−1, or the admissible
+        pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
+        """
+        raise NotImplementedError
+
+    def certify(
+        self, total: Total, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, least: float
+    ) -> Certificate:
+        """The duality gap of a feasible dimensionless pressure of mean 1; least: the smallest gap.  Collective."""
+        raise NotImplementedError
+
+    def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
+        """Makes rows of a dimensionless solution physical, in place; returns the largest violation of the law, over the
+        unit of height.
+        """
+        raise NotImplementedError

@@ -1,0 +1,53 @@
+"""What is to be solved: a rough surface pressed against an elastic solid."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.law import ContactLaw
+
+
+@dataclass(frozen=True)
+class ContactProblem:
+    """Heights (nx_local, ny) of a rigid surface on `grid`, pressed at a mean pressure against an elastic solid, with
+    the law by which they touch.
+    """
+
+    grid: SlabGrid
+    heights: np.ndarray
+    solid: Elasticity
+    law: ContactLaw
+    mean_pressure: float = 0.0
+
+    def at(self, mean_pressure: float) -> ContactProblem:
+        """The same surface at another mean pressure."""
+        return dataclasses.replace(self, mean_pressure=mean_pressure)
+
+    def on(self, grid: SlabGrid, heights: np.ndarray) -> ContactProblem:
+        """The same solid, law and mean pressure with another surface."""
+        return dataclasses.replace(self, grid=grid, heights=heights)
+
+    def with_law(self, law: ContactLaw) -> ContactProblem:
+        """The same under another law."""
+        return dataclasses.replace(self, law=law)
+
+    @property
+    def load(self) -> float:
+        """Σ p over all points."""
+        return self.mean_pressure * self.grid.size
+
+    def check(self) -> None:
+        """Raises InputError for a mean pressure that the law cannot carry."""
+        pressure, law = self.mean_pressure, self.law
+        if not (pressure > 0 or law.releases and pressure == 0) or math.isinf(pressure):
+            least = "not negative" if law.releases else "positive"
+            raise InputError(f"mean pressure = {pressure!r}: must be {least} and finite with a wall of kind {law.kind}")
+        if not pressure < law.highest:
+            raise InputError(f"mean pressure = {pressure!r}: must be below {law.highest:g}, which the wall bears")
