@@ -17,7 +17,7 @@ from pgfmd.io import schema
 from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics import kernels, spectra
-from pgfmd.observables.statistics.correlations import correlate, mode_rings, wave_number_bins
+from pgfmd.observables.statistics.correlations import correlate, mode_rings
 from pgfmd.observables.statistics.distributions import contact_moments, linear_edges, log_edges, pressure_groups
 from pgfmd.observables.statistics.lowpass import lowpass
 from pgfmd.observables.statistics.staircase import contact_area
@@ -142,7 +142,7 @@ def test_zero_lag_of_the_autocorrelations(comm, shape, lengths):
 
 def sum_rule_residuals(grid, pressure):
     """`spectra.sum_rules` of a distributed pressure from two forward transforms."""
-    modes = mode_rings(grid, wave_number_bins(grid))
+    modes = mode_rings(grid, spectra.wave_number_bins(grid.shape, grid.lengths))
 
     def contact(first, stop, rows):
         rows[...] = pressure[first:stop] > 0

@@ -18,12 +18,11 @@ class Written(Section):
     """What is written.  What is not asked for is not computed; option tables act on observables that are."""
 
     where = "output"
-    fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), ())
-    observables: tuple[str, ...] = key(many(choice(*OBSERVABLES), distinct=True), ())
-    precision: str = key(choice("float64", "float32"), "float64")  # of the fields in the file
-    # Names that label the results.  Nothing is converted, but the heights of a file that says its own unit.
-    length_unit: str = key(text(), "length")
-    pressure_unit: str = key(text(), "pressure")
+    fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), (), "written for each load (height: once)")
+    observables: tuple[str, ...] = key(many(choice(*OBSERVABLES), distinct=True), (), "measured for each load")
+    precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
+    length_unit: str = key(text(), "length", "label; only heights from a file that says its own unit are converted")
+    pressure_unit: str = key(text(), "pressure", "label")
 
     @property
     def asked(self) -> list[Observable]:
@@ -39,4 +38,5 @@ class Written(Section):
 
 # Written with one more key for each observable, the table [output.NAME].
 TABLES = [(name, kind, key(kind)) for name, kind in OBSERVABLES.items()]
-Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), frozen=True, kw_only=True)
+DOC = {"__doc__": Written.__doc__}
+Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), namespace=DOC, frozen=True, kw_only=True)

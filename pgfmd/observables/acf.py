@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Groups
 from pgfmd.observables.observable import Cost, Observable, correlation_layout
+from pgfmd.observables.statistics.spectra import lag_bins
 from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key
 
@@ -35,8 +38,12 @@ class Acf(Observable):
         **acf_layout("height", "{length}^2", "height autocorrelation ⟨h(r) h(r')⟩"),
     }
 
-    spacing: str = key(choice("log", "linear"), "log")  # of the bins
-    bins: int = key(integer(1, 10**6), 20)  # per decade of |Δr| (log), or bins up to half the shorter side (linear)
+    spacing: str = key(choice("log", "linear"), "log", "of the bins of |Δr|")
+    bins: int = key(integer(1, 10**6), 20, "per decade (log), or up to half the shorter side of the cell (linear)")
+
+    def edges(self, cell: Cell) -> np.ndarray:
+        """Edges of the bins of |Δr|."""
+        return lag_bins(cell.shape, cell.lengths, self.spacing, self.bins)
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """A transform each for the pressure and the contact."""

@@ -38,7 +38,7 @@ class ContactPatches(Observable):
     where = "output.patches"
     layout = {"patches": {**SHAPES, **LOADS}}
 
-    connectivity: int = key(choice(8, 4), 8)  # 8: points are neighbours over edges and corners; 4: over edges only
+    connectivity: int = key(choice(8, 4), 8, "8: points are neighbours over edges and corners; 4: over edges")
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """A mask and the runs of points in contact in each row."""

@@ -45,8 +45,9 @@ class Histogram(Observable):
         },
     }
 
-    # Of the pressure and of the gap; a tenth as many to a decade where they are even in the logarithm.
-    bins: int = key(integer(1, 10**7), 200)
+    bins: int = key(
+        integer(1, 10**7), 200, "of pressure and of gap; a tenth of it to a decade for those in the logarithm"
+    )
 
     def measure(self, contact: SolvedContact) -> Groups:
         """Five passes over fields, no transform.  Collective."""

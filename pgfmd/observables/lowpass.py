@@ -11,7 +11,7 @@ import numpy as np
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.observable import Cost, Observable
-from pgfmd.options.rules import many, number
+from pgfmd.options.rules import POSITIVE, many
 from pgfmd.options.section import key
 
 if TYPE_CHECKING:
@@ -46,8 +46,9 @@ class Lowpass(Observable):
         }
     }
 
-    # Radians per length; not given: doubled from the longest wave of the cell to the surface's shortest.
-    q: tuple[float, ...] = key(many(number(above=0)), ())
+    q: tuple[float, ...] = key(
+        many(POSITIVE), (), "radians per length; empty: doubled from the cell's longest wave to the surface's shortest"
+    )
 
     def cutoffs(self, cell: Cell, highest: float) -> np.ndarray:
         """The wave numbers at which the surface is cut off; `highest`: its own largest."""

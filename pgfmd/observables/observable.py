@@ -9,9 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Dataset, Groups, Layout
-from pgfmd.options.section import Section
+from pgfmd.observables.statistics.spectra import wave_number_bins
+from pgfmd.options.rules import choice, flag, integer
+from pgfmd.options.section import Section, key
 
 if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact
@@ -48,6 +52,20 @@ class Observable(Section):
     def measure(self, contact: SolvedContact) -> Groups:
         """The results, complete on rank 0.  Collective."""
         raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spectrum(Observable):
+    """Means over the modes in bins of |q|."""
+
+    spacing: str = key(choice("log", "linear"), "log", "of the bins of |q|")
+    bins: int = key(integer(1, 10**6), 20, "per decade (log), or up to the largest |q| (linear)")
+    all_modes: bool = key(flag(), False, "false: bins end at the surface's shortest wave, |q| = 2π/λ_s")
+
+    def edges(self, cell: Cell, cutoff: float | None) -> np.ndarray:
+        """Edges of the bins, radians per length; cutoff: |q| of the surface's shortest wave, None: the grid's."""
+        q_max = None if self.all_modes else cutoff
+        return wave_number_bins(cell.shape, cell.lengths, self.spacing, self.bins, q_max)
 
 
 def spectrum_layout(unit: str, what: str) -> dict[str, Dataset]:

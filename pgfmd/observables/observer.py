@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable
 from functools import partial
 
+from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Groups
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.lowpass import TOLERANCE
@@ -14,7 +15,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.solved_contact import Solve, SolvedContact
 from pgfmd.observables.spectra import Spectra
-from pgfmd.observables.statistics.correlations import lag_bins, lag_rings, mode_rings, wave_number_bins
+from pgfmd.observables.statistics.correlations import lag_rings, mode_rings
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
@@ -44,9 +45,9 @@ class Observer:
         self.problem, self.seconds = problem, dict[str, float]()
         spectra, acf = asked.get("spectra", Spectra()), asked.get("acf")
         assert isinstance(spectra, Spectra)
-        q_max = None if spectra.all_modes else cutoff
-        modes = mode_rings(grid, wave_number_bins(grid, spectra.spacing, spectra.bins, q_max))
-        lags = lag_rings(grid, lag_bins(grid, acf.spacing, acf.bins)) if isinstance(acf, Acf) else None
+        cell = Cell(n=grid.shape, length=grid.lengths)
+        modes = mode_rings(grid, spectra.edges(cell, cutoff))
+        lags = lag_rings(grid, acf.edges(cell)) if isinstance(acf, Acf) else None
         self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
         options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
         self._solve = solve or partial(solve_contact, options=options, overwrite_heights=True)

@@ -12,7 +12,7 @@ from pgfmd.grid.callbacks import Columns, Rows, source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
-from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate
+from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,10 @@ class RoughSurface:
     def cell(self) -> Cell:
         """The grid as a job describes it."""
         return Cell(n=self.grid.shape, length=self.grid.lengths)
+
+    def rings(self, edges: np.ndarray) -> Rings:
+        """Bins of the wave number with these edges.  Collective."""
+        return self.modes if np.array_equal(edges, self.modes.edges) else mode_rings(self.grid, edges)
 
     def correlate(self, fill: Rows, watch: Columns | None = None) -> Correlations:
         """Spectrum, and autocorrelation if one is asked for, of the field whose rows `fill` makes.  Collective."""

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Groups
-from pgfmd.observables.observable import Cost, Observable, spectrum_layout
-from pgfmd.options.rules import choice, flag, integer
-from pgfmd.options.section import key
+from pgfmd.observables.observable import Cost, Spectrum, spectrum_layout
 
 if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spectra(Observable):
+class Spectra(Spectrum):
     """Mean of |f̃(q)|² over the modes in each bin of |q|, for the pressure, the contact (1 in contact, 0 outside) and
     the heights, and of Re h̃* σ̃.
 
@@ -31,12 +29,6 @@ class Spectra(Observable):
         "height_spectrum": spectrum_layout("{length}^2", "|h̃|² of the heights"),
         "cross_spectrum": spectrum_layout("{pressure}*{length}", "Re h̃* σ̃ of heights and pressure"),
     }
-
-    spacing: str = key(choice("log", "linear"), "log")  # of the bins
-    bins: int = key(integer(1, 10**6), 20)  # per decade of |q| (log), or bins up to the largest |q| (linear)
-    # The bins end at the surface's shortest wave, q_s = 2π/lambda_s, unless this is true; then they hold every mode of
-    # the grid.
-    all_modes: bool = key(flag(), False)
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """A forward transform each for the pressure, the contact, and both heights and pressure."""

@@ -15,7 +15,6 @@ from mpi4py import MPI
 from pgfmd.grid.callbacks import Columns, Rows
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_in_place
-from pgfmd.observables.statistics.spectra import HAIR, bin_edges, lag_edges
 
 
 @dataclass(frozen=True)
@@ -143,29 +142,3 @@ def indicator(field: np.ndarray, threshold: float) -> Rows:
 def _fold(n: int) -> np.ndarray:
     """Periodic distances of the points 0 … n−1 from point 0, in grid spacings."""
     return np.minimum(np.arange(n), n - np.arange(n)).astype(float)
-
-
-def wave_number_bins(grid: SlabGrid, spacing: str = "log", bins: int = 20, q_max: float | None = None) -> np.ndarray:
-    """Edges (m + 1,) of bins in |q|: `bins` to a decade ("log") or in all up to the largest |q| or q_max ("linear").
-
-    Raises InputError for another spacing.
-    """
-    if spacing == "linear":
-        top = np.hypot(*(np.pi * (n // 2 * 2) / length for n, length in zip(grid.shape, grid.lengths, strict=True)))
-        top = top if q_max is None else min(q_max, top)
-        return bin_edges(grid.shape, grid.lengths, "linear", width=top / bins or 1.0, q_max=q_max)
-    return bin_edges(grid.shape, grid.lengths, spacing, per_decade=bins, q_max=q_max)
-
-
-def lag_bins(grid: SlabGrid, spacing: str = "log", bins: int = 20) -> np.ndarray:
-    """Edges (k + 1,) of bins in distance, up to half the shorter side: `bins` to a decade, or in all ("linear").
-
-    The first bin holds Δr = 0 alone.  Raises InputError for another spacing.
-    """
-    half, step = min(grid.lengths) / 2, min(grid.spacing)
-    if spacing != "log":
-        return lag_edges(grid.shape, grid.lengths, half / bins)
-    count = max(int(np.ceil(bins * np.log10(half / step) + 0.5)), 0)
-    edges = step * 10 ** ((np.arange(count + 1) - 0.5) / bins)
-    edges = np.concatenate([[-edges[0], min(edges[0], step / 2)], edges[1:]]) if len(edges) > 1 else np.array([-half])
-    return np.append(edges[edges < half], half) * (1 + HAIR)

@@ -101,6 +101,38 @@ def lag_edges(shape, lengths, width=None) -> np.ndarray:
     return np.append(edges[edges < half], half) * (1 + HAIR)
 
 
+def wave_number_bins(
+    shape: tuple[int, int],
+    lengths: tuple[float, float],
+    spacing: str = "log",
+    bins: int = 20,
+    q_max: float | None = None,
+) -> np.ndarray:
+    """Edges (m + 1,) of bins in |q|: `bins` to a decade ("log") or in all up to the largest |q| or q_max ("linear").
+
+    Raises InputError for another spacing.
+    """
+    if spacing == "linear":
+        top = np.hypot(*(np.pi * (n // 2 * 2) / length for n, length in zip(shape, lengths, strict=True)))
+        top = top if q_max is None else min(q_max, top)
+        return bin_edges(shape, lengths, "linear", width=top / bins or 1.0, q_max=q_max)
+    return bin_edges(shape, lengths, spacing, per_decade=bins, q_max=q_max)
+
+
+def lag_bins(shape: tuple[int, int], lengths: tuple[float, float], spacing: str = "log", bins: int = 20) -> np.ndarray:
+    """Edges (k + 1,) of bins in distance, up to half the shorter side: `bins` to a decade, or in all ("linear").
+
+    The first bin holds Δr = 0 alone.  Raises InputError for another spacing.
+    """
+    half, step = min(lengths) / 2, min(length / n for n, length in zip(shape, lengths, strict=True))
+    if spacing != "log":
+        return lag_edges(shape, lengths, half / bins)
+    count = max(int(np.ceil(bins * np.log10(half / step) + 0.5)), 0)
+    edges = step * 10 ** ((np.arange(count + 1) - 0.5) / bins)
+    edges = np.concatenate([[-edges[0], min(edges[0], step / 2)], edges[1:]]) if len(edges) > 1 else np.array([-half])
+    return np.append(edges[edges < half], half) * (1 + HAIR)
+
+
 def distances(shape, lengths, rows=slice(None)) -> np.ndarray:
     """Distance of each grid point (rows, ny) from the point (0, 0), to the nearest periodic image."""
     x, y = (np.minimum(np.arange(n), n - np.arange(n)) * (length / n) for n, length in zip(shape, lengths, strict=True))
