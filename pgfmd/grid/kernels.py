@@ -42,34 +42,42 @@ def tiles_to_rows(tiles: np.ndarray, at: int, half: np.ndarray, start: int, coun
 
 
 @jit
-def gather_columns(tiles: np.ndarray, nx: int, first: int, count: float, block: np.ndarray) -> None:
-    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2] — 16
-    rows at a time, so that both sides stay in cache.
-    """
+def _from_tile(tile: np.ndarray, at: int, nx: int, block: np.ndarray) -> None:
+    """block[c, i] = tile[i, at + c] for i < nx: 16 rows at a time, so that both sides stay in cache."""
+    for low in range(0, nx, 16):
+        for j in range(block.shape[0]):
+            for i in range(low, min(low + 16, nx)):
+                block[j, i] = tile[i, at + j]
+
+
+@jit
+def _to_tile(block: np.ndarray, nx: int, tile: np.ndarray, at: int) -> None:
+    """tile[i, at + c] = block[c, i] for i < nx, likewise."""
+    for low in range(0, nx, 16):
+        for i in range(low, min(low + 16, nx)):
+            for j in range(block.shape[0]):
+                tile[i, at + j] = block[j, i]
+
+
+@jit
+def gather_columns(tiles: np.ndarray, nx: int, first: int, count: int, block: np.ndarray) -> None:
+    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2]."""
     size, done = tiles.shape[2], 0
     while done < count:
-        tile, at = tiles[(first + done) // size], (first + done) % size
+        at = (first + done) % size
         width = min(size - at, count - done)
-        for low in range(0, nx, 16):
-            high = min(low + 16, nx)
-            for j in range(width):
-                for i in range(low, high):
-                    block[done + j, i] = tile[i, at + j]
+        _from_tile(tiles[(first + done) // size], at, nx, block[done : done + width])
         done += width
 
 
 @jit
-def scatter_columns(block: np.ndarray, nx: int, first: int, count: float, tiles: np.ndarray) -> None:
+def scatter_columns(block: np.ndarray, nx: int, first: int, count: int, tiles: np.ndarray) -> None:
     """tiles[(first + c) // w, i, (first + c) % w] = block[c, i]"""
     size, done = tiles.shape[2], 0
     while done < count:
-        tile, at = tiles[(first + done) // size], (first + done) % size
+        at = (first + done) % size
         width = min(size - at, count - done)
-        for low in range(0, nx, 16):
-            high = min(low + 16, nx)
-            for i in range(low, high):
-                for j in range(width):
-                    tile[i, at + j] = block[done + j, i]
+        _to_tile(block[done : done + width], nx, tiles[(first + done) // size], at)
         done += width
 
 

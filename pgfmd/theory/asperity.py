@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipkm1, elliprd, gamma, pbdv
 
 from pgfmd.errors import InputError
-from pgfmd.theory.numbers import Numbers
+from pgfmd.theory.reals import Reals
 from pgfmd.theory.surface import SpectralMoments
 
 LOW_LOAD_KAPPA_BGT = np.sqrt(2 * np.pi)
@@ -22,7 +22,7 @@ LOW_LOAD_KAPPA_BGT = np.sqrt(2 * np.pi)
 
 
 def greenwood_williamson(
-    separation: Numbers, moments: SpectralMoments, contact_modulus: Numbers
+    separation: Reals, moments: SpectralMoments, contact_modulus: Reals
 ) -> tuple[np.ndarray, np.ndarray]:
     """Area fraction and mean pressure of equal spherical summits with Gaussian heights.
 
@@ -36,14 +36,14 @@ def greenwood_williamson(
     return area, moments.summit_density * force
 
 
-def gaussian_excess(order: float, threshold: Numbers) -> np.ndarray:
+def gaussian_excess(order: float, threshold: Reals) -> np.ndarray:
     """∫_t^∞ (x − t)^n N(x; 0, 1) dx = Γ(n+1) e^(−t²/4) D_(−n−1)(t)/√(2π), D the parabolic cylinder function."""
     threshold = np.asarray(threshold, float)
     return gamma(order + 1) / np.sqrt(2 * np.pi) * np.exp(-(threshold**2) / 4) * pbdv(-order - 1, threshold)[0]
 
 
 def bush_gibson_thomas(
-    separation: Numbers, moments: SpectralMoments, contact_modulus: Numbers
+    separation: Reals, moments: SpectralMoments, contact_modulus: Reals
 ) -> tuple[np.ndarray, np.ndarray]:
     """Area fraction and mean pressure of elliptic paraboloids with the joint statistics of height and both curvatures.
 
@@ -66,7 +66,7 @@ def bush_gibson_thomas(
 
 
 def at_pressure(
-    model: Numbers, pressure: Numbers, moments: SpectralMoments, contact_modulus: Numbers
+    model: Reals, pressure: Reals, moments: SpectralMoments, contact_modulus: Reals
 ) -> tuple[np.ndarray, np.ndarray]:
     """Area fraction and separation at which `model` (a function of this module) carries the mean pressure, any shape.
 
@@ -74,8 +74,8 @@ def at_pressure(
     """
     height = np.sqrt(moments.m0)
 
-    def solve(target: Numbers) -> Numbers:
-        def excess(d: Numbers) -> Numbers:
+    def solve(target: Reals) -> Reals:
+        def excess(d: Reals) -> Reals:
             return np.log(model(d, moments, contact_modulus)[1]) - np.log(target)
 
         if not excess(30 * height) < 0 < excess(-10 * height):
@@ -88,7 +88,7 @@ def at_pressure(
     return pairs[:, 0].reshape(pressure.shape), pairs[:, 1].reshape(pressure.shape)
 
 
-def _integrate_summits(separation: Numbers, moments: Numbers, contact_modulus: Numbers) -> Numbers:
+def _integrate_summits(separation: Reals, moments: Reals, contact_modulus: Reals) -> Reals:
     """Area fraction and pressure at one separation: over z beyond d, over t given z, over r given t."""
     m0, m2, m4 = moments.m0, moments.m2, moments.m4
     nodes, weights = np.polynomial.legendre.leggauss(80)
@@ -121,7 +121,7 @@ def _integrate_summits(separation: Numbers, moments: Numbers, contact_modulus: N
 
 
 @cache
-def _ellipse_table() -> Numbers:
+def _ellipse_table() -> Reals:
     """Nodes ρ = r/t, their weights, and how the Hertzian area and load differ from those of a sphere of curvature t.
 
     With b/a = k and e² = 1 − k² the axes of the contact ellipse (Johnson, Contact Mechanics, section 4.2), at

@@ -8,20 +8,20 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri, owens_t
 
-from pgfmd.theory.numbers import Numbers
+from pgfmd.theory.reals import Reals
 
 
-def area(threshold: Numbers, h_rms: Numbers) -> np.ndarray:
+def area(threshold: Reals, h_rms: Reals) -> np.ndarray:
     """Fraction of a Gaussian surface of standard deviation `h_rms` above `threshold` (measured from the mean plane)."""
     return ndtr(-np.asarray(threshold) / h_rms)
 
 
-def threshold(fraction: Numbers, h_rms: Numbers) -> np.ndarray:
+def threshold(fraction: Reals, h_rms: Reals) -> np.ndarray:
     """The height above which lies the given fraction of a Gaussian surface."""
     return -h_rms * ndtri(fraction)
 
 
-def autocorrelation(height_correlation: Numbers, fraction: Numbers) -> np.ndarray:
+def autocorrelation(height_correlation: Reals, fraction: Reals) -> np.ndarray:
     """⟨Θ(r)Θ(r')⟩ of the bearing contact from ρ = ⟨h(r)h(r')⟩/⟨h²⟩: both heights of a Gaussian pair above threshold.
 
     P(X > t, Y > t) = Q(t) − 2 T(t, √((1−ρ)/(1+ρ))) with Owen's T function (1956), doi:10.1214/aoms/1177728074.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import xlogy
 
-from pgfmd.theory.numbers import Numbers
+from pgfmd.theory.reals import Reals
 
 
 @dataclass(frozen=True)
@@ -28,18 +28,18 @@ class Westergaard:
         """p* = π E' Δ/λ."""
         return np.pi * self.contact_modulus * self.amplitude / self.wavelength
 
-    def _load(self, mean_pressure: Numbers) -> Numbers:
+    def _load(self, mean_pressure: Reals) -> Reals:
         return np.clip(np.asarray(mean_pressure, float) / self.full_pressure, 0, 1)
 
-    def contact_area(self, mean_pressure: Numbers) -> np.ndarray:
+    def contact_area(self, mean_pressure: Reals) -> np.ndarray:
         """Relative contact area (2/π) asin √f; 1 at and above p*."""
         return 2 / np.pi * np.arcsin(np.sqrt(self._load(mean_pressure)))
 
-    def half_width(self, mean_pressure: Numbers) -> np.ndarray:
+    def half_width(self, mean_pressure: Reals) -> np.ndarray:
         """Half-width c = (λ/π) asin √f of the contact strip."""
         return self.wavelength / 2 * self.contact_area(mean_pressure)
 
-    def pressure(self, x: Numbers, mean_pressure: float) -> np.ndarray:
+    def pressure(self, x: Reals, mean_pressure: float) -> np.ndarray:
         """Pressure at x (any shape; the crest is at x = 0), 0 outside contact; p̄ + p* cos(2πx/λ) in full contact."""
         phase = np.pi * np.asarray(x, float) / self.wavelength
         if mean_pressure >= self.full_pressure:
@@ -50,12 +50,12 @@ class Westergaard:
         root = np.sqrt(np.maximum(edge - np.sin(phase) ** 2, 0))
         return 2 * self.full_pressure * np.abs(np.cos(phase)) * root
 
-    def mean_gap(self, mean_pressure: Numbers) -> np.ndarray:
+    def mean_gap(self, mean_pressure: Reals) -> np.ndarray:
         """Δ (1 − f + f ln f)."""
         load = self._load(mean_pressure)
         return self.amplitude * (1 - load + xlogy(load, load))
 
-    def elastic_energy(self, mean_pressure: Numbers) -> np.ndarray:
+    def elastic_energy(self, mean_pressure: Reals) -> np.ndarray:
         """Energy per area p* Δ f² (1 − 2 ln f)/4, constant above p*."""
         load = self._load(mean_pressure)
         return self.full_pressure * self.amplitude * (load**2 - 2 * load * xlogy(load, load)) / 4
@@ -74,11 +74,11 @@ class Sinusoid2D:
         """p* = √2 π E' Δ/λ."""
         return np.sqrt(2) * np.pi * self.contact_modulus * self.amplitude / self.wavelength
 
-    def low_load_area(self, mean_pressure: Numbers) -> np.ndarray:
+    def low_load_area(self, mean_pressure: Reals) -> np.ndarray:
         """Relative contact area π (3f/8π)^{2/3} of separate Hertzian contacts, two per cell λ²: the limit f → 0."""
         return np.pi * (3 * np.asarray(mean_pressure) / (8 * np.pi * self.full_pressure)) ** (2 / 3)
 
-    def high_load_area(self, mean_pressure: Numbers) -> np.ndarray:
+    def high_load_area(self, mean_pressure: Reals) -> np.ndarray:
         """Relative contact area 1 − (3/2π)(1 − f): the limit f → 1."""
         return 1 - 3 / (2 * np.pi) * (1 - np.asarray(mean_pressure) / self.full_pressure)
 
@@ -105,14 +105,14 @@ class StripPunch:
     wavelength: float
     contact_modulus: float
 
-    def pressure(self, x: Numbers, mean_pressure: float) -> np.ndarray:
+    def pressure(self, x: Reals, mean_pressure: float) -> np.ndarray:
         """p̄ cos(πx/λ)/√(sin²(πc/λ) − sin²(πx/λ)) for |x| < c (x modulo λ), 0 outside; singular at the edge."""
         phase = np.pi * np.asarray(x, float) / self.wavelength
         under = np.sin(np.pi * self.half_width / self.wavelength) ** 2 - np.sin(phase) ** 2
         inside = under > 0
         return np.where(inside, mean_pressure * np.abs(np.cos(phase)) / np.sqrt(np.where(inside, under, 1)), 0.0)
 
-    def approach(self, mean_pressure: Numbers) -> np.ndarray:
+    def approach(self, mean_pressure: Reals) -> np.ndarray:
         """Depth of the punch below the mean plane of the solid: −(2 p̄ λ/(π E')) ln sin(πc/λ)."""
         depth = -2 / np.pi * np.log(np.sin(np.pi * self.half_width / self.wavelength))
         return np.asarray(mean_pressure) * self.wavelength / self.contact_modulus * depth

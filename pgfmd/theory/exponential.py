@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgfmd.theory.numbers import Numbers
+from pgfmd.theory.reals import Reals
 
 
-def response(q: Numbers, mean_pressure: Numbers, zeta: Numbers, *, contact_modulus: Numbers) -> np.ndarray:
+def response(q: Reals, mean_pressure: Reals, zeta: Reals, *, contact_modulus: Reals) -> np.ndarray:
     """G₁(q) = 1/(1 + ζ q E'/(2 p̄)), shape of q: the stress σ̃ = G₁ (E' q/2) h̃ of a mode that is small against ζ.
 
     Stiffness p̄/ζ of the wall in series with the stiffness E' q/2 of the solid; at ζ → 0 it is full contact.
@@ -16,7 +16,7 @@ def response(q: Numbers, mean_pressure: Numbers, zeta: Numbers, *, contact_modul
 
 
 def stress_spectrum(
-    q: Numbers, power: Numbers, mean_pressure: Numbers, zeta: Numbers, *, contact_modulus: Numbers
+    q: Reals, power: Reals, mean_pressure: Reals, zeta: Reals, *, contact_modulus: Reals
 ) -> np.ndarray:
     """|σ̃|² = G₁² (E' q/2)² |h̃|² per mode, shape (m,); `power` (m,) is |h̃|² of a mode."""
     full = (contact_modulus * np.asarray(q) / 2) ** 2 * power

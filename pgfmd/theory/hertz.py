@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgfmd.theory.numbers import Numbers
+from pgfmd.theory.reals import Reals
 
 # Σ' |n|^−1 (continued analytically: a neutralising background) and Σ' |n|^−3 over the square lattice without its
 # origin, 4 ζ(s) β(s) at s = 1/2 and 3/2 (β is Dirichlet's).
@@ -25,13 +25,13 @@ class HertzContact(NamedTuple):
     approach: float
 
 
-def contact(load: Numbers, tip_radius: Numbers, *, contact_modulus: Numbers) -> HertzContact:
+def contact(load: Reals, tip_radius: Reals, *, contact_modulus: Reals) -> HertzContact:
     """The free asperity under the force `load`: a³ = 3 P R/(4E'), p₀ = 3P/(2πa²), approach a²/R.  Arrays broadcast."""
     radius = np.cbrt(3 * np.asarray(load) * tip_radius / (4 * contact_modulus))
     return HertzContact(radius, 2 * contact_modulus * radius / (np.pi * tip_radius), radius**2 / tip_radius)
 
 
-def periodic_contact(load: Numbers, tip_radius: Numbers, cell: Numbers, *, contact_modulus: Numbers) -> HertzContact:
+def periodic_contact(load: Reals, tip_radius: Reals, cell: Reals, *, contact_modulus: Reals) -> HertzContact:
     """The same on a square lattice of period `cell` (length), to third order in radius/cell.
 
     The images shift the solid by a constant, ∝ Σ'|n|^−1, and bend it as the paraboloid r² Σ'|n|^−3/(4 cell³) does,
@@ -51,21 +51,21 @@ def periodic_contact(load: Numbers, tip_radius: Numbers, cell: Numbers, *, conta
     )
 
 
-def pressure(r: Numbers, radius: Numbers, peak_pressure: Numbers) -> Numbers:
+def pressure(r: Reals, radius: Reals, peak_pressure: Reals) -> Reals:
     """p₀ √(1 − r²/a²) inside the contact, 0 outside; shape of r."""
     return peak_pressure * np.sqrt(np.maximum(1 - (np.asarray(r) / radius) ** 2, 0))
 
 
-def elastic_energy(load: Numbers, tip_radius: Numbers, *, contact_modulus: Numbers) -> Numbers:
+def elastic_energy(load: Reals, tip_radius: Reals, *, contact_modulus: Reals) -> Reals:
     """Energy of the free contact, (2/5) P × approach."""
     return 0.4 * np.asarray(load) * contact(load, tip_radius, contact_modulus=contact_modulus).approach
 
 
-def patch_area(load: Numbers, tip_radius: Numbers, *, contact_modulus: Numbers) -> Numbers:
+def patch_area(load: Reals, tip_radius: Reals, *, contact_modulus: Reals) -> Reals:
     """a_c = π (3 R l_c/(4E'))^{2/3}, the area of one patch that carries the force l_c."""
     return np.pi * contact(load, tip_radius, contact_modulus=contact_modulus).radius ** 2
 
 
-def radius_from_second_moment(second_moment: Numbers) -> Numbers:
+def radius_from_second_moment(second_moment: Reals) -> Reals:
     """Contact radius from the pressure-weighted ⟨r²⟩ = 2a²/5: far more accurate than counting pixels."""
     return np.sqrt(2.5 * np.asarray(second_moment))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.theory.numbers import Numbers
+from pgfmd.theory.reals import Reals
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,14 @@ class SelfAffine:
         """C at the end of the plateau (length⁴)."""
         return self.rms_slope**2 / self._unscaled_moment(2, *self.q_limits[::2])
 
-    def density(self, q: Numbers) -> np.ndarray:
+    def density(self, q: Reals) -> np.ndarray:
         """C(q) with ⟨h²⟩ = ∫ C d²q, shape of `q` (length⁴); one mode of a cell of area A₀ has ⟨|h̃|²⟩ = (2π)² C/A₀."""
         low, roll_off, high = self.q_limits
         q = np.asarray(q, dtype=float)
         inside = (q >= low) & (q <= high)
         return self._scale * np.where(inside, (np.maximum(q, roll_off) / roll_off) ** (-2 * (1 + self.hurst)), 0.0)
 
-    def moment(self, order: float, q_low: Numbers = 0.0, q_high: Numbers = np.inf) -> np.ndarray:
+    def moment(self, order: float, q_low: Reals = 0.0, q_high: Reals = np.inf) -> np.ndarray:
         """∫ q^order C d²q over q_low ≤ q ≤ q_high: order 0 is h_rms², 2 is the squared rms slope.  Arrays broadcast."""
         return self._scale * self._unscaled_moment(order, q_low, q_high)
 
@@ -69,7 +69,7 @@ class SelfAffine:
         """m₀, m₂, m₄ of the surface."""
         return SpectralMoments.from_radial(*(float(self.moment(order)) for order in (0, 2, 4)))
 
-    def _unscaled_moment(self, order: Numbers, q_low: Numbers, q_high: Numbers) -> Numbers:
+    def _unscaled_moment(self, order: Reals, q_low: Reals, q_high: Reals) -> Reals:
         low, roll_off, high = self.q_limits
         start, stop = np.maximum(q_low, low), np.minimum(q_high, high)
         plateau = _power_integral(order + 1, np.minimum(start, roll_off), np.minimum(stop, roll_off))
@@ -78,7 +78,7 @@ class SelfAffine:
         return 2 * np.pi * (plateau + slope * roll_off**decay)
 
 
-def _power_integral(exponent: Numbers, start: Numbers, stop: Numbers) -> Numbers:
+def _power_integral(exponent: Reals, start: Reals, stop: Reals) -> Reals:
     """∫ q^exponent dq, zero where stop ≤ start; exact through the logarithm that exponent = −1 gives."""
     logarithm = np.log(np.maximum(stop, start) / start)
     growth = (exponent + 1) * logarithm
@@ -101,7 +101,7 @@ class SpectralMoments:
         return cls(height, slope / 2, 3 * curvature / 8)
 
     @classmethod
-    def from_spectrum(cls, q: Numbers, power: Numbers, count: Numbers = 1) -> SpectralMoments:
+    def from_spectrum(cls, q: Reals, power: Reals, count: Reals = 1) -> SpectralMoments:
         """From a radial spectrum: `power` (m,) is the mean |h̃|² of each of `count` (m,) modes at q (m,)."""
         q, variance = np.asarray(q, dtype=float), np.asarray(power, dtype=float) * count
         return cls.from_radial(*(float(np.sum(q**order * variance)) for order in (0, 2, 4)))

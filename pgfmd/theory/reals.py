@@ -2,5 +2,5 @@
 
 from typing import Any, TypeAlias
 
-Numbers: TypeAlias = Any
+Reals: TypeAlias = Any
 """A float or an array; several arguments broadcast against each other."""
