@@ -38,5 +38,5 @@ class Written(Section):
 
 # Written with one more key for each observable, the table [output.NAME].
 TABLES = [(name, kind, key(kind)) for name, kind in OBSERVABLES.items()]
-DOC = {"__doc__": Written.__doc__}
-Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), namespace=DOC, frozen=True, kw_only=True)
+NAMES = {"__doc__": Written.__doc__, "__module__": __name__}  # the module, so that a job can be sent to other ranks
+Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), namespace=NAMES, frozen=True, kw_only=True)
