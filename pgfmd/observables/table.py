@@ -6,6 +6,7 @@ from pgfmd.io.schema import Layout
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.bearing import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
+from pgfmd.observables.gap_spectrum import GapSpectrum
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import Observable
@@ -17,6 +18,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
         Histogram,
         Spectra,
         Acf,
+        GapSpectrum,
         ContactPatches,
         Bearing,
         Lowpass,
