@@ -8,7 +8,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 bash tools/setup.sh
 source tools/env.sh
 mpirun -n 2 .venv/bin/python -m mpi4py -m pgfmd run jobs/quickstart.toml --output results/quickstart --overwrite
-.venv/bin/python tools/quickstart_figures.py results/quickstart
+.venv/bin/pgfmd plot overview results/quickstart
 echo
 echo "Result files and pictures: $PWD/results/quickstart"
 echo "The run, its loads and headline numbers: .venv/bin/pgfmd info results/quickstart"

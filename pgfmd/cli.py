@@ -1,8 +1,9 @@
-"""The command line: `run` a job, `check` it beforehand, `info` on a result folder.
+"""The command line: `run` a job, `check` it beforehand, `info` on a result folder, `plot` what it holds.
 
     mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
     python -m pgfmd check JOB.toml
     python -m pgfmd info DIR
+    python -m pgfmd plot FIGURE DIR… [--output FOLDER]
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 75 (EX_TEMPFAIL) if
 the run was asked to stop, and did, ready for --restart; 1 for anything else.
@@ -11,11 +12,13 @@ the run was asked to stop, and did, ready for --restart; 1 for anything else.
 from __future__ import annotations
 
 import argparse
+import importlib
 import logging
 import os
 import sys
 import time
 import traceback
+from pathlib import Path
 
 from pgfmd import __version__
 from pgfmd.errors import InputError, SolverError, Stopped
@@ -26,7 +29,11 @@ PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit code.  `run` is collective over COMM_WORLD, the others need no MPI."""
     try:
-        options = _parser().parse_args(arguments)
+        words = sys.argv[1:] if arguments is None else arguments
+        if words[:1] == ["plot"]:  # each figure has options of its own
+            print(_plot(words[1:]))
+            return 0
+        options = _parser().parse_args(words)
         if options.command != "run":
             print(_check(options) if options.command == "check" else _info(options))
             return 0
@@ -48,7 +55,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="pgfmd", description="Elastic contact of randomly rough surfaces.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"pgfmd {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run | check | info")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="run | check | info | plot")
 
     run = commands.add_parser("run", help="run a job, under mpirun or as one process", allow_abbrev=False)
     run.add_argument("job", metavar="JOB.toml")
@@ -71,6 +78,7 @@ def _parser() -> argparse.ArgumentParser:
 
     info = commands.add_parser("info", help="what was run, and the table of loads", allow_abbrev=False)
     info.add_argument("directory", metavar="DIR")
+    commands.add_parser("plot", help="draw a figure of result folders; without arguments: the list of figures")
     return parser
 
 
@@ -94,6 +102,19 @@ def _info(options) -> str:
     from pgfmd.io import results
 
     return results.summary(results.Results(options.directory))
+
+
+def _plot(words: list[str]) -> str:
+    """Draw a figure; what to print.  The figures lie beside the package: installed, or in tools/ of a checkout."""
+    here = Path(__file__).resolve().parents[1]
+    folders = [here / name for name in ("pgfmd_tools", "tools") if (here / name / "figures.py").is_file()]
+    if not folders:
+        raise InputError("plot: the figures are not installed; they are the folder tools/ of a checkout of pgfmd")
+    sys.path.insert(0, str(folders[0]))
+    try:
+        return importlib.import_module("figures").plot(words)
+    except ImportError as error:
+        raise InputError(f"plot: {error}") from None
 
 
 def _run(options) -> int:

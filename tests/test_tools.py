@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import json
 import subprocess
 import sys
@@ -22,7 +21,9 @@ TOOLS = ROOT / "tools"
 sys.path.insert(0, str(TOOLS))
 
 import contact_patches  # noqa: E402
+import estimators  # noqa: E402
 import exponents  # noqa: E402
+import figures  # noqa: E402
 import pending  # noqa: E402
 import plotting  # noqa: E402
 import reading  # noqa: E402
@@ -31,23 +32,19 @@ import rowblocks  # noqa: E402
 
 JOB = """
 [grid]
-n = 64
+n = {n}
 [surface]
-kind = "self-affine"
-hurst = {hurst}
-lambda_s = {shortest}
-rms_slope = 0.031
-seed = {seed}
+{surface}
 [wall]
-kind = "{wall}"
-{zeta}
+{wall}
 [load]
-pressure = {pressures}
+{load}
 [output]
-fields = ["height", "pressure"]
+fields = {fields}
 observables = {observables}
 """
-ALL = ["histogram", "spectra", "acf", "patches", "bearing", "lowpass"]
+ALL = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
+HARD, SOFT = 'kind = "hard"', 'kind = "exponential"\nzeta = 0.25'
 
 
 @pytest.fixture(scope="module")
@@ -58,19 +55,32 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     from pgfmd.simulate import simulate
 
     folder = tmp_path_factory.mktemp("runs")
+    np.save(folder / "heights.npy", np.random.default_rng(3).normal(size=(48, 48)).cumsum(0) * 1e-2)
 
-    def run(name, pressures=(0.003, 0.02), observables=ALL, hurst=0.8, shortest=4.0, seed=1, zeta=None, n=64):
-        text = JOB.format(
-            hurst=hurst, shortest=shortest, seed=seed, pressures=list(pressures), observables=json.dumps(observables),
-            wall="exponential" if zeta else "hard", zeta=f"zeta = {zeta}" if zeta else "",
-        ).replace("n = 64", f"n = {n}")  # fmt: skip
+    def rough(hurst=0.8, shortest=4.0, seed=1):
+        return f'kind = "self-affine"\nhurst = {hurst}\nlambda_s = {shortest}\nrms_slope = 0.031\nseed = {seed}'
+
+    def run(name, surface=None, *, load="pressure = [0.003, 0.02]", keep=ALL, wall=HARD, n=48,
+            fields=("height", "pressure")):  # fmt: skip
+        text = JOB.format(n=n, surface=surface or rough(), wall=wall, load=load, fields=json.dumps(fields),
+                          observables=json.dumps(keep))  # fmt: skip
         simulate(config.parse(text), MPI.COMM_SELF, folder / name)
         return folder / name
 
-    made = {"kept": run("kept"), "bare": run("bare", observables=[])}
-    made |= {f"seed{seed}": run(f"seed{seed}", shortest=1.0, seed=seed) for seed in (1, 2)}
-    made |= {f"grid{n}": run(f"grid{n}", n=n, shortest=n / 16, observables=["histogram"]) for n in (16, 32, 64)}
-    made["soft"] = run("soft", zeta=0.25, observables=["spectra"])
+    one = "pressure = [0.003]"
+    made = {"kept": run("kept"), "bare": run("bare", keep=()), "nothing": run("nothing", keep=(), fields=())}
+    made |= {f"seed{seed}": run(f"seed{seed}", rough(shortest=1.0, seed=seed)) for seed in (1, 2)}
+    grids = {n: rough(shortest=n / 16) for n in (16, 32, 48)}
+    made |= {f"grid{n}": run(f"grid{n}", surface, n=n, load=one) for n, surface in grids.items()}
+    made |= {f"soft{seed}": run(f"soft{seed}", rough(seed=seed), wall=SOFT, keep=("spectra",)) for seed in (1, 2)}
+    made["file"] = run("file", f'kind = "file"\npath = "{folder}/heights.npy"')
+    made["soft file"] = run("softfile", f'kind = "file"\npath = "{folder}/heights.npy"', wall=SOFT, keep=("spectra",))
+    made["sinusoid"] = run("sinusoid", 'kind = "sinusoid"\namplitude = 0.1\nwaves = 2')
+    made["paraboloid"] = run("paraboloid", 'kind = "paraboloid"\nradius = 100.0', load="pressure = [1e-4, 1e-3]")
+    made["no patches"] = run("no-patches", keep=("histogram", "spectra"), fields=())
+    made["one load"] = run("one-load", load=one)
+    made["none to full"] = run("none-to-full", load="pressure = [0.0, 0.003, 0.3]")
+    made["areas"] = run("areas", load="contact_area = [0.04, 0.08]")
     return made
 
 
@@ -103,7 +113,7 @@ def test_autocorrelation_in_blocks_is_that_of_the_field(shape):
 
 def test_fields_alone_give_what_the_run_would_have_kept(runs):
     """Spectra from the fields of a run that kept none are those that the run measured, up to rounding."""
-    kept, bare = (reading.cases([runs[name]])[1] for name in ("kept", "bare"))
+    kept, bare = (reading.loads([runs[name]])[1] for name in ("kept", "bare"))
     for name in ("stress", "contact", "height"):
         for ours, theirs in zip(bare.spectrum(name), kept.spectrum(name), strict=True):
             np.testing.assert_allclose(ours, theirs, rtol=1e-9)
@@ -113,15 +123,15 @@ def test_fields_alone_give_what_the_run_would_have_kept(runs):
 
 def test_slope_from_the_height_spectrum(runs):
     """√Σ q²|h̃|² over the bins is the slope asked for, up to the width of the bins (20 to a decade: second order)."""
-    case = reading.cases([runs["kept"]])[0]
+    case = reading.loads([runs["kept"]])[0]
     q, power, count = case.spectrum("height")
     assert np.sqrt(np.sum(q**2 * power * count)) == pytest.approx(0.031, rel=5e-3)
 
 
 def test_sum_rules_of_the_spectra_of_a_run(runs):
     """Σ_{q≠0} |f̃|² = ⟨f²⟩ − ⟨f⟩² exactly, where no mode is cut off."""
-    group = reading.cases([runs["seed1"], runs["seed2"]])
-    assert all(round(case.spectrum("contact")[2].sum()) == 64**2 - 1 for case in group)
+    group = reading.loads([runs["seed1"], runs["seed2"]])
+    assert all(round(case.spectrum("contact")[2].sum()) == 48**2 - 1 for case in group)
     for kind in ("contact", "stress"):
         assert abs(exponents.worst_sum(group, kind)) < 1e-12
 
@@ -129,7 +139,7 @@ def test_sum_rules_of_the_spectra_of_a_run(runs):
 def test_joint_power_law_is_exact_for_power_laws():
     """Two exact power laws of one exponent and different prefactors give both back."""
     x = np.geomspace(3, 50, 17)
-    exponent, logarithms = plotting.fit_power_law(x, 5 * x**-1.3, 0.2 * x**-1.3)
+    exponent, logarithms = estimators.fit_power_law(x, 5 * x**-1.3, 0.2 * x**-1.3)
     assert exponent == pytest.approx(-1.3, abs=1e-12)
     np.testing.assert_allclose(np.exp(logarithms), [5, 0.2], rtol=1e-12)
 
@@ -137,7 +147,7 @@ def test_joint_power_law_is_exact_for_power_laws():
 def test_joint_exponent_of_different_power_laws_is_their_mean():
     """With equal points the joint least squares of slopes −1 and −2 is −1.5."""
     x = np.geomspace(1, 10, 9)
-    assert plotting.fit_power_law(x, x**-1.0, x**-2.0)[0] == pytest.approx(-1.5, abs=1e-12)
+    assert estimators.fit_power_law(x, x**-1.0, x**-2.0)[0] == pytest.approx(-1.5, abs=1e-12)
 
 
 def test_patch_slope_of_an_exact_law():
@@ -145,16 +155,19 @@ def test_patch_slope_of_an_exact_law():
     size = np.geomspace(1, 1e4, 801)
     centres, medians, counts = contact_patches.binned(size, size**1.5)
     assert counts.sum() == len(size)
-    assert contact_patches.slope(centres, medians) == (pytest.approx(1.5, abs=1e-3), pytest.approx(0, abs=1e-3))
+    assert estimators.fit_power_law(centres, medians)[0] == pytest.approx(1.5, abs=1e-3)
 
 
 def test_standard_error_of_seeds():
-    """Mean and s/√n; a single number has no error; digits follow the error."""
+    """Mean and s/√n; a single number has no error; the farthest choice is the spread; digits follow the error."""
     findings = plotting.Findings()
     findings.add("several", [1.0, 2.0, 3.0])
     findings.add("one", 4.5)
-    assert findings["several"] == (2.0, pytest.approx(1 / np.sqrt(3)))
-    assert findings["one"] == (4.5, None)
+    findings.add("chosen", [1.0, 2.0, 3.0], [1.5, 2.2])
+    assert (findings["several"].value, findings["several"].seeds) == (2.0, pytest.approx(1 / np.sqrt(3)))
+    assert (findings["one"].value, findings["one"].error) == (4.5, None)
+    assert findings["chosen"].choices == 0.5
+    assert findings["chosen"].error == pytest.approx(np.sqrt(1 / 3 + 1 / 4))
     assert findings.text("several") == "2.00 ± 0.58"
 
 
@@ -162,85 +175,199 @@ def test_verdict_allows_two_standard_errors():
     """With an error of 0.03, 0.95 and 1.25 agree with the interval from 1 to 1.2; 0.93 and 1.27 do not."""
     claim = report.Claim("", "", "x", expected=(1.0, 1.2))
     for value, verdict in ((0.93, "differs"), (0.95, "agrees"), (1.25, "agrees"), (1.27, "differs")):
-        assert claim.verdict(plotting.Findings(x=(value, 0.03))) == verdict
-    assert report.Claim("", "", "x").verdict(plotting.Findings(x=(1.27, 0.03))) == ""
+        assert claim.verdict(plotting.Findings(x=plotting.Finding(value, 0.03))) == verdict
+    assert report.Claim("", "", "x").verdict(plotting.Findings(x=plotting.Finding(1.27, 0.03))) == ""
 
 
 def test_nearest_load_of_each_folder(runs):
     """One load of each folder, and none if the areas asked for are far from all."""
-    found = reading.cases([runs["seed1"], runs["seed2"]])
+    found = reading.loads([runs["seed1"], runs["seed2"]])
     area = found[1].area
-    chosen = reading.nearest(found, area, slack=0.2)
+    chosen = reading.near(found, [area], slack=0.2)
     assert [case.index for case in chosen] == [1, 1]
     with pytest.raises(InputError, match="0.9999"):
-        reading.nearest(found, 0.9999)
+        reading.near(found, [0.9999])
 
 
 def test_pending_names_only_what_is_to_be_done(runs, tmp_path):
     """A complete run of the same job is done; another job, or no folder, is not."""
     job = tmp_path / "job.toml"
-    job.write_text(reading.cases([runs["kept"]])[0].results.provenance["job_toml"])
+    job.write_text(reading.loads([runs["kept"]])[0].results.provenance["job_toml"])
     assert pending.is_done(runs["kept"], str(job), [])
     assert not pending.is_done(runs["kept"], str(job), ["surface.seed=2"])
     assert not pending.is_done(tmp_path / "nothing", str(job), [])
 
 
-# A figure of each tool: arguments with the folders' names in braces.
-FIGURES = {
-    "quickstart_figures": ["{kept}"],
-    "pressure_distribution": ["{kept}"],
-    "autocorrelations": ["{bare}"],
-    "stress_contact_spectra": ["{seed1}", "{seed2}"],
-    "bearing_area": ["{seed1}", "{seed2}", "--area", "{area}", "--window", "2", "20"],
-    "exponents": ["{seed1}", "{seed2}", "--areas", "{area}", "--window", "4", "16"],
-    "persson_spectrum": ["{kept}"],
-    "field_theory": ["{soft}"],
-    "contact_patches": ["{kept}", "--smallest", "2"],
-    "area_load": ["{seed1}", "{seed2}"],
-    "resolution": ["{grid16}", "{grid32}", "{grid64}"],
+# Which kinds of run there are, and which figures each can give: all others refuse in one line.
+GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
+GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches"}
+KINDS = {
+    ("kept",): GENERAL,
+    ("seed1", "seed2"): GENERAL,
+    ("bare",): GENERAL - {"pressure_distribution", "bearing_area", "contact_patches"},
+    ("nothing",): {"area_load"},
+    ("file",): GENERAL,
+    ("sinusoid",): GENERAL,
+    ("paraboloid",): GENERAL,
+    ("soft1", "soft2"): {"overview", "persson_spectrum", "field_theory"},
+    ("soft file",): {"overview", "persson_spectrum", "field_theory"},
+    ("no patches",): GENERAL - {"autocorrelations", "bearing_area", "contact_patches"},
+    ("one load",): GENERAL,
+    ("none to full",): GENERAL,
+    ("areas",): GENERAL,
+    ("grid16", "grid32", "grid48"): GENERAL | {"resolution"},
+    ("kept", "file", "soft1", "nothing", "areas", "none to full"): GENERAL | {"field_theory"},
 }
 
 
-def test_every_tool_draws_without_mpi4py(runs, tmp_path):
-    """Where mpi4py cannot be imported, each tool writes PNG, PDF, a CSV with curves, and its numbers."""
-    area = np.mean([case.area for case in reading.cases([runs["seed1"], runs["seed2"]]) if case.index == 1])
-    names = {name: str(path) for name, path in runs.items()} | {"area": f"{area:.3f}"}
-    calls = {tool: [part.format(**names) for part in parts] for tool, parts in FIGURES.items()}
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("names", KINDS, ids="+".join)
+def test_every_figure_on_every_kind_of_run(runs, names):
+    """A figure is drawn, with curves, or refuses in one line that says what is missing; nothing warns."""
+    for figure in figures.FIGURES:
+        folders = [runs[name] for name in names]
+        if figure in KINDS[names]:
+            sheet = figures.draw(figure, folders)
+            assert sheet._table or figure == "overview", figure
+            plotting.plt.close(sheet.figure)
+        else:
+            with pytest.raises(InputError, match="needs|takes one|nothing to draw") as refused:
+                figures.draw(figure, folders)
+            assert "\n" not in str(refused.value)
+
+
+def test_loads_are_never_taken_for_seeds(runs):
+    """Loads of one run are settings of their own; runs that differ by the seed alone are samples of one setting."""
+    both = reading.ensembles(reading.loads([runs["seed1"], runs["seed2"]]))
+    assert [len(group) for group in both] == [2, 2]
+    assert {load.seed for load in both[0]} == {1, 2}
+    assert all("f_c = " in group.label for group in both)
+    assert [len(group) for group in reading.ensembles(reading.loads([runs["kept"]]))] == [1, 1]
+    sheet = figures.draw("pressure_distribution", [runs["kept"]])
+    assert sum(name.startswith("κ, raw area") for name in sheet.findings) == 2
+
+
+def test_settings_are_named_by_what_differs(runs):
+    """Labels hold the key that differs, and no other."""
+    labels = [group.label for group in reading.ensembles(reading.loads([runs["seed1"], runs["kept"]]), by_load=False)]
+    assert labels == ["λ_s = 1", "λ_s = 4"]
+
+
+def test_resolution_takes_grids_not_loads(runs):
+    """Several loads of one grid, and grids of several problems, are refused, with what differs."""
+    with pytest.raises(InputError, match="at least three grids"):
+        figures.draw("resolution", [runs["kept"]])
+    with pytest.raises(InputError, match="surface.seed"):
+        figures.draw("resolution", [runs["seed1"], runs["seed2"]])
+
+
+def test_every_figure_is_saved_without_mpi4py(runs, tmp_path):
+    """Where mpi4py cannot be imported, each figure writes PNG, PDF, a CSV with curves, and its numbers."""
+    soft, grids = ("soft1", "soft2"), ("grid16", "grid32", "grid48")
+    which = {figure: ["kept"] for figure in figures.FIGURES} | {"field_theory": soft, "resolution": grids}
+    calls = {figure: [str(runs[name]) for name in names] for figure, names in which.items()}
     script = f"""
-import importlib, sys
+import sys
 sys.modules["mpi4py"] = None
-sys.path.insert(0, {str(TOOLS)!r})
-for tool, arguments in {calls!r}.items():
-    assert importlib.import_module(tool).main([*arguments, "--output", {str(tmp_path)!r}]) == 0, tool
+from pgfmd.cli import main
+for figure, folders in {calls!r}.items():
+    assert main(["plot", figure, *folders, "--output", {str(tmp_path)!r}]) == 0, figure
 """
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr, done.stderr
-    for tool in FIGURES:
-        name = "quickstart" if tool == "quickstart_figures" else tool
+    for figure in figures.FIGURES:
         for kind in ("png", "pdf", "json"):
-            assert (tmp_path / f"{name}.{kind}").stat().st_size > 0
-        with open(tmp_path / f"{name}.csv", encoding="utf-8") as file:
+            assert (tmp_path / f"{figure}.{kind}").stat().st_size > 0
+        with open(tmp_path / f"{figure}.csv", encoding="utf-8") as file:
             rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
         assert len({row["curve"] for row in rows}) >= 2
         assert all(np.isfinite(float(row["x"])) for row in rows)
 
 
 def test_wrong_folder_is_one_line(tmp_path, capsys):
-    """A folder without results: exit code 2 and one line on stderr."""
-    import pressure_distribution
+    """A folder without results, no folder, a figure or an option that is not there: exit code 2, one line on stderr."""
+    folder = str(tmp_path)
+    for words in ([folder], ["no/such/folder"], [], [folder, "--no-option"], [folder, "--areas", "x"]):
+        assert figures.main(["pressure_distribution", *words]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert figures.main(["no_such_figure", folder]) == 2
+    assert "area_load" in capsys.readouterr().err
 
-    assert pressure_distribution.main([str(tmp_path)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+
+def test_names_from_files_are_text(runs, tmp_path, capsys):
+    """A folder's name with control characters reaches the terminal without them, and never becomes a formula."""
+    folder = tmp_path / "a\x1b[31m$b_{"
+    folder.symlink_to(runs["bare"])
+    assert figures.main(["contact_patches", str(folder)]) == 2
+    assert "\x1b" not in capsys.readouterr().err
+    other = tmp_path / "c\x1b[31m$d^{"
+    other.symlink_to(runs["kept"])
+    assert figures.main(["contact_patches", str(folder), str(other), "--output", str(tmp_path / "out")]) == 0
+    assert "\x1b" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("tool", [*FIGURES, "report", "pending"])
-def test_every_tool_explains_itself(tool, capsys):
-    """--help prints what the tool does, with an example, and ends well."""
+@pytest.mark.parametrize("figure", figures.FIGURES)
+def test_every_figure_explains_itself(figure, capsys):
+    """It stands in the list with what it needs; --help prints what it shows, with its command; it has a caption."""
     with pytest.raises(SystemExit) as end:
-        importlib.import_module(tool).main(["--help"])
+        figures.main([figure, "--help"])
     assert end.value.code == 0
-    assert f"tools/{tool}.py" in capsys.readouterr().out
+    assert f"pgfmd plot {figure}" in capsys.readouterr().out
+    drawn = figures.module(figure)
+    assert drawn.CAPTION and set(drawn.NEEDS) <= set(reading.NEEDS)
+    assert figures.main([]) == 0
+    assert figure in capsys.readouterr().out
+
+
+def test_a_figure_can_be_drawn_by_its_file(runs, tmp_path):
+    """`python tools/NAME.py DIR` works as `pgfmd plot NAME DIR` does."""
+    command = [sys.executable, str(TOOLS / "area_load.py"), str(runs["kept"]), "--output", str(tmp_path)]
+    subprocess.run(command, check=True, capture_output=True, timeout=300)
+    assert (tmp_path / "area_load.pdf").stat().st_size > 0
+
+
+def test_an_exact_field_theory_reads_one(runs):
+    """Stress spectra that obey field theory exactly, mode by mode, give 1 in every band up to rounding (1e-12)."""
+    import field_theory
+
+    load = reading.loads([runs["soft1"]])[0]
+    x, count = load.spectrum("stress")[0] / load.q_unit, load.spectrum("stress")[2]
+    height = load.results.field("height")
+    qx, qy = spectra.wave_numbers(height.shape, load.results.lengths)
+    q = np.hypot(qx, qy)
+    g1 = 1 / (1 + load.zeta * q * load.modulus / (2 * load.mean_pressure))
+    exact = (g1 * load.modulus * q / 2) ** 2 * spectra.power_spectrum(height)
+    sums = spectra.accumulate(load.edges, q, spectra.hermitian_weight(height.shape[1]), exact)
+    obeyed = spectra.radial_mean(sums)[1]
+    ratios = estimators.band_ratio(field_theory.BANDS, np.round(x), count, obeyed, field_theory.summed(load))
+    seen = np.isfinite(ratios)
+    assert np.count_nonzero(seen) >= 3
+    np.testing.assert_allclose(ratios[seen], 1, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("tau", "most"), [(1.85, np.inf), (2.3, np.inf), (0.4, 30.0), (1.0, 30.0), (-0.5, 30.0)])
+def test_exponent_of_a_drawn_power_law(tau, most):
+    """Maximum likelihood finds τ of 4000 members within four standard errors, and the law is not excluded."""
+    sample = estimators.draw_power_law(np.random.default_rng(7), 4000, tau, 1.0, most)
+    found, error, _ = estimators.tail_exponent(sample, 1.0, most)
+    assert error < 0.05
+    assert abs(found - tau) < 4 * error
+    assert estimators.goodness(sample, 1.0, most, draws=50) > 0.01
+
+
+def test_a_sample_of_no_power_law_is_excluded():
+    """Log-normal areas are no power law, and the test of goodness says so."""
+    sample = np.exp(np.random.default_rng(8).normal(size=2000)) * 3
+    assert estimators.goodness(sample, 1.0, draws=50) < 0.05
+
+
+def test_crossover_of_two_power_laws():
+    """Two exact laws that meet at 2 give slopes and the meeting point, to the step of the search."""
+    x = np.geomspace(0.01, 100, 25)
+    below, above, knot = estimators.broken_power_law(x, np.where(x < 2, (x / 2) ** 1.5, x / 2))
+    assert (below, above) == (pytest.approx(1.5, abs=0.01), pytest.approx(1.0, abs=0.01))
+    assert np.log(knot / 2) == pytest.approx(0, abs=np.log(1e4) / 100)
 
 
 def test_report_is_one_page_with_verdicts(runs, tmp_path):
@@ -257,6 +384,7 @@ title = "Pressures"
 text = "…"
 tool = "pressure_distribution"
 runs = ["kept"]
+options = { areas = [0.085] }
 claims = [{ what = "κ", paper = "about 2", finding = "κ, raw area", expected = [1, 4] },
           { what = "m₂", paper = "3", finding = "m₂ = ⟨σ²⟩_c/σ_c²", expected = [3, 3], why = "since" }]
 [[figure]]
@@ -281,7 +409,7 @@ def test_jobs_and_claims_of_the_paper_are_valid():
     for path in sorted((ROOT / "jobs" / "paper").glob("*.toml")):
         config.load(path)
     tools = {table["tool"] for table in tomllib.loads((TOOLS / "paper.toml").read_text(encoding="utf-8"))["figure"]}
-    assert all((TOOLS / f"{tool}.py").is_file() for tool in tools)
+    assert tools <= set(figures.FIGURES)
     assert report.read_figures(TOOLS / "paper.toml")
 
 

@@ -1,94 +1,138 @@
 """Contact area against load, raw and corrected for the pixels, beside Persson and Bush–Gibson–Thomas.
 
-    python tools/area_load.py DIR… [--area 0.08]
+    pgfmd plot area_load DIR… [--area 0.08]
 
-Folders that differ by the seed alone are averaged; `--area` is where κ = f_c E' g/p̄ is reported.
+Loads of runs that differ by the seed alone are averaged; `--area` is where κ = f_c E' g/p̄ is reported, by
+interpolation in the logarithm of the area.
 """
 
 from __future__ import annotations
 
+import math
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, COLOURS, GREY, MARKERS, Findings, Sheet
-from reading import Case, by_hurst, cases
+from plotting import BLACK, GREY, Sheet, limited, standard_error, style
+from reading import NEEDS as TESTS
+from reading import Ensemble, Load, ensembles
 
 from pgfmd.theory import asperity, persson
 from pgfmd.theory.surface import SpectralMoments
 
-
-def make(folders: list[Path], output: Path, area: float = 0.08) -> Findings:
-    """f_c against p̄/(E'g), and κ against f_c, for each H."""
-    found = cases(folders)
-    sheet, findings = Sheet(1, 2), Findings()
-    for number, (hurst, group) in enumerate(by_hurst(found).items()):
-        style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-        load, raw, corrected, kappa, kappa_corrected, error = columns(group)
-        name = f"H = {hurst:g}"
-        sheet.curve(0, load, corrected, name, ls="none", **style)
-        sheet.curve(1, corrected, kappa_corrected, name, error=error, ls="none", **style)
-        sheet.curve(1, raw, kappa, f"{name}, raw", label=False, ls="none", mfc="none", **style)
-        chosen = [case for case in group if abs(case.area / area - 1) < 0.1]
-        findings.add(f"κ at f_c = {area:g}, raw, {name}", [case.number("kappa") for case in chosen])
-        findings.add(f"κ at f_c = {area:g}, corrected, {name}", [_corrected_kappa(case) for case in chosen])
-    _draw_theory(sheet, found)
-    sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area", scale="log")
-    ratio = r"$\kappa = f_c E'\bar g\,/\,\bar p$"
-    sheet.label(1, "contact area", ratio, "open: raw, full: corrected area", scale="semilogx", legend=False)
-    return plotting.finish(sheet, output, "area_load", findings)
+CAPTION = """(a) Relative contact area against the mean pressure. (b) Their ratio κ: filled symbols with the area
+corrected for the pixels, open ones with the raw area. Lines: the theories of Persson and of Bush, Gibson and Thomas
+(BGT), at finite load for the surface in hand, and dashed at low load. Bars: standard error over seeds."""
+NEEDS = ("area", "roughness")
+OPTIONS = {"--area": {"type": float, "help": "contact area at which κ is reported (default 0.08)"}}
+LATTICE = 0.103 / 0.118114
+"""Share of the correction for the pixels that elasticity on the lattice gives, not geometry: the other choice."""
 
 
-def columns(group: list[Case]) -> tuple[np.ndarray, ...]:
-    """Means over the seeds at each load: p̄/(E'g), f_c raw and corrected, κ raw and corrected, error of the last."""
-    indices = sorted({case.index for case in group})
-    rows = []
-    for index in indices:
-        same = [case for case in group if case.index == index]
-        kappas = [_corrected_kappa(case) for case in same]
-        numbers = ([case.load / (case.modulus * case.rms_slope) for case in same], [case.area for case in same],
-                   [case.corrected_area for case in same], [case.number("kappa") for case in same], kappas)  # fmt: skip
-        error = np.std(kappas, ddof=1) / np.sqrt(len(same)) if len(same) > 1 else 0.0
-        rows.append([*map(np.mean, numbers), error])
-    return tuple(np.array(rows).T)
+def draw(loads: list[Load], area: float = 0.08) -> Sheet:
+    """f_c against p̄/(E'g), and κ against f_c, for each setting."""
+    sheet = Sheet(1, 2)
+    for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
+        name = group.label or "simulation"
+        load, raw, corrected, kappa, error = columns(group)
+        filled, bare = style(number), style(number, filled=False)
+        sheet.curve(0, load, corrected, name, ls="none", **filled)
+        sheet.curve(1, corrected, kappa, name, error=error, ls="none", **filled)
+        sheet.curve(1, raw, raw / load, f"{name}, raw", label=False, ls="none", **bare)
+        report(sheet, group, area, name)
+    _draw_theory(sheet, loads)
+    sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area $f_c$", scale="log")
+    sheet.label(1, "contact area $f_c$", r"$\kappa = f_c E'\bar g\,/\,\bar p$", scale="semilogx", legend=False)
+    return sheet
 
 
-def _corrected_kappa(case: Case) -> float:
-    return case.modulus * case.rms_slope * case.corrected_area / case.load
+def reduced(load: Load) -> float:
+    """p̄/(E'g)."""
+    return load.mean_pressure / (load.modulus * load.rms_slope)
 
 
-def _draw_theory(sheet: Sheet, found: list[Case]):
-    """Persson depends on p̄/(E'g) alone; BGT also on the bandwidth: that of the surfaces in hand."""
-    loads = [case.load / (case.modulus * case.rms_slope) for case in found]
-    load = np.geomspace(min(loads) / 1.5, max(loads) * 1.2, 200)
+def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
+    """Means over the seeds at each load: p̄/(E'g), f_c raw and corrected, κ corrected and its standard error."""
+    rows, targets = [], sorted({load.target for load in group})
+    for target in targets:
+        same = [load for load in group if load.target == target]
+        kappas = [load.corrected_area / reduced(load) for load in same]
+        error = standard_error(kappas)
+        means = [np.mean([value(load) for load in same]) for value in
+                 (reduced, lambda load: load.area, lambda load: load.corrected_area)]  # fmt: skip
+        rows.append((*means, np.mean(kappas), 0.0 if error is None else error))
+    return tuple(np.array(sorted(rows)).T)
+
+
+def report(sheet: Sheet, group: Ensemble, area: float, name: str):
+    """κ at the area asked for, of each seed by interpolation; at the lowest load; and every load in a table."""
+    runs: dict[object, list[Load]] = {}
+    for load in group:
+        runs.setdefault(load.results.directory, []).append(load)
+        sheet.keep("loads", ("setting", "seed", "mean_pressure", "modulus", "rms_slope", "area", "area_corrected"),
+                   (name, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
+                    load.corrected_area))  # fmt: skip
+    kinds = {"raw": 0.0, "corrected": 1.0, "lattice": LATTICE}
+    kappas: dict[str, list[float]] = {kind: [kappa_at(run, area, share) for run in runs.values()]
+                                      for kind, share in kinds.items()}  # fmt: skip
+    sheet.findings.add(f"κ at f_c = {area:g}, raw, {name}", kappas["raw"])
+    sheet.findings.add(f"κ at f_c = {area:g}, corrected, {name}", kappas["corrected"],
+                       [float(np.mean(kappas["lattice"]))])  # fmt: skip
+    lowest = [min(run, key=lambda load: load.mean_pressure) for run in runs.values()]
+    kappa = np.array([_kappa(load, 1.0) for load in lowest])
+    other = float(np.mean([_kappa(load, LATTICE) for load in lowest]))
+    sheet.findings.add(f"κ at the lowest load, corrected, {name}", kappa, [other])
+    low, high = persson.LOW_LOAD_KAPPA, asperity.LOW_LOAD_KAPPA_BGT
+    sheet.findings.add(f"way from Persson's κ to that of BGT at the lowest load, {name}", (kappa - low) / (high - low),
+                       [(other - low) / (high - low)])  # fmt: skip
+
+
+def kappa_at(run: list[Load], area: float, share: float) -> float:
+    """κ of one run at a contact area; `share` of the correction for the pixels is made.  NaN beyond its loads."""
+    run = sorted(run, key=lambda load: load.mean_pressure)
+    areas = np.array([_area(load, share) for load in run])
+    if len(run) == 1:
+        return _kappa(run[0], share) if abs(areas[0] / area - 1) < 0.1 else math.nan
+    if not areas[0] * 0.9 <= area <= areas[-1] * 1.1:
+        return math.nan
+    return float(np.interp(np.log(area), np.log(areas), [_kappa(load, share) for load in run]))
+
+
+def _area(load: Load, share: float) -> float:
+    return load.area - share * (load.area - load.corrected_area)
+
+
+def _kappa(load: Load, share: float) -> float:
+    return _area(load, share) / reduced(load)
+
+
+def _draw_theory(sheet: Sheet, loads: list[Load]):
+    """Persson depends on p̄/(E'g) alone; BGT also on the bandwidth: that of the first surface whose spectrum is kept."""
+    seen = [reduced(load) for load in loads]
+    load = np.geomspace(min(seen) / 1.5, max(seen) * 1.2, 200)
     fraction = persson.contact_fraction(load, 0.5)
     sheet.curve(0, load, fraction, "Persson", color=BLACK)
     sheet.curve(1, fraction, fraction / load, "Persson", color=BLACK)
-    low = load[load < 0.05]
-    linear = asperity.LOW_LOAD_KAPPA_BGT * low
-    sheet.curve(0, low, linear, "BGT, low load", color=GREY, ls="--")
-    sheet.curve(1, linear, np.full(len(low), asperity.LOW_LOAD_KAPPA_BGT), "BGT, low load", color=GREY, ls="--")
-    case = found[0]
-    q, power, count = case.spectrum("height")
-    moments = SpectralMoments.from_spectrum(q, power, count)
+    ends = np.array([fraction[0], fraction[-1]])
+    for name, kappa, colour in (("Persson, low load", persson.LOW_LOAD_KAPPA, BLACK),
+                                ("BGT, low load", asperity.LOW_LOAD_KAPPA_BGT, GREY)):  # fmt: skip
+        sheet.curve(1, ends, [kappa, kappa], name, color=colour, ls="--", lw=0.8)
+    with_spectrum = next((case for case in loads if TESTS["spectra"][0](case)), None)
+    if with_spectrum is None:
+        sheet.notes.append("no finite-load curve of Bush, Gibson and Thomas: no spectrum of the heights was kept")
+        return
+    moments = SpectralMoments.from_spectrum(*with_spectrum.spectrum("height"))
+    if moments.alpha < 1.5:
+        sheet.notes.append("no curve of Bush, Gibson and Thomas: the surface is not isotropic and Gaussian")
+        return
     separation = np.sqrt(moments.m0) * np.linspace(0.3, 5, 48)
-    area, pressure = asperity.bush_gibson_thomas(separation, moments, case.modulus)
-    low = pressure / (case.modulus * moments.rms_slope)
-    shown = low >= load[0]
-    low, area = low[shown], area[shown]
-    name = f"BGT, H = {case.hurst:g}"
-    sheet.curve(0, low, area, name, color=GREY)
-    sheet.curve(1, area, area / low, name, color=GREY)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(
-        make, __doc__, arguments,
-        lambda parser: parser.add_argument("--area", type=float, default=0.08, help="f_c where κ is reported"),
-    )  # fmt: skip
+    area, pressure = asperity.bush_gibson_thomas(separation, moments, with_spectrum.modulus)
+    low = pressure / (with_spectrum.modulus * moments.rms_slope)
+    shown = (low >= load[0]) & (low <= load[-1])
+    if np.any(shown):
+        sheet.curve(0, low[shown], area[shown], "BGT", color=GREY)
+        sheet.curve(1, area[shown], (area / low)[shown], "BGT", color=GREY)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["area_load", *sys.argv[1:]]))

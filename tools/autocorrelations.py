@@ -1,79 +1,95 @@
 """Real-space autocorrelations of stress and contact, and the bounds that tie them together.
 
-    python tools/autocorrelations.py DIR… [--area 0.14]
+    pgfmd plot autocorrelations DIR… [--area 0.14]
 
-From the observable acf, or from the field pressure in row blocks (a file larger than memory is no obstacle).  The
-bounds are C_c ≤ C_σ/σ_c² ≤ m₂ C_c, m₂ = ⟨σ²⟩_c/σ_c²; with the constant 2 the upper one is that of the paper.
+From the observable acf, or from the field pressure in row blocks.  The bounds are C_c ≤ C_σ/σ_c² ≤ m₂ C_c with
+m₂ = ⟨σ²⟩_c/σ_c²; with 2 in place of m₂ the upper one is that of the paper.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, BLUE, GREY, RED, Findings, Sheet
-from reading import Case, cases, nearest
+from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
+from reading import Load, common_bins, ensembles, near
 
+CAPTION = """(a) Autocorrelation of the stress over σ_c², between those of the contact (lower bound) and twice those
+(upper bound of the paper). (b) Their ratio, with the bounds 1, the measured m₂, and 2. Shaded: standard error over
+seeds. Beyond a few λ_s both are the square of the mean, but for the noise of one cell."""
+NEEDS = ("correlations", "area")
+OPTIONS = {"--area": {"type": float, "help": "the load near this contact area (default: the last)"}}
 MARKS = (0.0, 1 / 8, 1 / 2, 1.0, 4.0)  # distances in λ_s whose ratio is reported
 
 
-def make(folders: list[Path], output: Path, area: float | None = None) -> Findings:
-    """C_σ/σ_c² and C_c with the bounds, and their ratio, of the load nearest to `area` (default: the last one)."""
-    case = cases(folders)[-1] if area is None else nearest(cases(folders), area)[0]
-    r, stress = case.correlation("stress")
-    _, contact = case.correlation("contact")
-    stress = stress / case.contact_pressure**2
-    m2 = stress[0] / case.area
-    unit, near = case.wavelengths[0], r > 0
-    sheet = Sheet(1, 2)
-    x = r[near] / unit
-    sheet.curve(0, x, contact[near], r"$C_c$, lower bound", color=BLUE, ls="--")
-    sheet.curve(0, x, 2 * contact[near], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
-    sheet.curve(0, x, stress[near], r"$C_\sigma/\sigma_c^2$", color=RED)
-    sheet.curve(0, x, np.full(len(x), case.area**2), r"$f_c^2$: no correlation", color=GREY, lw=0.8)
-    title = f"H = {case.hurst:g}, $f_c$ = {case.area:.3f}" if case.hurst is not None else None
-    sheet.label(0, r"$\Delta r\,/\,\lambda_s$", "autocorrelation", title, scale="log")
-    ratio = stress / contact
-    sheet.curve(1, x, ratio[near], "simulation", color=RED)
-    for value, name, style in ((1, "1", "--"), (m2, f"m₂ = {m2:.3f}", "-."), (2, "2", ":")):
-        sheet.curve(1, x[[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=style)
-    sheet.label(
-        1,
-        r"$\Delta r\,/\,\lambda_s$",
-        r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$",
-        "the bounds",
-        scale="semilogx",
-        legend="upper right",
-    )
-    sheet.panels[1].set_ylim(top=2.6)  # room for the legend
-    findings = Findings()
-    findings.add("contact area f_c", case.area)
-    findings.add("m₂ = C_σ(0)/(σ_c² f_c)", m2)
+def draw(loads: list[Load], area: float | None = None) -> Sheet:
+    """C_σ/σ_c² and C_c with the bounds, and their ratio, of one setting and load."""
+    groups = ensembles(loads if area is None else near(loads, [area]))
+    group, sheet = groups[-1], Sheet(1, 2)
+    if len(groups) > 1:
+        sheet.notes.append(f"one of {len(groups)} settings and loads is drawn: {group.label}")
+    r, stress = common_bins([load.correlation("stress") for load in group])
+    _, contact = common_bins([load.correlation("contact") for load in group])
+    stress = stress / np.array([load.contact_pressure for load in group])[:, None] ** 2
+    m2 = stress[:, 0] / contact[:, 0]
+    x, near_by = r / group.wavelengths[0], r > 0
+    mean, below, ratio = stress.mean(axis=0), contact.mean(axis=0), stress / contact
+    sheet.curve(0, x[near_by], below[near_by], r"$C_c$, lower bound", color=BLUE, ls="--")
+    sheet.curve(0, x[near_by], 2 * below[near_by], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
+    sheet.curve(0, x[near_by], mean[near_by], r"$C_\sigma/\sigma_c^2$", error=_some(standard_error(stress), near_by),
+                color=RED, marker="o", ms=2)  # fmt: skip
+    floor = np.full(np.count_nonzero(near_by), np.mean([load.area**2 for load in group]))
+    sheet.curve(0, x[near_by], floor, r"$f_c^2$: no correlation", color=GREY, lw=0.8)
+    sheet.label(0, r"$\Delta r\,/\,\lambda_s$", "autocorrelation", scale="log")
+    sheet.curve(1, x[near_by], ratio.mean(axis=0)[near_by], "simulation", color=RED, marker="o", ms=2,
+                error=_some(standard_error(ratio), near_by))  # fmt: skip
+    bounds = ((1.0, "1", "--"), (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."), (2.0, "2", ":"))
+    for value, name, dashes in bounds:
+        sheet.curve(1, x[near_by][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
+    sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx", columns=4)
+    report(sheet, list(group), x, ratio, m2)
+    for load, row, lower in zip(group, stress, contact, strict=True):
+        residual = lower[0] / load.area - 1
+        sheet.findings.add("C_c(0)/f_c − 1", residual)
+        second = load.normalised_second_moment
+        sheet.findings.add("C_σ(0)/(f_c ⟨σ²⟩_c) − 1", row[0] / (load.area * second) - 1)
+        sheet.findings.add("C_σ(0)/⟨σ²⟩_c", row[0] / second)
+        sheet.keep("data", ("seed", "r_over_lambda_s", "stress", "contact"),
+                   *((load.seed, *values) for values in zip(x, row, lower, strict=True)))  # fmt: skip
+    return sheet
+
+
+def report(sheet: Sheet, group: list[Load], x: np.ndarray, ratio: np.ndarray, m2: np.ndarray):
+    """The ratio C_σ/(σ_c² C_c) against its bounds."""
+    add = sheet.findings.add
+    add("contact area f_c", [load.area for load in group])
+    add("m₂ = C_σ(0)/(σ_c² f_c)", m2)
     for mark in MARKS:
-        findings.add(f"C_σ/(σ_c² C_c) at {mark:g} λ_s", np.interp(mark * unit, r, ratio))
-    findings.add("smallest ratio", ratio.min())
-    findings.add("largest ratio", ratio.max())
-    findings.add("C_c(0)/f_c − 1", contact[0] / case.area - 1)
-    findings.add("C_σ(0)/(f_c ⟨σ²⟩_c) − 1", _square_residual(case, m2))
-    return plotting.finish(sheet, output, "autocorrelations", findings)
-
-
-def _square_residual(case: Case, m2: float) -> float:
-    """m₂ of the autocorrelation against that of the pressures themselves, where the run kept their moments."""
-    return m2 / case.normalised_second_moment - 1 if case.has("pressure_moments") else np.nan
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(
-        make,
-        __doc__,
-        arguments,
-        lambda parser: parser.add_argument("--area", type=float, help="the load near this f_c"),
+        add(f"C_σ/(σ_c² C_c) at {mark:g} λ_s", [np.interp(mark, x, row) for row in ratio])
+    inner = x <= 1 / 8 * (1 + 1e-9)
+    add("share of the upper bound 2 up to λ_s/8, least", [row[inner].min() / 2 for row in ratio])
+    add(
+        "share of the upper bound m₂ up to λ_s/8, least",
+        [(row[inner] / m).min() for row, m in zip(ratio, m2, strict=False)],
     )
+    add("smallest ratio", ratio.min(axis=1))
+    add("smallest ratio up to 4 λ_s", ratio[:, x <= 4].min(axis=1))
+    add("largest ratio", ratio.max(axis=1))
+    add("largest ratio over m₂", ratio.max(axis=1) / m2)
+    add(
+        "largest Δr/λ_s where the ratio exceeds m₂", [_last_above(x, row, m) for row, m in zip(ratio, m2, strict=False)]
+    )
+
+
+def _last_above(x: np.ndarray, row: np.ndarray, level: float) -> float:
+    above = np.flatnonzero(row > level * (1 + 1e-9))
+    return float(x[above[-1]]) if len(above) else 0.0
+
+
+def _some(error: np.ndarray | None, chosen: np.ndarray) -> np.ndarray | None:
+    return None if error is None else error[chosen]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["autocorrelations", *sys.argv[1:]]))

@@ -1,68 +1,103 @@
 """Contact spectra of the elastic solid and of the bearing area: the same area, cut from the surface at one height.
 
-    python tools/bearing_area.py DIR… [--area 0.09] [--window 8 128]
+    pgfmd plot bearing_area DIR… [--areas 0.09] [--window 8 128]
 
-Needs the observables spectra and bearing.  Folders that differ by the seed alone are averaged; exponents are fitted to
-each, and given with the standard error over the seeds.  Theory of the bearing area: μ = 2 + H.
+Exponents μ of |Θ̃|² ∝ q^−μ are fitted to each run; the error over seeds, and over the choice of the fit range.  Theory
+of the bearing area: μ = 2 + H.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, BLUE, RED, Findings, Sheet, fit_power_law
-from reading import Case, by_hurst, cases, common_bins, nearest
+from estimators import fit_power_law, windows
+from estimators import window as within
+from plotting import BLACK, BLUE, RED, Sheet, tex
+from reading import Ensemble, Load, common_bins, ensembles, near
 
 from pgfmd.theory import bearing
 
-
-def make(folders: list[Path], output: Path, area: float = 0.09, window: tuple[float, float] = (8, 128)) -> Findings:
-    """One panel per H: both spectra, with power laws over the waves per cell in `window`."""
-    groups = by_hurst(nearest(cases(folders), area, slack=0.15))
-    sheet, findings = Sheet(1, len(groups)), Findings()
-    for panel, (hurst, chosen) in enumerate(groups.items()):
-        for kind, title, colour, marker, dashes in (
-            ("contact", "elastic contact", RED, "o", "-"),
-            ("bearing", "bearing area", BLUE, "s", "--"),
-        ):
-            waves, spectra = normalised(chosen, kind)
-            inside = (waves >= window[0]) & (waves <= window[1])
-            exponents = [fit_power_law(waves[inside], curve[inside])[0] for curve in spectra]
-            mean = np.exp(np.log(spectra).mean(axis=0))
-            sheet.curve(panel, waves, mean, title, color=colour, marker=marker, ls="none")
-            findings.add(f"μ_c {title}, H = {hurst:g}", -np.array(exponents))
-            slope, offset = fit_power_law(waves[inside], mean[inside])
-            line = np.exp(offset[0]) * waves[inside] ** slope
-            sheet.curve(panel, waves[inside], line, f"$\\mu$ = {-slope:.2f}", color=BLACK, ls=dashes, lw=1.0)
-        findings.add(f"theory 2 + H of the bearing area, H = {hurst:g}", bearing.spectrum_exponent(hurst))
-        text = f"H = {hurst:g}, $f_c$ = {chosen[0].area:.3f}; 2 + H = {bearing.spectrum_exponent(hurst):g}"
-        spectrum = r"$f_c\,|\tilde\Theta(q)|^2\,/\,(1-f_c)\,|\tilde\Theta(0)|^2$"
-        sheet.label(panel, "waves per cell, qL/2π", spectrum, text,
-                    scale="log", legend="lower left")  # fmt: skip
-    return plotting.finish(sheet, output, "bearing_area", findings)
+CAPTION = """Contact spectra of the elastic solid (open symbols) and of the bearing area (filled), scaled so that their
+sum over all q ≠ 0 is one; lines: power laws fitted over the range that they span."""
+NEEDS = ("spectra", "bearing", "partial contact")
+OPTIONS = {
+    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
+    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l (default 8 128)"},
+}
+KINDS = (("contact", "elastic contact", RED, "o", "white", "-"), ("bearing", "bearing area", BLUE, "s", BLUE, "--"))
+MOST = 3
 
 
-def normalised(chosen: list[Case], kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Waves per cell (m,) and f_c |Θ̃|²/((1−f_c) |Θ̃(0)|²) of each case (cases, m)."""
-    q, spectra = common_bins([case.spectrum(kind)[:2] for case in chosen])
-    f = np.array([case.area for case in chosen])[:, None]
-    return q / chosen[0].wave_unit, spectra / (f * (1 - f))
+def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] = (8, 128)) -> Sheet:
+    """One panel for each setting and load (at most three are drawn, all are fitted)."""
+    groups = ensembles(near(loads, areas, slack=0.15) if areas else loads)
+    sheet = Sheet(1, min(MOST, len(groups)), height=2.5)
+    if len(groups) > MOST:
+        sheet.notes.append(f"{len(groups)} settings and loads were given; the first {MOST} are drawn, all are fitted")
+    for panel, group in enumerate(groups):
+        name = group.label or f"f_c = {group.mean('area'):.3g}"
+        drawn = panel < MOST
+        for kind, title, colour, marker, fill, dashes in KINDS:
+            x, curves = normalised(group, kind)
+            keep_exponents(sheet, group, f"μ_c {title}, {name}", x, curves, window)
+            for load, curve in zip(group, curves, strict=True):
+                sheet.keep("data", ("setting", "kind", "seed", "q_over_q_l", "spectrum"),
+                           *((name, kind, load.seed, *row) for row in zip(x, curve, strict=True)))  # fmt: skip
+            if drawn:
+                mean = curves.mean(axis=0)
+                sheet.curve(panel, x, mean, title, color=colour, marker=marker, mfc=fill, ls="none", ms=2.2)
+                inside = _window(x, window, mean)
+                slope, offset = fit_power_law(x[inside], mean[inside])
+                sheet.curve(
+                    panel,
+                    x[inside],
+                    np.exp(offset[0]) * x[inside] ** slope,
+                    f"$\\mu$ = {-slope:.2f}",
+                    color=BLACK,
+                    ls=dashes,
+                    lw=1.0,
+                    zorder=5,
+                )
+        if group.hurst is not None:
+            sheet.findings.add(f"theory 2 + H of the bearing area, {name}", bearing.spectrum_exponent(group.hurst))
+        if drawn:
+            quantity = r"$f_c\,|\tilde\Theta(q)|^2\,/\,(1-f_c)\,|\tilde\Theta(0)|^2$" if panel == 0 else ""
+            sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log", columns=1)
+            if group.label:
+                sheet.panels[panel].text(
+                    0.05,
+                    0.05,
+                    tex(group.label.replace(", ", "\n")),
+                    transform=sheet.panels[panel].transAxes,
+                    va="bottom",
+                )
+    return sheet
 
 
-def options(parser):
-    """The options of the command line."""
-    parser.add_argument("--area", type=float, default=0.09, help="the load near this f_c (default 0.09)")
-    parser.add_argument("--window", type=float, nargs=2, default=(8, 128), metavar=("FROM", "TO"),
-                        help="waves per cell between which exponents are fitted (default 8 128)")  # fmt: skip
+def _window(x: np.ndarray, limits: tuple[float, float], curve: np.ndarray) -> np.ndarray:
+    """The bins within limits where the curve is positive; all of those if there are fewer than three within."""
+    inside = within(x, limits) & (curve > 0)
+    return inside if np.count_nonzero(inside) >= 3 else curve > 0
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(make, __doc__, arguments, options)
+def keep_exponents(sheet: Sheet, group: Ensemble, name: str, x, curves, limits):
+    """μ of each load's curve over the fit range, and over its neighbours as choices."""
+    values = []
+    for low, high in windows(limits):
+        inside = within(x, (low, high)) & np.all(curves > 0, axis=0)
+        enough = np.count_nonzero(inside) >= 3
+        values.append([-fit_power_law(x[inside], curve[inside])[0] if enough else np.nan for curve in curves])
+    sheet.findings.add(name, values[0], [float(np.mean(each)) for each in values[1:]])
+
+
+def normalised(group: Ensemble, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """q/q_l (m,) and f_c |Θ̃|²/((1−f_c) |Θ̃(0)|²) of each load (loads, m)."""
+    q, spectra = common_bins([load.spectrum(kind)[:2] for load in group])
+    f = np.array([load.area for load in group])[:, None]
+    return q / group.q_unit, spectra / (f * (1 - f))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["bearing_area", *sys.argv[1:]]))

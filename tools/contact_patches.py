@@ -1,120 +1,250 @@
-"""Contact patches: load against area with binned medians, mean pressure, and the distribution of sizes.
+"""Contact patches: load against area with binned medians, and the distribution of their areas.
 
-    python tools/contact_patches.py DIR [--area 0.08] [--smallest 16]
+    pgfmd plot contact_patches DIR… [--areas 0.08] [--smallest 16]
 
-Needs the observable patches.  Patches of fewer than `--smallest` pixels are drawn, and left out of the fits.
+Patches of all loads and seeds of a setting are taken together.  Those of fewer than `--smallest` pixels are drawn, and
+left out of the fits.  Size laws are fitted by maximum likelihood, with a test of goodness.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, BLUE, GREY, RED, Findings, Sheet, guide
-from reading import Case, cases, nearest
+from estimators import broken_power_law, fit_power_law, goodness, tail_exponent
+from plotting import BLACK, BLUE, COLOURS, GREY, MARKERS, Sheet, guide
+from reading import Load, ensembles, near
 
 from pgfmd.theory import bearing
 
+CAPTION = """(a) Load of each contact patch against its area (dots), and medians in bins of the area, one symbol for
+each contact area; with guides of Hertz (3/2) below and of constant mean pressure (1) above. (b) Probability density of
+the patch areas in elastic contact (filled) and of the bearing area (open), with the laws fitted by maximum likelihood
+(full lines) over the range that they span, and the law τ = 2 − H/2 of islands (broken). Dotted: the smallest patch in
+the fits."""
+NEEDS = ("patches", "area", "roughness")
+OPTIONS = {
+    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
+    "--smallest": {"type": int, "help": "pixels of the smallest patch in the fits (default 16)"},
+}
 SMALL, LARGE = 0.1, 1.0  # in λ_s²: patches up to SMALL are parts of single asperities, those from LARGE on hold many
 PER_DECADE = 6  # bins
-DOTS = 4000  # patches drawn one by one
+DOTS = 3000  # patches drawn one by one
+FEWEST = 5  # patches whose median counts in a fit
+
+Sample = tuple[np.ndarray, np.ndarray]
+"""Areas in λ_s² and loads in E' g λ_s² of patches."""
 
 
-def make(folders: list[Path], output: Path, area: float | None = None, smallest: int = 16) -> Findings:
-    """Three panels of the load nearest to `area` (default: the first)."""
-    case = cases(folders)[0] if area is None else nearest(cases(folders), area)[0]
-    table = case.groups["patches"]
-    unit, pixel = case.wavelengths[0] ** 2, float(np.prod(case.config.grid.steps))
-    size, load = table["area"] / unit, table["load"] / (unit * case.modulus * case.rms_slope)
-    centres, medians, counts = binned(size, load)
-    sheet, findings = Sheet(1, 3), Findings()
-    findings.add("patches", len(size))
-    _draw_loads(sheet, size, load, centres, medians)
-    kept = (counts >= 3) & (centres >= smallest * pixel / unit)
-    for name, chosen, law in (("small", centres <= SMALL, 1.5), ("large", centres >= LARGE, 1.0)):
-        chosen = chosen & kept
-        if np.count_nonzero(chosen) >= 3:
-            findings[f"slope of {name} patches"] = slope(centres[chosen], medians[chosen])
-            guide(sheet.panels[0], centres[chosen][[0, -1]], 2.5 * medians[chosen][0], law, f"{law:g}")
-    for end in (SMALL / 2, 2 * SMALL):
-        chosen = kept & (centres <= end)
-        if np.count_nonzero(chosen) >= 3:
-            findings[f"slope of patches up to {end:g} λ_s²"] = slope(centres[chosen], medians[chosen])
-    saturated = load[size >= 1].sum() / size[size >= 1].sum() if np.any(size >= 1) else np.nan
-    findings.add("mean pressure of patches ≥ λ_s², over E'g", saturated)
-    _draw_pressures(sheet, size, load, centres, medians, saturated)
-    _draw_sizes(sheet, case, size, smallest * pixel / unit)
-    return plotting.finish(sheet, output, "contact_patches", findings)
+def draw(loads: list[Load], areas: tuple[float, ...] = (), smallest: int = 16) -> Sheet:
+    """Both panels, of the first setting; numbers of all loads and seeds together, with errors over the seeds."""
+    chosen = near(loads, areas) if areas else loads
+    settings = ensembles(chosen, by_load=False)
+    setting, sheet = settings[0], Sheet(1, 2, height=2.9)
+    if len(settings) > 1:
+        sheet.notes.append(f"one of {len(settings)} settings is drawn: {setting.label}")
+    unit = setting.wavelengths[0] ** 2
+    resolved = smallest * float(np.prod(setting.steps)) / unit
+    runs: dict[object, list[Load]] = {}
+    for load in setting:
+        runs.setdefault(load.results.directory, []).append(load)
+    samples = [together([patches(load) for load in run]) for run in runs.values()]
+    everything = together(samples)
+    if len(everything[0]) == 0:
+        sheet.notes.append("there is no patch")
+        return sheet
+    _draw_loads(sheet, setting.loads, everything, resolved)
+    report_loads(sheet, samples, resolved)
+    islands = [together([patches(load, "bearing_patches") for load in run]) for run in runs.values()]
+    _draw_sizes(sheet, setting.hurst, everything[0], together(islands)[0], resolved)
+    report_sizes(sheet, "elastic", [size for size, _ in samples], resolved)
+    if len(together(islands)[0]):
+        report_sizes(sheet, "bearing", [size for size, _ in islands], resolved)
+        if setting.hurst is not None:
+            sheet.findings.add("τ = 2 − H/2 of islands", bearing.patch_exponent(setting.hurst))
+    for run, (size, force) in zip(runs, samples, strict=True):
+        sheet.keep(
+            "data",
+            ("run", "kind", "area", "load"),
+            *((run.name, "elastic", *row) for row in zip(size, force, strict=False)),
+        )
+    for run, (size, _) in zip(runs, islands, strict=True):
+        sheet.keep("data", ("run", "kind", "area", "load"), *((run.name, "bearing", a, np.nan) for a in size))
+    return sheet
+
+
+def patches(load: Load, table: str = "patches") -> Sample:
+    """Areas in λ_s² and loads in E' g λ_s² of a load's patches; loads are NaN for the bearing area."""
+    if table not in load.kept:
+        return np.empty(0), np.empty(0)
+    kept, unit = load.groups[table], load.wavelengths[0] ** 2
+    size = kept["area"] / unit
+    return size, kept["load"] / (unit * load.modulus * load.rms_slope) if "load" in kept else np.full(len(size), np.nan)
+
+
+def together(samples: Sequence[Sample]) -> Sample:
+    """All patches of several samples."""
+    return tuple(np.concatenate([sample[i] for sample in samples]) for i in (0, 1))
 
 
 def binned(size: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Median size, median load and number of patches in logarithmic bins of the size that are not empty: (m,) each."""
-    index = np.floor(np.log10(size / size.min()) * PER_DECADE + 1e-9).astype(int)
+    """Median size, median load and number of patches in logarithmic bins of the size that are not empty: (m,) each.
+
+    Bins lie at fixed places, six to a decade.
+    """
+    index = np.floor(np.log10(size) * PER_DECADE + 1e-9).astype(int)
     bins = [index == number for number in np.unique(index)]
     return tuple(np.array([f(chosen) for chosen in bins]) for f in (
         lambda chosen: np.median(size[chosen]), lambda chosen: np.median(load[chosen]), np.count_nonzero))  # fmt: skip
 
 
-def slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Exponent of y ∝ x^m by least squares in logarithms, with its standard error from the scatter about the line."""
-    x, y = np.log(x), np.log(y)
-    x, y = x - x.mean(), y - y.mean()
-    exponent = np.sum(x * y) / np.sum(x**2)
-    variance = np.sum((y - exponent * x) ** 2) / (len(x) - 2)
-    return float(exponent), float(np.sqrt(variance / np.sum(x**2)))
+def medians_between(sample: Sample, least: float, most: float) -> tuple[np.ndarray, np.ndarray]:
+    """Binned medians of the patches with least ≤ area ≤ most, in bins of FEWEST patches and more."""
+    size, load = sample
+    inside = (size >= least) & (size <= most)
+    if not np.any(inside):
+        return np.empty(0), np.empty(0)
+    x, y, count = binned(size[inside], load[inside])
+    return x[count >= FEWEST], y[count >= FEWEST]
 
 
-def _draw_loads(sheet: Sheet, size, load, centres, medians):
+def slope(sample: Sample, least: float, most: float) -> float:
+    """Exponent of l_c ∝ a_c^m by least squares of binned medians; NaN for fewer than three bins."""
+    x, y = medians_between(sample, least, most)
+    return fit_power_law(x, y)[0] if len(x) >= 3 else float("nan")
+
+
+def report_loads(sheet: Sheet, samples: list[Sample], resolved: float):
+    """Slopes below and above, the crossover, and the mean pressure of large patches."""
+    everything = together(samples)
+    sheet.findings.add("patches", len(everything[0]))
+    sheet.findings.add("patches of the fits", np.count_nonzero(everything[0] >= resolved))
+    whole = np.inf
+    _report(sheet, "slope of small patches (to 0.1 λ_s²)", samples, lambda s: slope(s, resolved, SMALL),
+            [lambda s: slope(s, resolved, SMALL / 2), lambda s: slope(s, resolved, 2 * SMALL),
+             lambda s: slope(s, 2 * resolved, SMALL)])  # fmt: skip
+    _report(sheet, "slope of large patches (from λ_s²)", samples, lambda s: slope(s, LARGE, whole),
+            [lambda s: slope(s, LARGE / 2, whole), lambda s: slope(s, 2 * LARGE, whole)])  # fmt: skip
+    _report(sheet, "crossover area/λ_s², two lines that meet", samples, lambda s: _broken(s, resolved),
+            [lambda s: _meeting(s, resolved), lambda s: _broken(s, 2 * resolved)])  # fmt: skip
+    _report(sheet, "mean pressure of patches ≥ λ_s², over E'g", samples, lambda s: _saturated(s, LARGE),
+            [lambda s: _saturated(s, 2 * LARGE)])  # fmt: skip
+
+
+def report_sizes(sheet: Sheet, kind: str, sizes: list[np.ndarray], resolved: float):
+    """Exponents of P(a_c) ∝ a_c^−τ by maximum likelihood, below 0.3 λ_s² and above λ_s², and their goodness."""
+
+    def law(least, most=np.inf):
+        return lambda size: tail_exponent(size, least, most)[0]
+
+    everything = np.concatenate(sizes)
+    _report(sheet, f"τ of large patches (from λ_s²), {kind}", sizes, law(LARGE), [law(LARGE / 2), law(2 * LARGE)])
+    _report(sheet, f"τ of small patches (to 0.3 λ_s²), {kind}", sizes, law(resolved, 0.3),
+            [law(resolved, 0.15), law(resolved, 0.6), law(2 * resolved, 0.3)])  # fmt: skip
+    _report(sheet, f"τ over all resolved patches, {kind}", sizes, law(resolved), [law(2 * resolved), law(4 * resolved)])
+    for title, least, most in (("large", LARGE, np.inf), ("small", resolved, 0.3)):
+        sheet.findings.add(f"goodness of the law of {title} patches (p), {kind}", goodness(everything, least, most))
+    sheet.findings.add(f"patches ≥ λ_s², {kind}", np.count_nonzero(everything >= LARGE))
+
+
+def _report(sheet: Sheet, name: str, samples: list, estimate: Callable, others: Sequence[Callable]):
+    """A number of all samples together; error by leaving one sample (seed) out at a time; others as choices."""
+    whole = together(samples) if isinstance(samples[0], tuple) else np.concatenate(samples)
+    value = estimate(whole)
+    if not np.isfinite(value):
+        return
+    sheet.findings.add(name, value, [other(whole) for other in others])
+    if len(samples) > 1:
+        left = [samples[:i] + samples[i + 1 :] for i in range(len(samples))]
+        rest = np.array(
+            [estimate(together(part) if isinstance(part[0], tuple) else np.concatenate(part)) for part in left]
+        )
+        rest = rest[np.isfinite(rest)]
+        if len(rest) > 1:
+            error = float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2)))
+            found = sheet.findings[name]
+            sheet.findings[name] = type(found)(found.value, error, found.choices, len(samples))
+
+
+def _broken(sample: Sample, resolved: float) -> float:
+    return broken_power_law(*medians_between(sample, resolved, np.inf))[2]
+
+
+def _meeting(sample: Sample, resolved: float) -> float:
+    """Where the lines fitted to small and to large patches meet."""
+    small, large = medians_between(sample, resolved, SMALL), medians_between(sample, LARGE, np.inf)
+    if min(len(small[0]), len(large[0])) < 3:
+        return float("nan")
+    (m, (c,)), (n, (d,)) = fit_power_law(*small), fit_power_law(*large)
+    return float(np.exp((d - c) / (m - n)))
+
+
+def _saturated(sample: Sample, least: float) -> float:
+    size, load = sample
+    large = size >= least
+    return float(load[large].sum() / size[large].sum()) if np.any(large) else float("nan")
+
+
+def _draw_loads(sheet: Sheet, loads: Sequence[Load], everything: Sample, resolved: float):
+    size, force = everything
     dots = np.random.default_rng(1).permutation(len(size))[:DOTS]
-    sheet.curve(0, size[dots], load[dots], "patches", color=GREY, marker=".", ls="none", ms=1.5, alpha=0.5)
-    sheet.curve(0, centres, medians, "binned medians", color=RED, marker="o", ls="none")
-    sheet.label(0, r"area $a_c\,/\,\lambda_s^2$", r"load $l_c\,/\,(E'\bar g\,\lambda_s^2)$", scale="log")
+    sheet.curve(0, size[dots], force[dots], "patches", color="0.75", marker=".", ls="none", ms=1.2, label=False)
+    for number, group in enumerate(ensembles(loads)[: len(COLOURS)]):
+        x, y, count = binned(*together([patches(load) for load in group]))
+        enough = count >= FEWEST
+        if np.any(enough):
+            sheet.curve(0, x[enough], y[enough], f"f_c = {group.mean('area'):.2g}", color=COLOURS[number],
+                        marker=MARKERS[number], mfc="white", ls="none")  # fmt: skip
+    x, y = medians_between(everything, 0, np.inf)
+    for least, most, law, text in ((resolved, 1.0, 1.5, "3/2"), (0.3, np.inf, 1.0, "1")):
+        part = (x >= least) & (x <= most)
+        if np.count_nonzero(part) >= 2:
+            guide(sheet.panels[0], x[part][[0, -1]], (3.0 if law == 1 else 0.3) * y[part][0], law, text)
+    sheet.label(0, r"area $a_c\,/\,\lambda_s^2$", r"load $l_c\,/\,(E'\bar g\,\lambda_s^2)$", scale="log", columns=3)
 
 
-def _draw_pressures(sheet: Sheet, size, load, centres, medians, saturated: float):
-    dots = np.random.default_rng(1).permutation(len(size))[:DOTS]
-    ratio = load / size
-    sheet.curve(1, size[dots], ratio[dots], "patches", color=GREY, marker=".", ls="none", ms=1.5, alpha=0.5)
-    sheet.curve(1, centres, medians / centres, "binned medians", color=RED, marker="o", ls="none")
-    sheet.curve(
-        1, [1, size.max()], [saturated, saturated], rf"{saturated:.2f}: mean from $\lambda_s^2$ on", color=BLACK, lw=1.0
-    )
-    sheet.label(1, r"area $a_c\,/\,\lambda_s^2$", r"mean pressure $l_c\,/\,(a_c E'\bar g)$", scale="semilogx")
+def _draw_sizes(sheet: Sheet, hurst: float | None, elastic: np.ndarray, islands: np.ndarray, resolved: float):
+    """Probability densities of the patch areas."""
+    for name, size, fill in (("elastic contact", elastic, BLUE), ("bearing area", islands, "white")):
+        if len(size) == 0:
+            continue
+        edges = np.geomspace(size.min() * 0.999, size.max() * 1.001,
+                             int(np.log10(size.max() / size.min()) * PER_DECADE) + 2)  # fmt: skip
+        count, _ = np.histogram(size, edges)
+        seen = count > 0
+        density = count / (np.diff(edges) * len(size))
+        middle, error = np.sqrt(edges[1:] * edges[:-1]), density / np.sqrt(np.maximum(count, 1))
+        sheet.curve(1, middle[seen], density[seen], name, error=error[seen], color=BLUE if fill == BLUE else GREY,
+                    mfc=fill, marker="o" if fill == BLUE else "s", ls="none")  # fmt: skip
+        for least, most in ((LARGE, np.inf), (resolved, 0.3)) if name == "elastic contact" else ((resolved, np.inf),):
+            _draw_law(sheet, size, least, most, name)
+    if hurst is not None:
+        reference = islands if len(islands) else elastic
+        tail = reference[reference >= resolved]
+        if len(tail) > 10:
+            tau = bearing.patch_exponent(hurst)
+            ends = np.array([resolved, tail.max()])
+            scale = len(tail) / len(reference) * (tau - 1) / resolved
+            sheet.curve(
+                1, ends, scale * (ends / resolved) ** -tau, f"2 − H/2 = {tau:.2f}", color=BLACK, ls="--", lw=0.8
+            )
+    sheet.panels[1].axvline(resolved, color=GREY, lw=0.7, ls=":")
+    sheet.label(1, r"area $a_c\,/\,\lambda_s^2$", r"$P(a_c)\,\lambda_s^2$", scale="log", columns=2)
 
 
-def _draw_sizes(sheet: Sheet, case: Case, size: np.ndarray, resolved: float):
-    """Probability density of the patch areas, with the bearing-area law as a guide."""
-    edges = np.geomspace(
-        size.min() * 0.999, size.max() * 1.001, int(np.log10(size.max() / size.min()) * PER_DECADE) + 2
-    )
-    count, _ = np.histogram(size, edges)
-    seen = count > 0
-    middle = np.sqrt(edges[1:] * edges[:-1])[seen]
-    density = (count / (np.diff(edges) * len(size)))[seen]
-    error = density / np.sqrt(count[seen])
-    sheet.curve(2, middle, density, "elastic contact", error=error, color=BLUE, marker="o", ls="none")
-    tail = middle >= 1
-    if case.hurst is not None and np.count_nonzero(tail) >= 2:
-        exponent = bearing.patch_exponent(case.hurst)
-        guide(sheet.panels[2], middle[tail][[0, -1]], 3 * density[tail][0], -exponent, f"−{exponent:.2f}")
-    sheet.panels[2].axvline(resolved, color=GREY, lw=0.8, ls=":")
-    sheet.label(2, r"area $a_c\,/\,\lambda_s^2$", r"$P(a_c)\,\lambda_s^2$", "dotted: smallest in the fits", scale="log")
-
-
-def options(parser):
-    """The options of the command line."""
-    parser.add_argument("--area", type=float, help="the load near this f_c")
-    parser.add_argument(
-        "--smallest", type=int, default=16, help="pixels of the smallest patch in the fits (default 16)"
-    )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(make, __doc__, arguments, options)
+def _draw_law(sheet: Sheet, size: np.ndarray, least: float, most: float, name: str):
+    tau = tail_exponent(size, least, most)[0]
+    inside = size[(size >= least) & (size <= most)]
+    if np.isnan(tau) or len(inside) < 10:
+        return
+    ends = np.geomspace(inside.min(), inside.max(), 40)
+    shape = (ends / least) ** -tau
+    norm = np.sum((shape[1:] + shape[:-1]) / 2 * np.diff(ends))
+    sheet.curve(1, ends, shape / norm * len(inside) / len(size), f"τ = {tau:.2f}, {name}", color=BLACK, lw=0.9,
+                label=False, zorder=5)  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["contact_patches", *sys.argv[1:]]))

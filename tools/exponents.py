@@ -1,153 +1,229 @@
-"""The exponent μ of stress and contact spectra, C̃ ∝ q^−μ: joint and separate fits, and how much the fit range matters.
+"""The exponent μ of stress and contact spectra, C̃ ∝ q^−μ, with errors of seeds and of fit ranges.
 
-    python tools/exponents.py DIR… [--areas 0.04 0.08] [--window 8 128]
+    pgfmd plot exponents DIR… [--areas 0.04 0.08] [--window FROM TO]
 
-Folders that differ by the seed alone give the standard error.  The joint fit has one μ for stress and contact at every
-area, and free prefactors.  Writes the figure, and exponents_table.csv with all windows.
+The joint fit has one μ for stress and contact at every load, and free prefactors.  The fit range in q/q_l is by default
+from 8 to q_s/(16 q_l), or q_s/(2 q_l) where that leaves less than a factor of 4; its neighbours (moved by 2 either way,
+halved at each end) give the spread over choices.
 """
 
 from __future__ import annotations
 
-import csv
 import sys
-from pathlib import Path
+from collections import Counter
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, BLUE, GREEN, ORANGE, RED, Findings, Sheet, fit_power_law
-from reading import Case, by_hurst, cases, common_bins, nearest
+from estimators import fit_power_law, windows
+from estimators import window as within
+from plotting import BLACK, BLUE, COLOURS, GREY, RED, Sheet
+from reading import Ensemble, Load, common_bins, ensembles, near
+from stress_contact_spectra import ratio_of_means
 
-KINDS = ("joint", "stress", "contact")
-STYLES = (("stress", RED, "o"), ("contact", BLUE, "s"), ("stress", ORANGE, "^"), ("contact", GREEN, "v"))
+CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all q
+≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that they
+span. (b) The ratio of the scaled spectra at the largest and the smallest load, with standard errors. (c) Exponents of
+the joint fit against the Hurst exponent with both errors, beside 1 + H."""
+NEEDS = ("spectra", "partial contact")
+OPTIONS = {
+    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
+    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l"},
+}
+KINDS = ("joint", "stress", "contact", "difference")
+DRAWN = 4  # settings in the first two panels
+
+Curves = dict[float, dict[str, np.ndarray]]
+"""Load target → kind → scaled spectra of each seed, (seeds, m)."""
 
 
-def windows(base: tuple[float, float]) -> list[tuple[float, float]]:
-    """The fit range asked for, and its neighbours: moved by a factor of 2 either way, and halved at each end."""
-    low, high = base
-    return [base, (low / 2, high / 2), (low * 2, high * 2), (low * 2, high), (low, high / 2)]
-
-
-def make(
-    folders: list[Path], output: Path, areas: tuple[float, ...] = (0.04, 0.08), window: tuple[float, float] = (8, 128)
-) -> Findings:
-    """One panel per H with the normalised spectra and the joint fit, one with μ against the fit range."""
-    groups, window = by_hurst(cases(folders)), tuple(window)
-    sheet, findings, rows = Sheet(1, len(groups) + 1), Findings(), []
-    for panel, (hurst, group) in enumerate(groups.items()):
-        curves = {area: spectra(nearest(group, area)) for area in areas}
-        _draw(sheet, panel, curves, window)
-        spectrum = r"$f_c\,|\tilde f(q)|^2\,/\,(1-f_c)\,|\tilde f(0)|^2$"
-        sheet.label(panel, "waves per cell, qL/2π", spectrum, f"H = {hurst:g}",
-                    scale="log", legend="lower left")  # fmt: skip
-        for limits in windows(window):
-            fits = {
-                kind: np.array([fit(curves, kind, seed, limits) for seed in range(_seeds(curves))]) for kind in KINDS
-            }
-            fits["difference"] = fits["contact"] - fits["stress"]
-            for kind, values in fits.items():
-                found = Findings()
-                found.add("", values)
-                rows.append((hurst, *limits, kind, *found[""], len(values)))
-                if limits == window:
-                    findings.add(f"μ {kind}, H = {hurst:g}", values)
+def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] | None = None) -> Sheet:
+    """Spectra with joint fits, the ratio between loads, and μ against H."""
+    groups = ensembles(near(loads, areas) if areas else loads, by_load=False)
+    sheet = Sheet(1, 3, height=2.9)
+    largest = max(max(group.results.shape) for group in groups)
+    shown = [group for group in groups if max(group.results.shape) == largest][:DRAWN]
+    if len(shown) < len(groups):
+        sheet.notes.append(f"(a) and (b) show {len(shown)} of {len(groups)} settings, those of the largest grid")
+    points = []
+    for group in groups:
+        group = of_common_loads(group, sheet)
+        x, curves = scaled(group)
+        limits = tuple(window) if window else default_window(group)
+        name = group.label or "simulation"
+        spread = report(sheet, group, name, (x, curves), limits)
+        points.append((group, spread))
+        if group in shown:
+            _draw(sheet, shown.index(group), group, (x, curves), limits)
     for kind in ("contact", "stress"):
-        findings[f"sum rule, {kind}"] = (worst_sum([case for group in groups.values() for case in group], kind), None)
-    _draw_windows(sheet, len(groups), rows)
-    _write(output, rows)
-    return plotting.finish(sheet, output, "exponents", findings)
+        sheet.findings.add(f"sum rule, {kind}, largest residual", worst_sum(loads, kind))
+    _draw_exponents(sheet, points, largest)
+    sheet.panels[1].axhline(1, color=BLACK, lw=0.7)
+    scaled_name = r"$f_c\,\tilde C(q)\,/\,(1-f_c)\,\tilde C(0)$"
+    sheet.label(0, r"$q\,/\,q_l$", scaled_name, scale="log", columns=1)
+    sheet.label(1, r"$q\,/\,q_l$", "largest over smallest load", scale="semilogx", columns=1)
+    sheet.label(2, "Hurst exponent $H$", r"exponent $\mu$, joint fit", columns=1)
+    return sheet
 
 
-def spectra(chosen: list[Case]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Waves per cell (m,), and by kind f_c C̃/((1−f_c) C̃(0)) of each seed (seeds, m)."""
-    curves = {}
-    for kind in ("stress", "contact"):
-        q, power = common_bins([case.spectrum(kind)[:2] for case in chosen])
-        f = np.array([case.area for case in chosen])[:, None]
-        zero = np.array([case.load if kind == "stress" else case.area for case in chosen])[:, None] ** 2
-        curves[kind] = f * power / ((1 - f) * zero)
-    return q / chosen[0].wave_unit, curves
+def default_window(group: Ensemble) -> tuple[float, float]:
+    """From 8 q_l to q_s/16, or to q_s/2 where that leaves less than a factor of 4; of the grid, q_s is 2π/a."""
+    shortest, longest = group.wavelengths
+    top = longest / max(shortest, max(group.steps))
+    return (8.0, top / 16) if top / 16 >= 32 else (min(8.0, top / 16), top / 2)
 
 
-def fit(curves: dict, kind: str, seed: int, limits: tuple[float, float]) -> float:
-    """μ of one seed over a range of waves per cell, of one kind of spectrum or ("joint") of both, at all areas."""
-    kinds = ("stress", "contact") if kind == "joint" else (kind,)
-    waves = next(iter(curves.values()))[0]
-    inside = (waves >= limits[0]) & (waves <= limits[1])
-    lines = [powers[name][seed][inside] for _, powers in curves.values() for name in kinds]
-    return -fit_power_law(waves[inside], *lines)[0]
+def of_common_loads(group: Ensemble, sheet: Sheet) -> Ensemble:
+    """The runs of a setting that have the most frequent list of loads, and of those all; others are named in a note."""
+    lists: dict[object, list] = {}
+    for load in group:
+        lists.setdefault(load.results.directory, []).append(load.target)
+    frequent = Counter(map(tuple, lists.values())).most_common(1)[0][0]
+    kept = tuple(load for load in group if tuple(lists[load.results.directory]) == frequent)
+    left = sorted({load.folder for load in group} - {load.folder for load in kept})
+    if left:
+        sheet.notes.append(f"left out, as their loads are others than those of {kept[0].folder}: {', '.join(left)}")
+    return Ensemble(kept, group.label)
 
 
-def worst_sum(group: list[Case], kind: str) -> float:
-    """The largest residual of Σ_{q≠0} |f̃|² = ⟨f²⟩ − ⟨f⟩², relative to ⟨f²⟩, of loads whose bins hold every mode."""
-    residuals = [0.0]
-    for case in group:
-        _, power, count = case.spectrum(kind)
-        if round(count.sum()) == np.prod(case.results.shape) - 1:
-            square = (
-                case.area if kind == "contact" else case.normalised_second_moment * case.contact_pressure * case.load
-            )
-            mean = case.area if kind == "contact" else case.load
-            residuals.append(float(np.sum(power * count) + mean**2) / square - 1)
-    return max(residuals, key=abs)
-
-
-def _seeds(curves: dict) -> int:
-    return min(len(powers["stress"]) for _, powers in curves.values())
-
-
-def _draw(sheet: Sheet, panel: int, curves: dict, window: tuple[float, float]):
-    styles = iter(STYLES)
-    for area, (waves, powers) in curves.items():
+def scaled(group: Ensemble) -> tuple[np.ndarray, Curves]:
+    """q/q_l (m,), and f_c C̃/((1−f_c) C̃(0)) of stress and contact of every seed at every load."""
+    curves, x = {}, None
+    for target in sorted({load.target for load in group}, key=lambda target: target[1]):
+        same = sorted((load for load in group if load.target == target), key=lambda load: load.results.directory)
+        kinds = {}
         for kind in ("stress", "contact"):
-            _, colour, marker = next(styles)
-            mean = np.exp(np.log(powers[kind]).mean(axis=0))
-            sheet.curve(panel, waves, mean, f"{kind}, $f_c$ = {area:g}", color=colour, marker=marker, ls="none", ms=2.5)
-    inside = (waves >= window[0]) & (waves <= window[1])
-    lines = [np.exp(np.log(powers[kind]).mean(axis=0))[inside] for _, powers in curves.values() for kind in powers]
-    exponent, logarithms = fit_power_law(waves[inside], *lines)
-    ends = np.array(window, float)
-    top = np.exp(max(logarithms)) * 2 * ends**exponent
-    sheet.curve(panel, ends, top, f"joint fit, μ = {-exponent:.2f}", color=BLACK, lw=1.0)
+            q, power = common_bins([load.spectrum(kind)[:2] for load in same])
+            f = np.array([load.area for load in same])[:, None]
+            zero = np.array([load.mean_pressure if kind == "stress" else load.area for load in same])[:, None] ** 2
+            kinds[kind] = f * power / ((1 - f) * zero)
+        curves[target[1]], x = kinds, q / group.q_unit
+    # a regular surface leaves bins empty but for rounding
+    seen = np.all([(c > c.max() * 1e-20).all(axis=0) for kinds in curves.values() for c in kinds.values()], axis=0)
+    return x[seen], {load: {kind: c[:, seen] for kind, c in kinds.items()} for load, kinds in curves.items()}
 
 
-def _draw_windows(sheet: Sheet, panel: int, rows: list[tuple]):
-    """μ of the joint fit for each fit range, beside 1 + H."""
-    hursts = sorted({row[0] for row in rows})
-    ranges = list(dict.fromkeys(row[1:3] for row in rows))
-    for hurst, colour, marker in zip(hursts, (BLUE, GREEN, RED, ORANGE), "os^D", strict=False):
-        joint = [row for row in rows if row[0] == hurst and row[3] == "joint"]
-        errors = [row[5] or 0.0 for row in joint]
-        values = [row[4] for row in joint]
-        sheet.curve(panel, np.arange(len(joint)), values, f"H = {hurst:g}", error=errors, color=colour,
-                    marker=marker, ls="none")  # fmt: skip
-        sheet.panels[panel].axhline(1 + hurst, color=colour, lw=0.8, ls="--")
-    axes = sheet.panels[panel]
-    sheet.label(panel, "fit range, waves per cell", "μ, joint fit", "dashed: 1 + H")
-    axes.set_xticks(range(len(ranges)), [f"{low:g}–{high:g}" for low, high in ranges], rotation=30)
-    axes.set_xlim(-0.6, len(ranges) - 0.4)
-    axes.set_ylim(top=axes.get_ylim()[1] + 0.3)
+def exponent(x: np.ndarray, curves: Curves, kind: str, seed: int, limits: tuple[float, float]) -> float:
+    """μ of one seed over a range of q/q_l: of one kind of spectrum, of both ("joint") at all loads, or the "difference"
+    contact − stress; NaN where fewer than three bins lie in the range.
+    """
+    if kind == "difference":
+        return exponent(x, curves, "contact", seed, limits) - exponent(x, curves, "stress", seed, limits)
+    kinds = ("stress", "contact") if kind == "joint" else (kind,)
+    inside = within(x, limits)
+    lines = [spectra[name][seed][inside] for spectra in curves.values() for name in kinds]
+    if np.count_nonzero(inside) < 3 or not np.all(np.asarray(lines) > 0):
+        return float("nan")
+    return -fit_power_law(x[inside], *lines)[0]
 
 
-def _write(output: Path, rows: list[tuple]):
-    output.mkdir(parents=True, exist_ok=True)
-    with open(output / "exponents_table.csv", "w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["hurst", "waves_from", "waves_to", "fit", "mu", "standard_error", "seeds"])
-        for hurst, low, high, kind, value, error, seeds in rows:
-            table.writerow([hurst, f"{low:g}", f"{high:g}", kind, f"{value:.4f}", f"{error or 0:.4f}", seeds])
+def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[float, float]) -> str:
+    """Every μ over every range in the tables, and those over `limits` as findings; the name of the joint one."""
+    x, curves = data
+    seeds = len(next(iter(curves.values()))["stress"])
+    for kind in KINDS:
+        values = [[exponent(x, curves, kind, seed, each) for seed in range(seeds)] for each in windows(limits)]
+        sheet.findings.add(f"μ {kind}, {name}", values[0], [float(np.mean(each)) for each in values[1:]])
+        for (low, high), each in zip(windows(limits), values, strict=True):
+            error = np.std(each, ddof=1) / np.sqrt(seeds) if seeds > 1 else None
+            sheet.keep("table", ("setting", "hurst", "from", "to", "fit", "mu", "standard_error", "seeds"),
+                       (name, group.hurst, low, high, kind, float(np.mean(each)), error, seeds))  # fmt: skip
+    runs = sorted({load.results.directory for load in group})
+    for target, kinds in curves.items():
+        for seed, run in enumerate(runs):
+            rows = zip(x, kinds["stress"][seed], kinds["contact"][seed], strict=True)
+            sheet.keep("data", ("setting", "load", "run", "q_over_q_l", "stress", "contact"),
+                       *((name, target, run.name, *row) for row in rows))  # fmt: skip
+    _compare_loads(sheet, name, x, curves)
+    return f"μ joint, {name}"
 
 
-def options(parser):
-    """The options of the command line."""
-    parser.add_argument("--areas", type=float, nargs="+", default=(0.04, 0.08), help="the loads near these f_c")
-    parser.add_argument("--window", type=float, nargs=2, default=(8, 128), metavar=("FROM", "TO"),
-                        help="waves per cell between which μ is fitted (default 8 128)")  # fmt: skip
+def _compare_loads(sheet: Sheet, name: str, x: np.ndarray, curves: Curves):
+    """How far apart the scaled spectra of the largest and the smallest load lie: the farthest bins."""
+    if len(curves) < 2:
+        return
+    low, high = list(curves)[0], list(curves)[-1]
+    for kind in ("stress", "contact"):
+        ratios = curves[high][kind] / curves[low][kind]
+        ratio = ratio_of_means(curves[high][kind], curves[low][kind])[0]
+        for title, part in (("q ≥ 4 q_l", x >= 4), ("q ≤ 2 q_l", x <= 2)):
+            if np.any(part):
+                worst = np.flatnonzero(part)[int(np.argmax(np.abs(np.log(ratio[part]))))]
+                sheet.findings.add(f"{kind} spectra, largest over smallest load, farthest bin of {title}, {name}",
+                                   ratios[:, worst])  # fmt: skip
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(make, __doc__, arguments, options)
+def worst_sum(group: list[Load], kind: str) -> float:
+    """The largest residual of Σ_{q≠0} |f̃|² = ⟨f²⟩ − ⟨f⟩², relative to ⟨f²⟩, of loads whose bins hold every mode.
+
+    NaN if no load has such bins (and, for the stress, its second moment).
+    """
+    residuals = []
+    for load in group:
+        _, power, count = load.spectrum(kind)
+        if round(count.sum()) == np.prod(load.results.shape) - 1:
+            square = load.area
+            if kind == "stress":
+                square = load.normalised_second_moment * load.contact_pressure * load.mean_pressure
+            mean = load.area if kind == "contact" else load.mean_pressure
+            residuals.append(float(np.sum(power * count) + mean**2) / square - 1)
+    return max(residuals, key=abs, default=float("nan"))
+
+
+def _draw(sheet: Sheet, number: int, group: Ensemble, data: tuple, limits: tuple[float, float]):
+    x, curves = data
+    colour, marker = COLOURS[number], "os^D"[number]
+    low, high = list(curves)[0], list(curves)[-1]
+    shift = 10.0**-number
+    name = group.label or "simulation"
+    for kind, fill in (("stress", colour), ("contact", "white")):
+        mean = curves[high][kind].mean(axis=0)
+        sheet.curve(0, x, shift * mean, f"{kind}, {name}" + (f" (× {shift:g})" if number else ""), color=colour,
+                    marker=marker, mfc=fill, ls="none", ms=2.2)  # fmt: skip
+        if low != high:
+            ratio, error = ratio_of_means(curves[high][kind], curves[low][kind])
+            spread = 1.0 + 0.02 * number
+            sheet.curve(
+                1,
+                x * spread,
+                ratio,
+                f"{kind}, {name}",
+                error=error,
+                color=colour,
+                marker=marker,
+                mfc=fill,
+                lw=0.5,
+                ms=2.2,
+                ls="none",
+                label=False,
+            )
+    inside = within(x, limits)
+    if np.count_nonzero(inside) >= 3:
+        lines = [curves[high][kind].mean(axis=0)[inside] for kind in ("stress", "contact")]
+        power, offsets = fit_power_law(x[inside], *lines)
+        ends = x[inside][[0, -1]]
+        sheet.curve(0, ends, 1.6 * shift * np.exp(max(offsets)) * ends**power, f"joint fit, $\\mu$ = {-power:.2f}",
+                    label=False, color=BLACK, lw=1.0, zorder=5)  # fmt: skip
+
+
+def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: int):
+    """μ against H with both errors: filled for the largest grid, open for smaller ones."""
+    with_hurst = [(group, name) for group, name in points if group.hurst is not None]
+    if not with_hurst:
+        sheet.panels[2].text(0.5, 0.5, "no self-affine surface", transform=sheet.panels[2].transAxes, ha="center")
+        return
+    hursts = np.array([group.hurst for group, _ in with_hurst])
+    sheet.curve(2, [hursts.min(), hursts.max()], [1 + hursts.min(), 1 + hursts.max()], "$1 + H$", color=GREY)
+    sizes = sorted({max(group.results.shape) for group, _ in with_hurst})
+    for number, size in enumerate(sizes):
+        chosen = [(group, sheet.findings[name]) for group, name in with_hurst
+                  if max(group.results.shape) == size and name in sheet.findings]  # fmt: skip
+        if chosen:
+            x = np.array([group.hurst for group, _ in chosen]) + 0.012 * (number - len(sizes) / 2)
+            colour = RED if size == largest else BLUE
+            sheet.curve(2, x, [found.value for _, found in chosen], f"$n$ = {size}",
+                        error=[found.error or 0.0 for _, found in chosen], color=colour, marker="os^Dv"[number % 5],
+                        mfc=colour if size == largest else "white", ls="none")  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["exponents", *sys.argv[1:]]))

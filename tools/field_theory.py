@@ -1,75 +1,98 @@
 """Exponential walls against field theory: |σ̃|² = G₁² (E'q/2)² |h̃|², G₁ = 1/(1 + ζ q E'/(2 p̄)).
 
-    python tools/field_theory.py DIR…
+    pgfmd plot field_theory DIR…
 
-Folders that differ by the seed alone are averaged; bands in waves per cell carry the standard error over the seeds.
+Theory is summed mode by mode from the heights, so that one that is exactly obeyed reads 1 in every band.  Runs that
+differ by the seed alone are averaged; bands in q/q_l carry the standard error over the seeds.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from persson_spectrum import ratio
-from plotting import BLACK, COLOURS, MARKERS, Findings, Sheet
-from reading import Case, cases, common_bins
+from estimators import band_ratio
+from persson_spectrum import theory as persson_area
+from plotting import BLACK, Sheet, limited, standard_error, style
+from reading import Ensemble, Load, common_bins, ensembles
 
 from pgfmd.theory import exponential
 
-BANDS = ((1, 1), (2, 3), (4, 7), (8, 15), (16, 32))  # waves per cell, both ends included
+CAPTION = """(a) The stress spectrum under an exponential wall over that of full contact; lines: field theory to first
+order in the heights; broken: f(q) of Persson's theory of a hard wall. (b) The ratio to field theory in bands of q, both
+summed mode by mode, with standard errors over seeds; shaded: ±20 %."""
+NEEDS = ("exponential wall", "spectra", "height", "load")
+BANDS = ((1, 1), (2, 3), (4, 7), (8, 15), (16, 32))  # bins of q/q_l, rounded, both ends included
 
 
-def make(folders: list[Path], output: Path) -> Findings:
-    """The ratio to full contact with G₁², and in bands the ratio to field theory, for each ζ."""
-    walls: dict[float, list[Case]] = {}
-    for case in sorted(cases(folders), key=lambda case: getattr(case.config.wall, "zeta", 0.0)):
-        if case.config.wall.kind == "exponential":
-            walls.setdefault(case.config.wall.zeta, []).append(case)
-    sheet, findings = Sheet(1, 2), Findings()
-    for number, (zeta, chosen) in enumerate(walls.items()):
-        style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-        q, ratios = common_bins([ratio(case) for case in chosen])
-        waves = q / chosen[0].wave_unit
-        name = f"ζ = {zeta:g}"
-        sheet.curve(0, waves, ratios.mean(axis=0), name, ls="none", **style)
-        theory = np.array([_response(case, q) for case in chosen])
-        sheet.curve(0, waves, theory.mean(axis=0), f"$G_1^2$, {name}", color=style["color"], label=False)
-        averages = bands(waves, ratios / theory, chosen[0])
-        for (low, high), values in zip(BANDS, averages.T, strict=True):
-            findings.add(f"ratio to G₁² full contact, {name}, k = {low}–{high}", values)
-        middle = [np.sqrt(low * high) for low, high in BANDS]
-        error = averages.std(axis=0, ddof=1) / np.sqrt(len(chosen)) if len(chosen) > 1 else None
+def draw(loads: list[Load]) -> Sheet:
+    """The ratio to full contact with G₁², and in bands the ratio to field theory, for each setting."""
+    sheet = Sheet(1, 2)
+    sheet.panels[1].axhspan(0.8, 1.2, color="0.92")
+    for number, group in enumerate(limited(ensembles(loads), sheet)):
+        name, look = group.label or f"ζ = {group.zeta:g}", style(number)
+        q, stress = common_bins([load.spectrum("stress")[:2] for load in group])
+        x, count = q / group.q_unit, group.loads[0].spectrum("stress")[2]
+        full = np.array([load.full_contact() for load in group])
+        model = np.array([summed(load) for load in group])
+        rough = (full > full.max() * 1e-12).all(axis=0)
+        x, count, stress, full, model = x[rough], count[rough], stress[:, rough], full[:, rough], model[:, rough]
         sheet.curve(
-            1, np.multiply(middle, 1 + 0.04 * number), averages.mean(axis=0), name, error=error, ls="-", lw=0.8, **style
+            0, x, stress.sum(axis=0) / full.sum(axis=0), name, error=standard_error(stress / full), ls="none", **look
         )
-    sheet.label(0, "waves per cell, qL/2π", r"$|\tilde\sigma|^2$ / full contact", "lines: field theory", scale="log")
-    sheet.panels[1].axhline(1, color=BLACK, lw=0.8)
-    sheet.label(1, "waves per cell, qL/2π", "ratio to field theory", "in bands, with standard error", scale="semilogx")
-    return plotting.finish(sheet, output, "field_theory", findings)
+        sheet.curve(
+            0, x, model.sum(axis=0) / full.sum(axis=0), f"field theory, {name}", color=look["color"], label=False
+        )
+        ratios = np.array([band_ratio(BANDS, np.round(x), count, s, m) for s, m in zip(stress, model, strict=True)])
+        for (low, high), values in zip(BANDS, ratios.T, strict=True):
+            sheet.findings.add(f"ratio to field theory, {name}, k = {low}–{high}", values)
+            part = (np.round(x) >= low) & (np.round(x) <= high)
+            hard = [band_ratio([(low, high)], np.round(x), count, s, f * persson_area(load, x * group.q_unit))[0]
+                    for s, f, load in zip(stress, full, group, strict=True)] if np.any(part) else []  # fmt: skip
+            sheet.findings.add(f"ratio to Persson's f(q), {name}, k = {low}–{high}", hard)
+        middle = np.sqrt([low * high for low, high in BANDS]) * (1 + 0.05 * number)
+        seen = np.isfinite(ratios).all(axis=0)
+        error = standard_error(ratios)
+        sheet.curve(
+            1,
+            middle[seen],
+            ratios.mean(axis=0)[seen],
+            name,
+            error=None if error is None else error[seen],
+            lw=0.7,
+            **look,
+        )
+        for load, s, f, m in zip(group, stress, full, model, strict=True):
+            sheet.keep("data", ("setting", "seed", "q_over_q_l", "modes", "stress", "full_contact", "field_theory"),
+                       *((name, load.seed, *row) for row in zip(x, count, s, f, m, strict=True)))  # fmt: skip
+    _draw_persson(sheet, ensembles(loads)[0])
+    sheet.panels[1].axhline(1, color=BLACK, lw=0.7)
+    sheet.label(0, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact", scale="log")
+    sheet.label(1, r"$q\,/\,q_l$", "ratio to field theory", scale="semilogx", legend=False)
+    return sheet
 
 
-def bands(waves: np.ndarray, values: np.ndarray, case: Case) -> np.ndarray:
-    """Means of (cases, m) values over all modes of each band: (cases, bands); NaN where a band holds no mode."""
-    q, _, count = case.spectrum("stress")
-    weight = np.interp(waves * case.wave_unit, q, count)
-    means = []
-    for low, high in BANDS:
-        inside = (waves > low - 0.5) & (waves <= high + 0.5)
-        empty = np.full(len(values), np.nan)
-        means.append(np.average(values[:, inside], axis=1, weights=weight[inside]) if np.any(inside) else empty)
-    return np.array(means).T
+def summed(load: Load) -> np.ndarray:
+    """G₁² (stiffness |h̃|)², per mode, averaged over the modes of each bin of `Load.spectrum`: (m,)."""
+
+    def weight(q: np.ndarray) -> np.ndarray:
+        # G₁ for the effective modulus 2 stiffness/q, which is E' but for a slab
+        stiffness = load.stiffness(q)
+        modulus = 2 * stiffness / q
+        return (exponential.response(q, load.mean_pressure, load.zeta, contact_modulus=modulus) * stiffness) ** 2
+
+    return load.weighted_spectrum("height", weight)
 
 
-def _response(case: Case, q: np.ndarray) -> np.ndarray:
-    return exponential.response(q, case.load, case.config.wall.zeta, contact_modulus=case.modulus) ** 2
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(make, __doc__, arguments)
+def _draw_persson(sheet: Sheet, group: Ensemble):
+    load = group.loads[0]
+    q = load.spectrum("height")[0]
+    inside = q <= load.q_limits[1] * (1 + 1e-9)
+    sheet.curve(
+        0, q[inside] / group.q_unit, persson_area(load, q[inside]), "f(q), Persson", color=BLACK, ls="--", lw=0.9
+    )
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["field_theory", *sys.argv[1:]]))

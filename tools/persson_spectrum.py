@@ -1,105 +1,178 @@
 """The stress spectrum over that of full contact, beside the contact area f(q) seen at magnification q.
 
-    python tools/persson_spectrum.py DIR [--areas …] [--gamma 0.45] [--name persson_spectrum]
+    pgfmd plot persson_spectrum DIR… [--areas 0.02 0.5 …]
 
-Persson's theory says that the ratio is f(q) = erf(√2 p̄/(E' g(q))).  Needs the observable spectra; with lowpass, f(q) is
-drawn as measured on the surface low-passed at q, at the same load.  The third curve is f (γ + (1−γ) f²), Yang & Persson
-(2008).
+Persson's theory says that the ratio is f(q) = erf(√2 p̄/(E' g(q))).  Where the run kept lowpass, f(q) is drawn as
+solved on the surface low-passed at q, at the same load.  One panel for each setting, with a fan of loads.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import figures
+import matplotlib
 import numpy as np
-import plotting
-from plotting import BLACK, BLUE, GREEN, ORANGE, Findings, Sheet
-from reading import Case, cases, common_bins, nearest
+from estimators import crossing, fit_power_law
+from plotting import BLACK, Sheet, standard_error, tex
+from reading import Ensemble, Load, common_bins, ensembles, near
 
 from pgfmd.theory import persson
 
-
-def make(
-    folders: list[Path],
-    output: Path,
-    areas: list[float] | None = None,
-    gamma: float = 0.45,
-    name: str = "persson_spectrum",
-) -> Findings:
-    """One panel for each load of the first folder."""
-    found = cases(folders[:1])
-    chosen = [nearest(found, area)[0] for area in areas] if areas else found
-    columns = min(3, len(chosen))
-    sheet, findings = Sheet(-(-len(chosen) // columns), columns), Findings()
-    for axes in sheet.panels[len(chosen) :]:
-        axes.remove()
-    sheet.panels = sheet.panels[: len(chosen)]
-    for panel, case in enumerate(chosen):
-        _draw(sheet, panel, case, gamma, findings)
-    return plotting.finish(sheet, output, name, findings)
+CAPTION = """Symbols: the stress spectrum over that of full contact, one curve for each load, named by its contact area.
+Full lines: f(q) of Persson's theory at the same load. Broken lines: f(q) as solved for the surface low-passed at q,
+where that was computed. Bars: standard error over seeds."""
+NEEDS = ("spectra", "load", "roughness")
+OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+LEVELS = (
+    0.9,
+    0.8,
+    0.95,
+)  # of the ratio, at which it leaves full contact; the first is reported, the others are choices
+INNER = 4.0  # q/q_l from which ratios are averaged, up to q_s/2
 
 
-def ratio(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """q and |σ̃|² over that of full contact, (E'q/2)² |h̃|²; bins without roughness left out."""
-    q, stress, _ = case.spectrum("stress")
-    q_height, height, _ = case.spectrum("height")
-    full = persson.full_contact_spectrum(q_height, height, contact_modulus=case.modulus)
-    rough = (q_height <= case.q_limits[1] * (1 + 1e-9)) & (full > 0)
-    common_bins([(q, stress), (q_height, height)])
-    return q[rough], stress[rough] / full[rough]
+def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
+    """One panel for each setting, all loads in it."""
+    chosen = near(loads, areas) if areas else loads
+    settings = ensembles(chosen, by_load=False)
+    sheet = Sheet(1, min(2, len(settings)), height=3.1)
+    if len(settings) > 2:
+        sheet.notes.append(f"{len(settings)} settings were given; the first two are drawn")
+    for panel, setting in enumerate(settings[:2]):
+        groups = ensembles(setting.loads)
+        colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(groups)))
+        for number, group in enumerate(groups):
+            title = setting.label + (", " if setting.label else "")
+            _draw(sheet, panel, group, title, (colours[number], "os^DvPX"[number % 7], number == 0))
+        sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=4)
+        if setting.label:
+            sheet.panels[panel].set_xlabel(rf"$q\,/\,q_l$   ({tex(setting.label)})")
+        low, _ = sheet.panels[panel].get_ylim()
+        sheet.panels[panel].set_ylim(max(low, 1e-4), 1.5)
+    return sheet
 
 
-def _draw(sheet: Sheet, panel: int, case: Case, gamma: float, findings: Findings):
-    q, measured = ratio(case)
-    waves = q / case.wave_unit
-    q_height, height, count = case.spectrum("height")
-    theory = persson.scale_contact_fraction(case.load, q_height, height, count, contact_modulus=case.modulus)
-    corrected = theory * persson.energy_factor(theory, gamma)
-    x = q_height / case.wave_unit
-    shown = q_height <= case.q_limits[1] * (1 + 1e-9)
-    sheet.curve(panel, waves, measured, r"$|\tilde\sigma|^2$ / full contact", color=BLUE, marker="o", ls="none")
-    sheet.curve(panel, x[shown], theory[shown], "f(q), Persson", color=BLACK)
-    sheet.curve(panel, x[shown], corrected[shown], f"f(q) with γ = {gamma:g}", color=GREEN, ls=":")
-    title = f"$f_c$ = {case.area:.3f}"
-    inner = (waves >= 4) & (q <= case.q_limits[1] / 2)
-    at = f"f_c = {case.area:.2f}"
-    findings.add(f"load at {at}", case.load)
-    findings.add(f"ratio/f_Persson, mean over 4 waves … λ = 2 λ_s, {at}",
-                 (measured / np.interp(q, q_height, theory))[inner].mean())  # fmt: skip
-    if case.has("lowpass_area"):
-        kept = case.groups["lowpass_area"]
+def ratio(load: Load) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """q, |σ̃|² and that of full contact per mode, and modes, in the bins that hold roughness: (m,) each."""
+    q, stress, count = load.spectrum("stress")
+    full = load.full_contact()
+    common_bins([(q, stress), (load.spectrum("height")[0], full)])
+    rough = (q <= load.q_limits[1] * (1 + 1e-9)) & (full > full.max() * 1e-12)
+    return q[rough], stress[rough], full[rough], count[rough]
+
+
+def theory(load: Load, q: np.ndarray) -> np.ndarray:
+    """f(q) of Persson's theory at q."""
+    q_height, height, count = load.spectrum("height")
+    fraction = persson.scale_contact_fraction(load.mean_pressure, q_height, height, count, contact_modulus=load.modulus)
+    return np.interp(q, q_height, fraction)
+
+
+def solved(load: Load, q: np.ndarray) -> np.ndarray | None:
+    """f(q) as solved for low-passed surfaces, by interpolation in logarithms; None where it was not computed."""
+    if "lowpass_area" not in load.kept:
+        return None
+    kept = load.groups["lowpass_area"]
+    return np.exp(np.interp(np.log(q), np.log(kept["q"]), np.log(np.maximum(kept["area_corrected"], 1e-12))))
+
+
+def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
+    colour, marker, first = look
+    parts = [ratio(load) for load in group]
+    q, stress = common_bins([(q, stress) for q, stress, _, _ in parts])
+    full, count = np.array([full for _, _, full, _ in parts]), parts[0][3]
+    x, curves = q / group.q_unit, stress / full
+    area = group.mean("area")
+    name = f"{title}f_c = {area:.2f}" if np.isfinite(area) else f"{title}p̄ = {group.mean('mean_pressure'):.3g}"
+    control, target = group.loads[0].target
+    named = f"{title}{control} = {target:g}"
+    short = f"{area:.2g}" if np.isfinite(area) else f"{group.mean('mean_pressure'):.2g}"
+    error = standard_error(curves)
+    sheet.curve(
+        panel,
+        x,
+        stress.sum(axis=0) / full.sum(axis=0),
+        name,
+        error=error,
+        color=colour,
+        marker=marker,
+        ls="none",
+        ms=2,
+        label=False,
+    )
+    sheet.panels[panel].plot([], [], color=colour, marker=marker, ls="none", label=short)
+    f = np.array([theory(load, q) for load in group])
+    sheet.curve(panel, x, f.mean(axis=0), f"{name}, f(q) of Persson", color=colour, label=False, lw=0.9)
+    known = [solved(load, q) for load in group]
+    if all(each is not None for each in known):
+        numeric = np.array(known)
         sheet.curve(
-            panel,
-            kept["q"] / case.wave_unit,
-            kept["area_corrected"],
-            "f(q), low-passed surface",
-            color=ORANGE,
-            marker="s",
-            ls="--",
+            panel, x, numeric.mean(axis=0), f"{name}, f(q) as solved", color=colour, ls="--", label=False, lw=0.9
         )
-        numeric = np.exp(np.interp(np.log(q), np.log(kept["q"]), np.log(np.maximum(kept["area_corrected"], 1e-12))))
-        findings.add(f"ratio/f_numerical, {at}", (measured / numeric)[inner].mean())
-        known = np.interp(kept["q"], q_height, theory)
-        findings.add(f"f_numerical/f_Persson at the shortest wave, {at}", kept["area_corrected"][-1] / known[-1])
-    hurst = f"H = {case.hurst:g}, " if case.hurst is not None else ""
-    sheet.label(panel, "waves per cell, qL/2π", "ratio to full contact, f(q)", hurst + title, scale="log",
-                legend="lower left" if panel == 0 else False)  # fmt: skip
-    low = min(measured.min(), corrected[shown].min())
-    sheet.panels[panel].set_ylim(min((0.2 if panel == 0 else 0.6) * low, 0.5), 1.6)
+    else:
+        numeric = None
+    if first:
+        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="Persson")
+        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="f(q) solved")
+    report(sheet, group, named, (x, count, stress, full, f, numeric))
 
 
-def options(parser):
-    """The options of the command line."""
-    parser.add_argument("--areas", type=float, nargs="+", help="only the loads near these f_c")
-    parser.add_argument("--gamma", type=float, default=0.45, help="γ of the corrected theory (default 0.45)")
-    parser.add_argument("--name", default="persson_spectrum", help="name of the picture")
+def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
+    """Ratios to both f(q), slopes, and where full contact ends, of each seed."""
+    x, count, stress, full, f, numeric = data
+    add, curves = sheet.findings.add, stress / full
+    top = group.q_limits[1] / group.q_unit
+    inner = (x >= INNER) & (x <= top / 2)
+    others = [(x >= INNER / 2) & (x <= top / 2), (x >= INNER) & (x <= top), (x >= 2 * INNER) & (x <= top / 4)]
+    add(f"contact area, {name}", [load.area for load in group])
+    if not np.any(inner):
+        return
+
+    def averaged(part, below):
+        return [
+            float(np.sum((count * a)[part]) / np.sum((count * b)[part])) for a, b in zip(stress, below, strict=True)
+        ]
+
+    for title, fraction in (("f_Persson", f), ("f_solved", numeric)):
+        if fraction is not None:
+            # the mean over modes counts short waves most; the mean over bins, as the eye sees it, is the other choice
+            logarithmic = [
+                float(np.exp(np.mean(np.log((a / b)[inner])))) for a, b in zip(curves, fraction, strict=True)
+            ]
+            spread = [float(np.mean(averaged(part, full * fraction))) for part in others if np.any(part)]
+            spread.append(float(np.mean(averaged(inner, full * fraction))))
+            add(f"ratio/{title}, {name}", logarithmic, spread)
+    add(f"ratio to full contact, {name}", averaged(inner, full),
+        [float(np.mean(averaged(part, full))) for part in others if np.any(part)])  # fmt: skip
+    short = (x >= top / 16) & (x <= top / 2)
+    choices = [(x >= top / 32) & (x <= top / 2), (x >= top / 16) & (x <= top), (x >= top / 8) & (x <= top / 2)]
+    slopes = (("data", curves), ("f_Persson", f), ("f_solved", numeric))
+    for title, values in slopes:
+        if values is not None and np.count_nonzero(short) >= 3:
+            add(f"slope of {title} at large q, {name}", [_slope(x, row, short) for row in values],
+                [float(np.mean([_slope(x, row, part) for row in values])) for part in choices
+                 if np.count_nonzero(part) >= 3])  # fmt: skip
+    crossings = {level: [crossing(x, row, level) for row in curves] for level in LEVELS}
+    if np.all(np.isfinite(crossings[LEVELS[0]])):
+        add(
+            f"q*/q_l where the ratio falls below {LEVELS[0]:g}, {name}",
+            crossings[LEVELS[0]],
+            [float(np.nanmean(crossings[level])) for level in LEVELS[1:] if np.any(np.isfinite(crossings[level]))],
+        )
+        for title, values in (("f_Persson", f), ("f_solved", numeric)):
+            if values is not None:
+                add(f"q*/q_l of {title}, {name}", [crossing(x, row, LEVELS[0]) for row in values])
+    columns = ("setting", "seed", "q_over_q_l", "modes", "stress", "full_contact", "f_persson", "f_solved")
+    for seed, load in enumerate(group):
+        last = np.full(len(x), np.nan) if numeric is None else numeric[seed]
+        sheet.keep("data", columns, *((name, load.seed, *row) for row in
+                                      zip(x, count, stress[seed], full[seed], f[seed], last, strict=True)))  # fmt: skip
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(make, __doc__, arguments, options)
+def _slope(x: np.ndarray, row: np.ndarray, part: np.ndarray) -> float:
+    return fit_power_law(x[part], np.maximum(row[part], 1e-300))[0]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["persson_spectrum", *sys.argv[1:]]))

@@ -1,17 +1,16 @@
-"""Style of all figures, and figures that record what they draw; shared by the tools, no MPI.
+"""Style of all figures, and figures that record what they draw and what they found; no MPI.
 
-A tool has `make(folders, output) -> Findings`, which draws one question's figure, and `main`, its command line.
+Figures have the width of a journal's column or page, and are drawn at that size: letters of 7 to 9 points.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import logging
 import math
-import sys
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -21,7 +20,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from pgfmd.errors import InputError
+from pgfmd.options.text import printable
+
+COLUMN, PAGE = 3.4, 7.0  # inches
 
 # Okabe & Ito, Color Universal Design (2008): told apart by colour-blind readers, and in grey by line style and marker.
 BLACK, BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
@@ -29,101 +30,207 @@ BLACK, BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
 )  # fmt: skip
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MOST = 7  # ensembles that one panel can tell apart
 
 logging.getLogger("fontTools").setLevel(logging.ERROR)  # it remarks on the dates in the fonts
 
 plt.rcParams.update({
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "legend.fontsize": 7.5,
+    "font.size": 8,
+    "axes.labelsize": 8.5,
+    "axes.titlesize": 8,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7,
     "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "legend.columnspacing": 1.0,
+    "legend.labelspacing": 0.25,
     "figure.constrained_layout.use": True,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.grid.which": "major",
-    "grid.color": "0.9",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "lines.linewidth": 1.2,
-    "lines.markersize": 3.5,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "lines.markersize": 3.2,
+    "lines.markeredgewidth": 0.7,
     "xtick.direction": "in",
     "ytick.direction": "in",
-    "savefig.dpi": 160,
+    "xtick.top": True,
+    "ytick.right": True,
+    "savefig.dpi": 300,
     "pdf.fonttype": 42,
 })  # fmt: skip
 
 
-class Findings(dict):
-    """Numbers that a figure comes to, name → (value, standard error or None); saved beside the figure as JSON."""
+def style(number: int, *, filled: bool = True) -> dict:
+    """Colour and marker of the n-th ensemble; open symbols where not `filled`."""
+    colour = COLOURS[number % len(COLOURS)]
+    return {"color": colour, "marker": MARKERS[number % len(MARKERS)], "mfc": colour if filled else "white"}
 
-    def add(self, name: str, values, note: str | None = None):
-        """The mean of `values` (one number or several, e.g. seeds) with its standard error."""
+
+def tex(text: str) -> str:
+    """A label for a figure: symbols in italics, and names from files taken literally."""
+    text = printable(str(text), 80).replace("$", r"\$")
+    for plain, math_text in SYMBOLS.items():
+        text = text.replace(plain, math_text)
+    return text
+
+
+SYMBOLS = {
+    "f_c = ": "$f_c$ = ", "H = ": "$H$ = ", "ζ = ": r"$\zeta$ = ", "λ_s = ": r"$\lambda_s$ = ", "n = ": "$n$ = ",
+    "λ_l = ": r"$\lambda_l$ = ", "λ_r = ": r"$\lambda_r$ = ", "p̄ = ": r"$\bar p$ = ", "ḡ = ": r"$\bar g$ = ",
+    "d = ": "$d$ = ", "σ_Y = ": r"$\sigma_Y$ = ", "E' = ": "$E'$ = ",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A number with its two errors: the standard error over seeds, and the spread over defensible choices."""
+
+    value: float
+    seeds: float | None = None
+    choices: float | None = None
+    count: int = 1
+
+    @property
+    def error(self) -> float | None:
+        """Both errors together; None if neither is known."""
+        known = [error for error in (self.seeds, self.choices) if error is not None]
+        return math.hypot(*known) if known else None
+
+    def text(self) -> str:
+        """value ± error over seeds ± spread over choices, with as many digits as the errors warrant."""
+        errors = [error for error in (self.seeds, self.choices) if error]
+        if not errors:
+            return f"{self.value:.4g}"
+        digits = min(9, max(0, 1 - math.floor(math.log10(max(errors)))))
+        shown = f"{self.value:.{digits}f}"
+        if self.seeds is not None:
+            shown += f" ± {self.seeds:.{digits}f}"
+        if self.choices is not None:
+            shown += f" ± {self.choices:.{digits}f} (choices)"
+        return shown
+
+
+class Findings(dict):
+    """Numbers that a figure comes to: name → Finding."""
+
+    def add(self, name: str, values, choices: Iterable[float] | None = None):
+        """The mean of `values` (one number or several, of seeds) with its standard error.
+
+        choices : the same number by other defensible fit ranges or estimators; the largest deviation from the mean is
+        the spread.  Numbers that are not finite are left out; nothing is added if none is finite.
+        """
         values = np.atleast_1d(np.asarray(values, float))
         values = values[np.isfinite(values)]
         if values.size:
-            error = float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else None
-            self[name] = (float(values.mean()), error)
+            mean = float(values.mean())
+            seeds = float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else None
+            others = [] if choices is None else [abs(other - mean) for other in choices if np.isfinite(other)]
+            self[name] = Finding(mean, seeds, float(max(others)) if others else None, int(values.size))
 
     def text(self, name: str) -> str:
-        """value ± error, with as many digits as the error warrants."""
-        value, error = self[name]
-        if not error:
-            return f"{value:.4g}"
-        digits = max(0, 1 - math.floor(math.log10(error)))
-        return f"{value:.{digits}f} ± {error:.{digits}f}" if digits < 8 else f"{value:.3g} ± {error:.1g}"
+        """The number with its errors."""
+        return self[name].text()
 
 
 class Sheet:
-    """A figure whose curves are drawn and recorded together, so that its CSV holds what the picture shows."""
+    """A figure whose curves are drawn and recorded together, so that its CSV holds what the picture shows.
 
-    def __init__(self, rows: int = 1, columns: int = 1, size: tuple[float, float] | None = None):
-        size = size or (3.3 * columns + 0.9, 3.1 * rows + 0.2)
-        self.figure, axes = plt.subplots(rows, columns, figsize=size, squeeze=False)
+    findings : the numbers it comes to;  notes : what a reader must know, one line each;  tables : further data
+    """
+
+    def __init__(self, rows: int = 1, columns: int = 1, *, width: float | None = None, height: float = 2.6):
+        width = width or (COLUMN if columns == 1 else PAGE)
+        self.figure, axes = plt.subplots(rows, columns, figsize=(width, height * rows), squeeze=False)
         self.panels = list(axes.flat)
-        self._table = []
+        self.findings, self.notes = Findings(), []
+        self._table: list[tuple] = []
+        self._tables: dict[str, tuple[Sequence[str], list[tuple]]] = {}
+        if len(self.panels) > 1:
+            for number, panel in enumerate(self.panels):
+                panel.annotate(f"({chr(97 + number)})", (0, 1), xytext=(-24, 4), xycoords="axes fraction",
+                               textcoords="offset points")  # fmt: skip
 
     def curve(self, panel: int, x, y, name: str | None = None, error=None, label: bool = True, **style):
-        """Draw and record one curve; `name` is its row title in the CSV and, with `label`, its entry in the legend."""
+        """Draw and record one curve; `name` is its title in the CSV and, with `label`, its entry in the legend."""
         axes = self.panels[panel]
         x, y = np.atleast_1d(x), np.atleast_1d(y)
-        shown = name if label else None
+        shown = tex(name) if label and name else None
         if error is None:
             axes.plot(x, y, label=shown, **style)
         else:
-            axes.errorbar(x, y, error, label=shown, capsize=2, elinewidth=0.8, **style)
+            axes.errorbar(x, y, error, label=shown, capsize=1.5, elinewidth=0.6, capthick=0.6, **style)
         errors = np.full(len(x), np.nan) if error is None else np.broadcast_to(error, x.shape)
         self._table += [(panel + 1, name, *row) for row in zip(x, y, errors, strict=True)]
 
-    def label(self, panel: int, x: str, y: str, title: str | None = None, scale: str = "linear", legend=True):
-        """Axis labels, and the scale of both axes: "linear", "log", "semilogx" or "semilogy"."""
+    def keep(self, table: str, columns: Sequence[str], *rows: Sequence):
+        """Rows of a table that is saved beside the figure as NAME_TABLE.csv: what the numbers are computed from."""
+        self._tables.setdefault(table, (columns, []))[1].extend(tuple(row) for row in rows)
+
+    def label(self, panel: int, x: str, y: str, *, scale: str = "linear", columns: int = 2, legend: bool = True):
+        """Axis labels, and the scale of both axes: "linear", "log", "semilogx" or "semilogy"; the legend above."""
         axes = self.panels[panel]
         axes.set(xlabel=x, ylabel=y)
-        if title:
-            axes.set_title(title)
         if scale in ("log", "semilogx"):
             axes.set_xscale("log")
         if scale in ("log", "semilogy"):
             axes.set_yscale("log")
-        if legend and axes.get_legend_handles_labels()[0]:
-            axes.legend(**({"loc": legend} if isinstance(legend, str) else {}))
+        labels = axes.get_legend_handles_labels()[1]
+        if legend and labels:
+            columns = 1 if max(map(len, labels)) > 34 else columns
+            axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.3)
+
+    def drop(self, panel: int):
+        """Leave a panel out."""
+        self.panels[panel].remove()
 
     def save(self, output: Path, name: str) -> list[Path]:
-        """Write NAME.png, NAME.pdf and NAME.csv; their paths."""
+        """Write NAME.png, .pdf, .csv (curves), .json (numbers) and NAME_TABLE.csv; their paths."""
         output.mkdir(parents=True, exist_ok=True)
-        for axis in (axis for axes in self.panels for axis in (axes.xaxis, axes.yaxis)):
+        for axis in (axis for axes in self.panels if axes.figure for axis in (axes.xaxis, axes.yaxis)):
             _label_short_decades(axis)
-        paths = [output / f"{name}.{kind}" for kind in ("png", "pdf", "csv")]
+        paths = [output / f"{name}.{kind}" for kind in ("png", "pdf", "csv", "json")]
         self.figure.savefig(paths[0])
         self.figure.savefig(paths[1], metadata={"CreationDate": None})
         plt.close(self.figure)
-        with open(paths[2], "w", newline="", encoding="utf-8") as file:
-            for number, axes in enumerate(self.panels, 1):
-                file.write(f"# panel {number}: x = {axes.get_xlabel()}; y = {axes.get_ylabel()}\n")
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(["panel", "curve", "x", "y", "error"])
-            for panel, curve, *numbers in self._table:
-                table.writerow([panel, curve, *("" if math.isnan(v) else f"{v:.6g}" for v in map(float, numbers))])
+        heads = [f"# panel {number}: x = {axes.get_xlabel()}; y = {axes.get_ylabel()}\n"
+                 for number, axes in enumerate(self.panels, 1)]  # fmt: skip
+        _write_csv(paths[2], ("panel", "curve", "x", "y", "error"), self._table, heads)
+        numbers = {key: vars(found) for key, found in self.findings.items()}
+        text = json.dumps({"numbers": numbers, "notes": self.notes}, indent=1, ensure_ascii=False)
+        paths[3].write_text(text + "\n", encoding="utf-8")
+        for table, (columns, rows) in self._tables.items():
+            paths.append(output / f"{name}_{table}.csv")
+            _write_csv(paths[-1], columns, rows)
         return paths
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence], heads: Iterable[str] = ()):
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        file.writelines(heads)
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(columns)
+        table.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value) -> str:
+    """A value in a CSV: ten digits, nothing for NaN."""
+    if isinstance(value, float | np.floating):
+        return "" if math.isnan(value) else f"{value:.10g}"
+    return "" if value is None else str(value)
+
+
+def limited(ensembles: Sequence, sheet: Sheet) -> Sequence:
+    """The first MOST ensembles, with a note if there are more: no panel can tell more apart."""
+    if len(ensembles) > MOST:
+        sheet.notes.append(f"{len(ensembles)} settings were given; the first {MOST} are drawn: give fewer folders, "
+                           "or choose loads with --areas")  # fmt: skip
+    return ensembles[:MOST]
+
+
+def standard_error(values, axis: int = 0) -> np.ndarray | None:
+    """Standard error of the mean along an axis; None for a single sample."""
+    values = np.asarray(values, float)
+    count = values.shape[axis]
+    return values.std(axis=axis, ddof=1) / math.sqrt(count) if count > 1 else None
 
 
 def guide(axes, x, y0: float, exponent: float, text: str, **style):
@@ -133,7 +240,7 @@ def guide(axes, x, y0: float, exponent: float, text: str, **style):
     axes.plot(x, y, **({"color": GREY, "lw": 0.9, "ls": "--"} | style))
     third = x[0] ** (2 / 3) * x[-1] ** (1 / 3), y[0] ** (2 / 3) * y[-1] ** (1 / 3)
     side = {"xytext": (-3, 4), "ha": "right"} if y[-1] > y[0] else {"xytext": (5, 3)}
-    axes.annotate(text, third, textcoords="offset points", color="0.35", fontsize=7.5, **side)
+    axes.annotate(text, third, textcoords="offset points", color="0.35", fontsize=7, **side)
 
 
 def _label_short_decades(axis):
@@ -143,52 +250,3 @@ def _label_short_decades(axis):
         axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high > 3 * low else range(1, 10)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def fit_power_law(x, *curves) -> tuple[float, list[float]]:
-    """The exponent that serves all curves (positive, same x) jointly, free prefactors; and ln of each prefactor.
-
-    Least squares in ln y against ln x: every point counts alike.
-    """
-    logarithm = np.log(x)
-    centred = logarithm - logarithm.mean()
-    values = np.log(np.asarray(curves))
-    exponent = float(np.sum(centred * values) / (len(curves) * np.sum(centred**2)))
-    return exponent, list(values.mean(axis=1) - exponent * logarithm.mean())
-
-
-def finish(sheet: Sheet, output: Path, name: str, findings: Findings) -> Findings:
-    """Save the figure, its table and its numbers; returns the numbers."""
-    sheet.save(output, name)
-    (output / f"{name}.json").write_text(json.dumps(findings, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    return findings
-
-
-def command_line(make: Callable[..., Findings], description: str, arguments=None, extend=None) -> int:
-    """The command line of a tool: `make(folders, output, **options)`; prints what it found.  Exit code 0, or 2.
-
-    extend : function(parser) that adds options, which `make` receives by their names
-    """
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("results", nargs="+", type=Path, metavar="DIR", help="result folders")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder of the pictures (default: figures/ in the first result folder)",
-    )
-    if extend:
-        extend(parser)
-    options = vars(parser.parse_args(arguments))
-    folders, output = options.pop("results"), options.pop("output")
-    output = output or folders[0] / "figures"
-    try:
-        findings = make(folders, output, **options)
-    except InputError as error:
-        print(f"{Path(sys.argv[0]).name}: error: {error}", file=sys.stderr)
-        return 2
-    width = max(map(len, findings), default=0)
-    for name in findings:
-        print(f"{name:<{width}}  {findings.text(name)}")
-    print(f"pictures and tables: {output}")
-    return 0

@@ -1,87 +1,119 @@
 """The distribution of contact pressures beside Persson's theory.
 
-    python tools/pressure_distribution.py DIR… [--area 0.08]
+    pgfmd plot pressure_distribution DIR… [--areas 0.08]
 
-Needs the observable histogram.  Theory at the load of the run, with the surface's own slope: no free parameter.  The
-broken curve is the same form with the width that fits best.
+Theory is drawn at the load of the run with the surface's own slope: no free parameter.  The broken curve is the same
+form with the width that fits best.  Runs that differ by the seed alone are averaged.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, COLOURS, MARKERS, RED, Findings, Sheet
-from reading import Case, cases, nearest
+from plotting import BLACK, GREY, Sheet, limited, standard_error, style
+from reading import Ensemble, Load, ensembles, near
 
 from pgfmd.theory import persson
 
+CAPTION = """Probability density of the contact pressure over the whole surface (its integral is the contact area), (a)
+linear, (b) logarithmic. Black lines: Persson's theory at the same load, without a free parameter; grey broken lines:
+the same form with the width that fits best. Bars: standard error over seeds."""
+NEEDS = ("histogram", "area", "roughness")
+OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+BINS = 60  # on which seeds are averaged
+BANDS = ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0))  # of σ/(E'g/2)
 
-def distribution(case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """Bin edges (m+1,) and P(σ) (m,) over the whole surface: its integral is f_c."""
-    histogram = case.groups["pressure_histogram"]
-    return histogram["edges"], histogram["density"] * case.area
 
-
-def make(folders: list[Path], output: Path, area: float | None = None) -> Findings:
-    """P(σ) of every load, or of the one nearest to `area` in each folder; linear and logarithmic."""
-    chosen = cases(folders) if area is None else nearest(cases(folders), area)
-    sheet, findings = Sheet(1, 2), Findings()
-    for number, case in enumerate(chosen):
-        _draw(sheet, case, number, len(chosen) == 1)
+def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
+    """P(σ) of each setting and load, linear and logarithmic."""
+    sheet = Sheet(1, 2)
+    groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
+    for number, group in enumerate(groups):
+        _draw(sheet, group, number)
+        report(sheet, group)
     for panel, scale in enumerate(("linear", "semilogy")):
         sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", r"$P(\sigma)\;E'\bar g/2$", scale=scale, legend=panel == 0)
-    width = [_fitted(case) / case.full_contact_std for case in chosen]
-    kappa = [case.number("kappa") for case in chosen]
-    corrected = [case.modulus * case.rms_slope * case.corrected_area / case.load for case in chosen]
-    theory = [float(persson.kappa(case.load, case.full_contact_std)) for case in chosen]
-    findings.add("contact area f_c", [case.area for case in chosen])
-    findings.add("κ, raw area", kappa)
-    findings.add("κ, corrected area", corrected)
-    findings.add("κ, Persson at this load", theory)
-    findings.add("m₂ = ⟨σ²⟩_c/σ_c²", [case.normalised_second_moment for case in chosen])
-    findings.add("m₂, Persson at this load", [float(persson.normalised_second_moment(case.load, case.full_contact_std))
-                                              for case in chosen])  # fmt: skip
-    findings.add("fitted width over E'g/2", width)
-    return plotting.finish(sheet, output, "pressure_distribution", findings)
+    return sheet
 
 
-def _draw(sheet: Sheet, case: Case, number: int, alone: bool):
-    std = case.full_contact_std
-    edges, density = distribution(case)
-    middle = (edges[1:] + edges[:-1]) / 2
-    seen = density > 0
-    sigma = np.linspace(0, edges[-1], 500)[1:]
-    title = f"simulation, $f_c$ = {case.area:.3f}"
-    colour = COLOURS[number % len(COLOURS)]
-    floor = 0.3 * density[seen].min()
+def distribution(load: Load) -> tuple[np.ndarray, np.ndarray]:
+    """Bin edges (m+1,) and P(σ) (m,) over the whole surface: its integral is f_c."""
+    histogram = load.groups["pressure_histogram"]
+    return histogram["edges"], histogram["density"] * load.area
+
+
+def averaged(group: Ensemble, edges: np.ndarray) -> np.ndarray:
+    """P(σ) E'g/2 of each load (loads, m) in bins of σ/(E'g/2): shares of the run's own bins."""
+    densities = []
+    for load in group:
+        own, density = distribution(load)
+        std = load.full_contact_std
+        total = np.concatenate([[0.0], np.cumsum(density * np.diff(own))])
+        densities.append(np.diff(np.interp(edges * std, own, total)) / np.diff(edges))
+    return np.array(densities)
+
+
+def report(sheet: Sheet, group: Ensemble):
+    """κ, m₂ and widths beside theory, and P(σ) over the fitted and the unfitted form in bands of σ."""
+    name = f", {group.label}" if group.label else ""
+    add = sheet.findings.add
+    kappa = [load.modulus * load.rms_slope * load.corrected_area / load.mean_pressure for load in group]
+    add(f"contact area f_c{name}", [load.area for load in group])
+    add(f"κ, raw area{name}", [load.number("kappa") for load in group])
+    add(f"κ, corrected area{name}", kappa, [_mean(load.number("kappa") for load in group)])
+    add(f"κ, Persson at this load{name}", [persson.kappa(load.mean_pressure, load.full_contact_std) for load in group])
+    add(f"m₂ = ⟨σ²⟩_c/σ_c²{name}", [load.normalised_second_moment for load in group])
+    add(f"m₂, Persson at this load{name}",
+        [persson.normalised_second_moment(load.mean_pressure, load.full_contact_std) for load in group])  # fmt: skip
+    add(f"fitted width over E'g/2{name}", [_fitted(load) / load.full_contact_std for load in group])
+    first = [distribution(load)[1] for load in group]
+    add(f"P in the first bin over its maximum{name}", [float(p[0] / p.max()) for p in first])
+    for low, high in BANDS:
+        measured = averaged(group, np.array([low, high]))[:, 0]
+        for title, width in (("unfitted", lambda load: load.full_contact_std), ("fitted", _fitted)):
+            theory = [-float(np.diff(persson.exceedance(np.array([low, high]) * load.full_contact_std,
+                                                        load.mean_pressure, width(load)))[0]) / (high - low)
+                      for load in group]  # fmt: skip
+            ratio = [p / t if t > 0 else np.nan for p, t in zip(measured, theory, strict=True)]
+            add(f"P over the {title} form, σ = {low:g} … {high:g} E'g/2{name}", ratio)
+    for load in group:
+        sheet.keep("loads", ("setting", "seed", "mean_pressure", "modulus", "rms_slope", "area", "area_corrected", "m2",
+                             "fitted_width"),
+                   (group.label, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
+                    load.corrected_area, load.normalised_second_moment, _fitted(load)))  # fmt: skip
+
+
+def _draw(sheet: Sheet, group: Ensemble, number: int):
+    top = max(distribution(load)[0][-1] / load.full_contact_std for load in group)
+    edges = np.linspace(0, top, BINS + 1)
+    samples = averaged(group, edges)
+    middle, mean, error = (edges[1:] + edges[:-1]) / 2, samples.mean(axis=0), standard_error(samples)
+    seen = mean > 0
+    std, width = group.mean("full_contact_std"), float(np.mean([_fitted(load) for load in group]))
+    sigma = np.linspace(0, top, 500)[1:]
+    floor = 0.3 * mean[seen].min()
+    drawn = {**style(number), "ls": "none", "ms": 2.4, "zorder": 3}
     for panel in (0, 1):
-        sheet.curve(panel, middle[seen] / std, density[seen] * std, title, color=colour, ls="none",
-                    marker=MARKERS[number % len(MARKERS)], ms=2.5)  # fmt: skip
-        for name, width, style in (("Persson", std, "-"), ("same form, fitted width", _fitted(case), "--")):
-            theory = persson.pressure_density(sigma, case.load, width)
-            drawn = theory > (floor if panel else -1)
-            line = {"color": (BLACK if style == "-" else RED) if alone else colour, "ls": style, "lw": 1.0}
-            sheet.curve(panel, sigma[drawn] / std, theory[drawn] * std, name, label=number == 0, **line)
+        sheet.curve(panel, middle[seen], mean[seen], group.label or f"f_c = {group.mean('area'):.3f}",
+                    error=None if error is None else error[seen], **drawn)  # fmt: skip
+        for name, form, line in (("Persson", std, {"color": BLACK}),
+                                 ("same form, fitted width", width, {"color": GREY, "ls": "--"})):  # fmt: skip
+            theory = persson.pressure_density(sigma * std, group.mean("mean_pressure"), form) * std
+            shown = theory > (floor if panel else -1)
+            sheet.curve(panel, sigma[shown], theory[shown], name, label=number == 0, lw=0.9, **line)
 
 
-def _fitted(case: Case) -> float:
-    if case.has("persson_fit"):
-        return float(np.ravel(case.groups["persson_fit"]["width"])[0])
-    return persson.fit_std(*distribution(case), case.load)
+def _fitted(load: Load) -> float:
+    if "persson_fit" in load.kept:
+        return float(np.ravel(load.groups["persson_fit"]["width"])[0])
+    return persson.fit_std(*distribution(load), load.mean_pressure)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(
-        make,
-        __doc__,
-        arguments,
-        lambda parser: parser.add_argument("--area", type=float, help="only loads near this f_c"),
-    )
+def _mean(values) -> float:
+    return float(np.mean(list(values)))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["pressure_distribution", *sys.argv[1:]]))

@@ -1,9 +1,14 @@
-"""Loads of result folders as the tools see them: numbers, and curves, made from the fields where none were kept."""
+"""Loads of result folders as the figures see them: numbers, spectra, what a load lacks, and which loads belong
+together.
+
+No MPI.  What a run did not keep is made from its fields, in row blocks.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,42 +18,58 @@ import rowblocks
 
 from pgfmd.errors import InputError
 from pgfmd.io.results import Results
-from pgfmd.job import job
+from pgfmd.observables.statistics import spectra
 
 log = logging.getLogger("pgfmd")
 
 FIELD_OF = {"stress": "pressure", "contact": "pressure", "height": "height", "gap": "gap"}
+CONTROLS = {"contact_area": "f_c", "pressure": "p̄", "mean_gap": "ḡ", "displacement": "ū"}
 
 
 @dataclass(frozen=True)
-class Case:
+class Load:
     """One load of one run."""
 
     results: Results
     index: int
 
     @cached_property
-    def config(self):
-        """The job."""
-        return job.parse(self.results.provenance["effective_toml"], str(self.results.directory))
+    def job(self) -> dict[str, dict]:
+        """The job as nested tables, defaults included."""
+        return self.results.job
 
     @cached_property
     def groups(self):
         """Curves and tables that the run kept: name → {dataset: array}."""
         return self.results.load(self.index)
 
+    @cached_property
+    def kept(self) -> frozenset[str]:
+        """Names of the groups."""
+        return frozenset(self.groups)
+
+    @cached_property
+    def fields(self) -> frozenset[str]:
+        """Names of the fields that were written, of the run and of this load."""
+        return frozenset([*self.results.fields(), *self.results.fields(self.index)])
+
     @property
-    def title(self) -> str:
-        """Folder and contact area, for messages and legends."""
-        return f"{self.results.directory.name}, f_c = {self.area:.3g}"
+    def folder(self) -> str:
+        """Name of the result folder."""
+        return self.results.directory.name
 
     def number(self, name: str) -> float:
-        """A column of the table of loads."""
-        return float(self.results.loads[name][self.index])
+        """A column of the table of loads; NaN where the run has none.
+
+        Under an exponential wall the area counts points where exp(−gap/ζ) has not underflowed: no contact area, so NaN.
+        """
+        if self.law == "exponential" and (name == "kappa" or name.startswith("contact_area")):
+            return math.nan
+        return float(self.results.loads[name][self.index]) if name in self.results.loads else math.nan
 
     @property
     def area(self) -> float:
-        """f_c, fraction of grid points in contact."""
+        """f_c, fraction of grid points in contact; NaN where it has no meaning."""
         return self.number("contact_area")
 
     @property
@@ -57,35 +78,72 @@ class Case:
         return self.number("contact_area_corrected")
 
     @property
-    def load(self) -> float:
+    def mean_pressure(self) -> float:
         """p̄."""
         return self.number("mean_pressure")
 
     @property
     def contact_pressure(self) -> float:
         """σ_c = p̄/f_c."""
-        return self.load / self.area
+        return self.mean_pressure / self.area if self.area > 0 else math.nan
+
+    @property
+    def target(self) -> tuple[str, float]:
+        """Which quantity the job imposed, and its value at this load."""
+        for control in CONTROLS:
+            values = self.job["load"].get(control)
+            if values is not None:
+                values = values if isinstance(values, list) else [values]
+                return control, float(values[self.index]) if self.index < len(values) else math.nan
+        return "pressure", self.mean_pressure
+
+    @property
+    def law(self) -> str:
+        """Kind of the wall: "hard", "exponential", …"""
+        return self.job.get("wall", {}).get("kind", "hard")
+
+    @property
+    def zeta(self) -> float | None:
+        """ζ of an exponential wall."""
+        return self.job.get("wall", {}).get("zeta")
 
     @property
     def modulus(self) -> float:
         """E'."""
-        return self.config.solid.contact_modulus
+        return float(self.job["solid"]["contact_modulus"])
+
+    def stiffness(self, q: np.ndarray) -> np.ndarray:
+        """Pressure per displacement of modes |q| > 0 (rad/length): E'q/2, and of a slab that times F(q d)."""
+        solid = self.job["solid"]
+        half_space = self.modulus * np.asarray(q) / 2
+        if math.isinf(solid.get("thickness", math.inf)):
+            return half_space
+        try:
+            from pgfmd.physics.elasticity import Elasticity
+        except ImportError as error:
+            raise InputError(f"{self.folder}: the stiffness of a slab needs the whole package: {error}") from None
+        slab = Elasticity(self.modulus, solid["thickness"], solid["base"], solid.get("poisson", 0.25))
+        return half_space * slab.slab_factor(np.asarray(q, float) * slab.thickness)
 
     @property
     def hurst(self) -> float | None:
         """H of a self-affine surface."""
-        return getattr(self.config.surface, "hurst", None)
+        return self.job["surface"].get("hurst")
 
     @property
     def seed(self) -> int | None:
-        """Seed of a self-affine surface."""
-        return getattr(self.config.surface, "seed", None)
+        """Seed of a random surface."""
+        return self.job["surface"].get("seed")
 
     @cached_property
     def rms_slope(self) -> float:
-        """√⟨|∇h|²⟩, spectral."""
-        if self.config.surface.rms_slope is not None:
-            return self.config.surface.rms_slope
+        """√⟨|∇h|²⟩, spectral: what the job says, else from κ = f_c E' g/p̄, else from the spectrum of the heights."""
+        asked = self.job["surface"].get("rms_slope")
+        if asked is not None:
+            return float(asked)
+        kappa = self.number("kappa")
+        if self.area > 0 and math.isfinite(kappa):
+            return kappa * self.mean_pressure / (self.area * self.modulus)
         q, power, count = self.spectrum("height")
         return float(np.sqrt(np.sum(q**2 * power * count)))
 
@@ -95,96 +153,284 @@ class Case:
         return self.modulus * self.rms_slope / 2
 
     @property
+    def steps(self) -> tuple[float, float]:
+        """Grid spacings (ax, ay)."""
+        (nx, ny), (lx, ly) = self.results.shape, self.results.lengths
+        return lx / nx, ly / ny
+
+    @property
     def wavelengths(self) -> tuple[float, float]:
-        """λ_s and λ_l as lengths."""
-        return self.config.surface.wavelengths(self.config.grid)[:2]
+        """Shortest and longest wavelength (λ_s, λ_l) of the heights as lengths.
+
+        Of a self-affine surface as the job says, of others those of the grid: two spacings, and the cell.
+        """
+        surface, step, cell = self.job["surface"], min(self.steps), max(self.results.lengths)
+        if surface.get("lambda_s") is None:
+            return 2 * max(self.steps), cell
+        given = [surface[name] * step for name in ("lambda_l", "lambda_r") if surface.get(name) is not None]
+        return surface["lambda_s"] * step, min(max(given, default=cell), cell)
 
     @property
     def q_limits(self) -> tuple[float, float]:
         """q_l and the highest wave number: q_s, or the corner of the grid's spectrum where there is no cut-off."""
         shortest, longest = self.wavelengths
-        steps = self.config.grid.steps
-        if shortest <= max(steps) * (1 + 1e-9):
-            return 2 * np.pi / longest, np.pi * np.hypot(*(1 / step for step in steps))
+        if self.hurst is None or shortest <= max(self.steps) * (1 + 1e-9):
+            return 2 * np.pi / longest, np.pi * np.hypot(*(1 / step for step in self.steps))
         return 2 * np.pi / longest, 2 * np.pi / shortest
 
     @property
-    def wave_unit(self) -> float:
-        """2π/lx: q in this unit counts the waves in the cell."""
-        return 2 * np.pi / self.results.lengths[0]
+    def q_unit(self) -> float:
+        """q_l = 2π/λ_l, the unit in which wave numbers are drawn."""
+        return self.q_limits[0]
 
     @cached_property
     def normalised_second_moment(self) -> float:
-        """m₂ = ⟨σ²⟩_c/σ_c²."""
+        """m₂ = ⟨σ²⟩_c/σ_c²; NaN where the run did not keep it."""
+        if "pressure_moments" not in self.kept:
+            return math.nan
         moments = self.groups["pressure_moments"]
         return float(moments["value"][np.flatnonzero(moments["order"] == 2)[0]])
-
-    def has(self, group: str) -> bool:
-        """Whether the run kept this group."""
-        return group in list(self.groups)
 
     def spectrum(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q, |f̃|² averaged over direction (f̃ the Fourier coefficient: sums over modes are means), count of modes.
 
-        name : "stress", "contact", "height", "bearing"; from the fields if the run did not keep it.
+        name : "stress", "contact", "height", "bearing", …; from the fields if the run did not keep it.
         """
-        if not self.has(f"{name}_spectrum"):
-            q_max = None if name == "gap" else self.q_limits[1]
-            return rowblocks.radial_spectrum(self._blocks(name), *self._cell, q_max=q_max)
+        if f"{name}_spectrum" not in self.kept:
+            return rowblocks.radial_spectrum(self.blocks(name), *self._cell, edges=self.edges)
         kept = self.groups[f"{name}_spectrum"]
         return kept["q"], kept["value"], kept["count"]
 
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """Edges of the bins of this load's spectra: those of the file, or 20 to a decade up to the cut-off."""
+        for name in self.kept:
+            if name.endswith("_spectrum") and "edges" in self.groups[name]:
+                return self.groups[name]["edges"]
+        return spectra.bin_edges(*self._cell, q_max=self.q_limits[1])
+
+    def weighted_spectrum(self, name: str, weight: Callable[[np.ndarray], np.ndarray], edges=None) -> np.ndarray:
+        """Mean of weight(|q|) |f̃|² over the modes of each bin that `spectrum` returns, weighed mode by mode: (m,).
+
+        From the field; raises InputError if the run did not keep it.
+        """
+        edges = self.edges if edges is None else edges
+        return rowblocks.radial_spectrum(self.blocks(name), *self._cell, edges=edges, weight=weight)[1]
+
+    def full_contact(self) -> np.ndarray:
+        """(stiffness |h̃|)², the stress spectrum in full contact, per bin of `spectrum`: (m,).
+
+        Mode by mode if the heights are kept, else with the mean q of each bin.
+        """
+        if "height" in self.fields:
+            return self.weighted_spectrum("height", lambda q: self.stiffness(q) ** 2)
+        q, power, _ = self.spectrum("height")
+        return self.stiffness(q) ** 2 * power
+
     def correlation(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """r and ⟨f(0) f(r)⟩ averaged over direction; from the fields if the run did not keep it."""
-        if not self.has(f"{name}_acf"):
-            return rowblocks.radial_autocorrelation(self._blocks(name), *self._cell)[:2]
+        if f"{name}_acf" not in self.kept:
+            return rowblocks.radial_autocorrelation(self.blocks(name), *self._cell)[:2]
         kept = self.groups[f"{name}_acf"]
         return kept["r"], kept["value"]
+
+    def blocks(self, name: str) -> Iterable:
+        """A field ("stress", "contact", "height", "gap") in row blocks."""
+        field = FIELD_OF.get(name, name)
+        if field not in self.fields:
+            raise InputError(f"{self.folder}: no {name} spectrum was kept, and no field {field} to make it from")
+        log.info("%s: %s from the field in row blocks", self.folder, name)
+        blocks = self.results.blocks(field, None if field == "height" else self.index)
+        return rowblocks.mapped(blocks, lambda values: values > 0) if name == "contact" else blocks
 
     @property
     def _cell(self):
         return self.results.shape, self.results.lengths
 
-    def _blocks(self, name: str) -> Iterable:
-        if name not in FIELD_OF:
-            raise InputError(f"{self.results.directory}: no {name} spectrum was kept, and the fields do not give it")
-        field = FIELD_OF[name]
-        log.info("%s: %s from the field in row blocks", self.title, name)
-        blocks = self.results.blocks(field, None if field == "height" else self.index)
-        return rowblocks.mapped(blocks, lambda values: values > 0) if name == "contact" else blocks
+
+# What a figure can need of a load: its name → (test, what the job would have to say).
+NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
+    "histogram": (lambda load: {"pressure_histogram", "pressure_moments"} <= load.kept, 'observable "histogram"'),
+    "spectra": (
+        lambda load: "stress_spectrum" in load.kept or {"height", "pressure"} <= load.fields,
+        'observable "spectra", or fields "height" and "pressure"',
+    ),
+    "correlations": (
+        lambda load: "stress_acf" in load.kept or "pressure" in load.fields,
+        'observable "acf", or field "pressure"',
+    ),
+    "patches": (lambda load: "patches" in load.kept, 'observable "patches"'),
+    "bearing": (lambda load: "bearing_spectrum" in load.kept, 'observables "spectra" and "bearing"'),
+    "height": (lambda load: "height" in load.fields, 'field "height"'),
+    "pressure": (lambda load: "pressure" in load.fields, 'field "pressure"'),
+    "area": (lambda load: load.area > 0, "a contact area above zero (a hard wall, a load above zero)"),
+    "partial contact": (lambda load: 0 < load.area < 1, "a contact area between zero and one (a hard wall)"),
+    "load": (lambda load: load.mean_pressure > 0, "a load above zero"),
+    "exponential wall": (lambda load: load.law == "exponential", 'wall.kind = "exponential"'),
+    "roughness": (lambda load: load.rms_slope > 0, "a surface that is not flat"),
+    "self-affine": (lambda load: load.hurst is not None, 'surface.kind = "self-affine"'),
+}
 
 
-def cases(folders: Iterable[Path | str]) -> list[Case]:
+def loads(folders: Iterable[Path | str]) -> list[Load]:
     """Every completed load of the folders, in their order.  Raises InputError if there is none."""
-    found = [Case(results, index) for results in map(Results, folders) for index in range(len(results))]
+    found = [Load(results, index) for results in map(Results, folders) for index in range(len(results))]
     if not found:
         raise InputError("no load was completed in the folders given")
     return found
 
 
-def nearest(found: Iterable[Case], area: float, slack: float = 0.1) -> list[Case]:
-    """Of each folder the load whose contact area is nearest to `area`, if it is within `slack` relatively."""
-    best: dict[Path, Case] = {}
-    for case in found:
-        old = best.get(case.results.directory)
-        if old is None or abs(case.area - area) < abs(old.area - area):
-            best[case.results.directory] = case
-    chosen = [case for case in best.values() if abs(case.area / area - 1) <= slack]
-    if not chosen:
-        raise InputError(f"no load with a contact area near {area:g} in the folders given")
+def serving(found: Sequence[Load], needs: Sequence[str], figure: str) -> tuple[list[Load], list[str]]:
+    """The loads that have all a figure needs, and a line for each reason why others were left out.
+
+    Raises InputError, with the first reason, if none is left.
+    """
+    reasons: dict[str, list[str]] = {}
+    kept = []
+    for load in found:
+        lacking = next((need for need in needs if not NEEDS[need][0](load)), None)
+        if lacking is None:
+            kept.append(load)
+        else:
+            names = reasons.setdefault(NEEDS[lacking][1], [])
+            if load.folder not in names:
+                names.append(load.folder)
+    lines = [f"{figure} needs {reason}: missing in {_listed(names)}" for reason, names in reasons.items()]
+    if not kept:
+        raise InputError(lines[0])
+    return kept, lines
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def near(found: Iterable[Load], areas: Iterable[float], slack: float = 0.1) -> list[Load]:
+    """For each area, of each folder the load whose contact area is nearest, if it is within `slack` relatively.
+
+    Raises InputError if there is none for one of the areas.
+    """
+    chosen: list[Load] = []
+    found = list(found)
+    for area in areas:
+        best: dict[Path, Load] = {}
+        for load in found:
+            if math.isfinite(load.area):
+                old = best.get(load.results.directory)
+                if old is None or abs(load.area - area) < abs(old.area - area):
+                    best[load.results.directory] = load
+        fitting = [load for load in best.values() if abs(load.area / area - 1) <= slack]
+        if not fitting:
+            raise InputError(f"no load with a contact area near {area:g} in the folders given")
+        chosen += [load for load in fitting if load not in chosen]
     return chosen
 
 
-def by_hurst(found: Iterable[Case]) -> dict[float, list[Case]]:
-    """The cases of each H, ascending."""
-    sorted_cases = sorted(found, key=lambda case: case.hurst if case.hurst is not None else -1.0)
-    groups: dict[float, list[Case]] = {}
-    for case in sorted_cases:
-        groups.setdefault(case.hurst, []).append(case)
-    return groups
+# Keys of a job that do not tell one physical setting from another.
+ACCIDENTAL = ("surface.seed", "load.", "solver.", "output.", "run.")
+SYMBOLS = {
+    "surface.hurst": "H", "surface.lambda_s": "λ_s", "surface.lambda_l": "λ_l", "surface.lambda_r": "λ_r",
+    "surface.rms_slope": "ḡ", "wall.zeta": "ζ", "grid.n": "n", "solid.thickness": "d", "solid.contact_modulus": "E'",
+    "wall.hardness": "σ_Y", "surface.kind": "surface", "wall.kind": "wall", "solid.base": "base",
+}  # fmt: skip
+# Keys that follow from others: said only if nothing else differs.
+DERIVED = ("grid.spacing", "grid.length", "solid.lame_lambda", "solid.lame_mu", "solid.young", "wall.sigma_ref")
 
 
-def common_bins(curves: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class Ensemble:
+    """Loads that differ by the seed alone: samples of one physical setting.  `label` says what sets it apart."""
+
+    loads: tuple[Load, ...]
+    label: str = ""
+
+    def __iter__(self):
+        return iter(self.loads)
+
+    def __len__(self) -> int:
+        return len(self.loads)
+
+    def __getattr__(self, name: str):
+        """Properties of the first load, for those that all share: hurst, zeta, q_unit, …"""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.loads[0], name)
+
+    def mean(self, name: str) -> float:
+        """Mean over the loads of a number or property, e.g. "area"."""
+        return float(np.mean([getattr(load, name) for load in self.loads]))
+
+
+def ensembles(found: Iterable[Load], *, by_load: bool = True) -> list[Ensemble]:
+    """Loads put together that differ by the seed alone (and, unless `by_load`, by the load), in the order of settings.
+
+    Labels name what differs between the ensembles.
+    """
+    groups: dict[tuple, list[Load]] = {}
+    for load in found:
+        target = load.target if by_load else ()
+        key = tuple(sorted((name, str(value)) for name, value in setting(load).items()))
+        groups.setdefault((key, target), []).append(load)
+    members = sorted(groups.values(), key=lambda group: (_order(group[0]), group[0].mean_pressure))
+    settings = [setting(group[0]) for group in members]
+    keys = [key for key in dict.fromkeys(k for s in settings for k in s) if _differs(key, settings)]
+    keys = [key for key in keys if key not in DERIVED] or keys
+    several = by_load and len({target for _, target in groups}) > 1
+    return [
+        Ensemble(tuple(group), ", ".join([*(_named(k, s[k]) for k in keys if k in s), *([_loaded(group)] * several)]))
+        for group, s in zip(members, settings, strict=True)
+    ]
+
+
+def _differs(key: str, settings: Sequence[dict]) -> bool:
+    """Whether those settings that have the key differ in it: H does not tell a rough surface from one in a file."""
+    return len({str(setting[key]) for setting in settings if key in setting}) > 1
+
+
+def setting(load: Load) -> dict[str, object]:
+    """What tells the physical setting of a load: dotted key → value, without the seed and the list of loads."""
+    flat: dict[str, object] = {}
+    tables = dict(load.job)
+    while tables:
+        name, value = tables.popitem()
+        if isinstance(value, dict):
+            tables |= {f"{name}.{key}": entry for key, entry in value.items()}
+        elif not name.startswith(ACCIDENTAL):
+            flat[name] = value
+    return dict(sorted(flat.items()))
+
+
+def alike(group: Sequence[Load]) -> str | None:
+    """The first key, other than the grid's, by which the settings of loads differ; None if they are one problem."""
+    known = ("grid.", "surface.lambda", "surface.path", "surface.dataset")
+    settings = [{k: str(v) for k, v in setting(load).items() if not k.startswith(known)} for load in group]
+    for key in dict.fromkeys(key for each in settings for key in each):
+        if len({each.get(key) for each in settings}) > 1:
+            return key
+    return None
+
+
+def _order(load: Load) -> tuple:
+    return load.hurst or 0.0, load.zeta or 0.0, load.wavelengths[0], load.results.shape, load.folder * (not load.hurst)
+
+
+def _named(key: str, value) -> str:
+    if key == "surface.path":
+        return Path(str(value)).name
+    if isinstance(value, list) and len(set(map(str, value))) == 1:
+        value = value[0]
+    shown = f"{value:g}" if isinstance(value, float | int) and not isinstance(value, bool) else str(value)
+    return f"{SYMBOLS.get(key, key)} = {shown}"
+
+
+def _loaded(group: Sequence[Load]) -> str:
+    areas = [load.area for load in group]
+    if all(math.isfinite(area) for area in areas):
+        return f"f_c = {float(np.mean(areas)):.3g}"
+    return f"p̄ = {float(np.mean([load.mean_pressure for load in group])):.3g}"
+
+
+def common_bins(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Curves (x, y) of equal grids as x (m,) and y (curves, m).  Raises InputError if the grids differ."""
     x = curves[0][0]
     if any(other.shape != x.shape or not np.allclose(other, x) for other, _ in curves):

@@ -11,13 +11,13 @@ import argparse
 import base64
 import csv
 import html
-import importlib
 import sys
 import tomllib
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+import figures
 from plotting import Findings
 
 from pgfmd.errors import InputError
@@ -51,7 +51,7 @@ class Claim:
         """ "agrees" or "differs"; empty if nothing was claimed."""
         if self.expected is None:
             return ""
-        value, error = findings[self.finding]
+        value, error = findings[self.finding].value, findings[self.finding].error
         low, high = self.expected
         return "agrees" if low - 2 * (error or 0) <= value <= high + 2 * (error or 0) else "differs"
 
@@ -66,15 +66,18 @@ class Figure:
     runs: tuple[str, ...]  # patterns of result folders
     claims: tuple[Claim, ...]
     options: dict = field(default_factory=dict)
+    name: str = ""  # of the picture, if it is not that of the tool
 
     @property
     def picture(self) -> str:
         """File name of the picture, without its ending."""
-        return self.options.get("name", self.tool)
+        return self.name or self.tool
 
     def make(self, folders: list[Path], output: Path) -> Findings:
         """Draw it."""
-        return importlib.import_module(self.tool).make(folders, output, **self.options)
+        sheet = figures.draw(self.tool, folders, **self.options)
+        sheet.save(output, self.picture)
+        return sheet.findings
 
 
 def read_figures(path: Path) -> list[Figure]:

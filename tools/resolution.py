@@ -1,66 +1,92 @@
-"""Convergence with resolution: one band-limited surface at one load, on finer and finer grids.
+"""Convergence with resolution: one problem at one load, on finer and finer grids.
 
-    python tools/resolution.py DIR…
+    pgfmd plot resolution DIR…
 
 The finest grid's corrected area, mean gap and ⟨p²⟩ serve as the limit for the others; it is not drawn itself.
 """
 
 from __future__ import annotations
 
+import math
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLUE, GREEN, GREY, ORANGE, RED, Findings, Sheet, guide
-from reading import Case, cases
+from plotting import BLUE, GREEN, GREY, ORANGE, RED, Sheet, guide
+from reading import Load, alike
 
 from pgfmd.errors import InputError
 
+CAPTION = """Deviation from the finest grid against grid points per shortest wave: (a) contact area, (b) absolute
+deviations of area, mean gap and mean square pressure, with power laws as guides."""
+NEEDS = ("area",)
 
-def make(folders: list[Path], output: Path) -> Findings:
-    """Deviations from the finest grid against the points per shortest wave."""
-    found = sorted(cases(folders), key=lambda case: case.results.shape[0])
-    if len(found) < 3:
-        raise InputError("give at least three runs of one surface on different grids")
-    resolution = np.array([case.wavelengths[0] / case.config.grid.steps[0] for case in found])
-    limit, rest = found[-1], found[:-1]
-    sheet, findings, x = Sheet(1, 2), Findings(), resolution[:-1]
-    raw = np.array([case.area / limit.corrected_area - 1 for case in rest])
-    corrected = np.array([case.corrected_area / limit.corrected_area - 1 for case in rest])
+
+def draw(loads: list[Load]) -> Sheet:
+    """Deviations from the finest grid against the resolution."""
+    found, sheet = choose(loads)
+    points = np.array([_resolution(load) for load in found])
+    limit, rest, x = found[-1], found[:-1], points[:-1]
+    raw = np.array([load.area / limit.corrected_area - 1 for load in rest])
+    corrected = np.array([load.corrected_area / limit.corrected_area - 1 for load in rest])
     for panel in (0, 1):
         size = np.abs if panel else np.asarray
-        sheet.curve(panel, x, size(raw), "contact area, raw", color=RED, marker="o", ls="-")
-        sheet.curve(panel, x, size(corrected), "contact area, corrected", color=BLUE, marker="s", ls="-")
-    gap = np.array([case.number("mean_gap") / limit.number("mean_gap") - 1 for case in rest])
-    square = np.array([_square(case) / _square(limit) - 1 for case in rest])
-    sheet.curve(1, x, np.abs(gap), "mean gap", color=GREEN, marker="^", ls="-")
-    sheet.curve(1, x, np.abs(square), r"$\langle p^2\rangle/\bar p^2$", color=ORANGE, marker="D", ls="-")
-    guide(sheet.panels[1], x[[0, -1]], 0.6 * np.abs(raw[0]), -1, "−1")
-    guide(sheet.panels[1], x[[0, -1]], 0.5 * np.abs(gap[0]), -2, "−2")
-    sheet.panels[0].axhline(0, color=GREY, lw=0.8)
-    sheet.label(0, r"$\lambda_s\,/\,a$", "deviation of the contact area", scale="semilogx")
-    sheet.label(1, r"$\lambda_s\,/\,a$", "|deviation|", scale="log", legend="lower left")
-    sheet.panels[1].set_ylim(bottom=sheet.panels[1].get_ylim()[0] / 100)  # room for the legend
-    findings.add(f"corrected area on the finest grid, λ_s = {resolution[-1]:.3g} a", limit.corrected_area)
-    for points, first, second, third, fourth in zip(x, raw, corrected, gap, square, strict=True):
-        at = f"λ_s = {points:.3g} a"
-        findings.add(f"area raw, {at}", first)
-        findings.add(f"area corrected, {at}", second)
-        findings.add(f"mean gap, {at}", third)
-        findings.add(f"⟨p²⟩, {at}", fourth)
-    return plotting.finish(sheet, output, "resolution", findings)
+        sheet.curve(panel, x, size(raw), "area, raw", color=RED, marker="o")
+        sheet.curve(panel, x, size(corrected), "area, corrected", color=BLUE, marker="s")
+    gap = np.array([load.number("mean_gap") / limit.number("mean_gap") - 1 for load in rest])
+    square = np.array([_square(load) / _square(limit) - 1 for load in rest])
+    for values, name, colour, marker in ((gap, "mean gap", GREEN, "^"), (square, r"$\langle p^2\rangle$", ORANGE, "D")):
+        if np.all(np.isfinite(values)):
+            sheet.curve(1, x, np.abs(values), name, color=colour, marker=marker)
+    for values, order in ((0.5 * np.abs(raw[0]), -1), (0.4 * np.abs(gap[0]), -2)):
+        if len(x) > 1 and values > 0:
+            guide(sheet.panels[1], x[[0, -1]], values, order, f"−{-order}")
+    sheet.panels[0].axhline(0, color=GREY, lw=0.7)
+    quantity = r"$\lambda_s\,/\,a$" if limit.hurst is not None else "grid points per side"
+    sheet.label(0, quantity, "deviation of the contact area", scale="semilogx", legend=False)
+    sheet.label(1, quantity, "|deviation|", scale="log")
+    sheet.findings.add(f"corrected area on the finest grid, {points[-1]:.3g}", limit.corrected_area)
+    for at, *values in zip(x, raw, corrected, gap, square, strict=True):
+        for name, value in zip(("area raw", "area corrected", "mean gap", "⟨p²⟩"), values, strict=True):
+            sheet.findings.add(
+                f"{name}, λ_s = {at:.3g} a" if limit.hurst is not None else f"{name}, n = {at:.3g}", value
+            )
+    return sheet
 
 
-def _square(case: Case) -> float:
-    """⟨p²⟩/p̄² over the whole surface = m₂/f_c."""
-    return case.normalised_second_moment / case.area
+def choose(loads: list[Load]) -> tuple[list[Load], Sheet]:
+    """One load of each grid, coarse to fine, all of one problem; with the sheet that says what was left out.
+
+    Raises InputError if the loads are not of one problem, or of fewer than three grids.
+    """
+    differing = alike(loads)
+    if differing is not None:
+        raise InputError(f"resolution takes one problem on several grids; these runs differ by {differing}")
+    seeds = {load.seed for load in loads}
+    if len(seeds) > 1:
+        raise InputError("resolution takes one problem on several grids; these runs differ by surface.seed")
+    by_target: dict[tuple, dict[tuple, Load]] = {}
+    for load in loads:
+        by_target.setdefault(load.target, {})[load.results.shape] = load
+    target, grids = max(by_target.items(), key=lambda item: len(item[1]))
+    if len(grids) < 3:
+        raise InputError(
+            f"resolution takes one load on at least three grids; at most {len(grids)} of these runs share one"
+        )
+    sheet = Sheet(1, 2)
+    if len(by_target) > 1:
+        sheet.notes.append(f"of {len(by_target)} loads, {target[0]} = {target[1]:g} is drawn")
+    return [grids[shape] for shape in sorted(grids)], sheet
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(make, __doc__, arguments)
+def _resolution(load: Load) -> float:
+    return load.wavelengths[0] / load.steps[0] if load.hurst is not None else float(load.results.shape[0])
+
+
+def _square(load: Load) -> float:
+    """⟨p²⟩/p̄² over the whole surface = m₂/f_c; NaN where the moments were not kept."""
+    return load.normalised_second_moment / load.area if load.area else math.nan
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["resolution", *sys.argv[1:]]))

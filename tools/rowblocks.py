@@ -17,20 +17,22 @@ from pgfmd.observables.statistics import spectra
 MEMORY = 2**27  # bytes of one block
 
 
-def radial_spectrum(blocks, shape, lengths, *, memory: int = MEMORY, scratch=None, **bins):
+def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: int = MEMORY, scratch=None):
     """|f̃|² averaged over direction: q, value, count, each (m,), as `spectra.radial_average` of the whole field.
 
     blocks : iterable of (rows, values), `rows` a slice of the nx rows, values of shape (rows, ny)
-    shape (nx, ny), lengths (lx, ly); memory : bytes of a block; scratch : folder of the scratch file; bins : of
-    `spectra.bin_edges`
+    shape (nx, ny), lengths (lx, ly); edges : of the bins (default: `spectra.bin_edges`); weight : function of |q| by
+    which each mode is multiplied before it is averaged; memory : bytes of a block; scratch : folder of the scratch file
     """
-    edges = spectra.bin_edges(shape, lengths, **bins)
+    edges = spectra.bin_edges(shape, lengths) if edges is None else edges
     qx, qy = spectra.wave_numbers(shape, lengths)
-    weight = spectra.hermitian_weight(shape[1])
+    modes = spectra.hermitian_weight(shape[1])
     sums = np.zeros((3, len(edges) - 1))
     with tempfile.TemporaryFile(dir=scratch) as file:
         for columns, block in _columns(_rows_transformed(file, blocks, shape), memory):
-            sums += spectra.accumulate(edges, np.hypot(qx, qy[:, columns]), weight[columns], np.abs(block) ** 2)
+            q, power = np.hypot(qx, qy[:, columns]), np.abs(block) ** 2
+            values = power if weight is None else weight(np.where(q > 0, q, 1.0)) * power
+            sums += spectra.accumulate(edges, q, modes[columns], values)
     return spectra.radial_mean(sums)
 
 

@@ -1,62 +1,105 @@
 """The stress spectrum against the contact spectrum: are they the same function?
 
-    python tools/stress_contact_spectra.py DIR… [--areas 0.04 0.08]
+    pgfmd plot stress_contact_spectra DIR… [--areas 0.04 0.08]
 
-From the observable spectra, or from the field pressure.  Each point is one bin in |q|; folders that differ by the seed
-alone are averaged.
+From the observable spectra, or from the field pressure.  Each point is one bin in |q|; runs that differ by the seed
+alone are averaged: ratio of the means.
 """
 
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
+import figures
 import numpy as np
-import plotting
-from plotting import BLACK, COLOURS, GREY, MARKERS, Findings, Sheet
-from reading import Case, by_hurst, cases, common_bins, nearest
+from plotting import BLACK, GREY, Sheet, limited, style
+from reading import Ensemble, Load, common_bins, ensembles, near
+
+CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|; settings are
+moved apart by factors of 10 (named in the legend), with the bounds 1 (full line) and 2 (broken line) of each. (b) Their
+ratio, with the bounds 1 and 2; bars: standard error over seeds."""
+NEEDS = ("spectra", "partial contact")
+OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+LONG = 8.5  # q/q_l up to which waves are called long
 
 
-def make(folders: list[Path], output: Path, areas: list[float] | None = None) -> Findings:
-    """|σ̃|²/σ_c² against |Θ̃|², and their ratio against q, for each H and each area."""
-    found, sheet, findings, number = cases(folders), Sheet(1, 2), Findings(), 0
-    for hurst, group in by_hurst(found).items():
-        for area in areas or sorted({round(case.area, 2) for case in group}):
-            chosen = nearest(group, area)
-            waves, contact, ratio = averaged(chosen)
-            name = f"H = {hurst:g}, $f_c$ = {area:g}"
-            style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-            sheet.curve(0, contact, contact * ratio, name, ls="none", ms=2.5, **style)
-            sheet.curve(1, waves, ratio, name, lw=0.8, ms=2, **style)
-            findings.add(f"ratio at the longest waves (up to 8 per cell), H = {hurst:g}, f_c = {area:g}",
-                         ratio[waves < 8.5].mean())  # fmt: skip
-            findings.add(f"ratio at the shortest waves, H = {hurst:g}, f_c = {area:g}", ratio[-5:].mean())
-            number += 1
-    low, high = sheet.panels[0].dataLim.intervalx
-    sheet.curve(0, [low, high], [low, high], "equal", color=BLACK, lw=0.8)
-    sheet.curve(0, [low, high], [2 * low, 2 * high], "twice", color=GREY, lw=0.8, ls="--")
-    sheet.label(0, r"$|\tilde\Theta(q)|^2$", r"$|\tilde\sigma(q)|^2\,/\,\sigma_c^2$", scale="log")
-    sheet.panels[1].axhline(1, color=BLACK, lw=0.8)
-    sheet.label(1, "waves per cell, qL/2π", r"$|\tilde\sigma|^2\,/\,(\sigma_c^2\,|\tilde\Theta|^2)$", scale="semilogx",
-                legend=False)  # fmt: skip
-    return plotting.finish(sheet, output, "stress_contact_spectra", findings)
+def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
+    """|σ̃|²/σ_c² against |Θ̃|², and their ratio against q."""
+    sheet = Sheet(1, 2, height=2.9)
+    groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
+    for number, group in enumerate(groups):
+        name = group.label or f"f_c = {group.mean('area'):.3g}"
+        x, count, stress, contact = samples(group)
+        ratio, error = ratio_of_means(stress, contact)
+        shift = 10.0**-number
+        moved = f"{name} (× {shift:g})" if number else name
+        below = contact.mean(axis=0)
+        drawn = {**style(number, filled=number % 2 == 0), "ls": "none", "ms": 2.4}
+        sheet.curve(0, below, shift * stress.mean(axis=0), moved, **drawn)
+        ends = np.array([below.min(), below.max()])
+        for factor, dashes, colour in ((1, "-", BLACK), (2, "--", GREY)):
+            sheet.curve(
+                0,
+                ends,
+                shift * factor * ends,
+                f"{factor} × contact, {name}",
+                label=False,
+                color=colour,
+                lw=0.6,
+                ls=dashes,
+            )
+        sheet.curve(1, x, ratio, name, error=error, lw=0.7, ms=2, color=drawn["color"], marker=drawn["marker"])
+        report(sheet, group, name, (x, count, stress, contact, ratio))
+    for value, dashes in ((1, "-"), (2, "--")):
+        sheet.panels[1].axhline(value, color=BLACK, lw=0.7, ls=dashes)
+    sheet.label(0, r"$|\tilde\Theta(q)|^2$", r"$|\tilde\sigma(q)|^2\,/\,\sigma_c^2$", scale="log", columns=1)
+    sheet.label(
+        1, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2\,/\,(\sigma_c^2\,|\tilde\Theta|^2)$", scale="semilogx", legend=False
+    )
+    return sheet
 
 
-def averaged(chosen: list[Case]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Waves per cell, contact spectrum and |σ̃|²/(σ_c² |Θ̃|²), averaged over the seeds."""
-    contacts = [case.spectrum("contact")[:2] for case in chosen]
-    q, contact = common_bins(contacts)
-    ratio = np.array([case.spectrum("stress")[1] / case.contact_pressure**2 for case in chosen]) / contact
-    return q / chosen[0].wave_unit, contact.mean(axis=0), ratio.mean(axis=0)
+def samples(group: Ensemble) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """q/q_l (m,), modes per bin (m,), and of each load (loads, m): |σ̃|²/σ_c² and |Θ̃|²."""
+    q, contact = common_bins([load.spectrum("contact")[:2] for load in group])
+    stress = np.array([load.spectrum("stress")[1] / load.contact_pressure**2 for load in group])
+    count = group.loads[0].spectrum("contact")[2]
+    seen = (contact > contact.max() * 1e-20).all(axis=0)  # a regular surface leaves bins empty but for rounding
+    return (q / group.q_unit)[seen], count[seen], stress[:, seen], contact[:, seen]
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """The command line."""
-    return plotting.command_line(
-        make, __doc__, arguments,
-        lambda parser: parser.add_argument("--areas", type=float, nargs="+", help="only the loads near these f_c"),
-    )  # fmt: skip
+def ratio_of_means(above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Σ above/Σ below over samples (samples, m), and its standard error by leaving one out at a time (None for one)."""
+    ratio, count = above.sum(axis=0) / below.sum(axis=0), len(above)
+    if count < 2:
+        return ratio, None
+    others = (above.sum(axis=0) - above) / (below.sum(axis=0) - below)
+    return ratio, np.sqrt((count - 1) / count * np.sum((others - others.mean(axis=0)) ** 2, axis=0))
+
+
+def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
+    """The ratio at long and short waves, its maximum, and how much of the stress lies above the upper bound."""
+    x, count, stress, contact, ratio = data
+    add = sheet.findings.add
+    long = x < LONG
+    totals = [np.array([float(np.sum((count * row)[long])) for row in rows]) for rows in (stress, contact)]
+    add(f"ratio at the longest waves (q ≤ 8 q_l), {name}", totals[0] / totals[1])
+    per_seed = stress / contact
+    add(f"ratio at the shortest waves, {name}", per_seed[:, -1])
+    top = int(np.argmax(np.where(count >= 100, ratio, 0)))
+    add(f"largest ratio (bins of 100 modes and more), {name}", per_seed[:, top])
+    add(f"q/q_l of the largest ratio, {name}", x[top])
+    m2 = np.array([load.normalised_second_moment for load in group])
+    add(f"m₂, {name}", m2)
+    for bound, values in (("m₂", m2), ("2", np.full(len(m2), 2.0))):
+        if np.all(np.isfinite(values)):
+            shares = [np.sum((count * row)[each > b]) / np.sum(count * row)
+                      for row, each, b in zip(stress, per_seed, values, strict=True)]  # fmt: skip
+            add(f"share of the stress spectrum above {bound} × contact, {name}", shares)
+    for load, above, below in zip(group, stress, contact, strict=True):
+        sheet.keep("data", ("setting", "seed", "q_over_q_l", "modes", "stress", "contact"),
+                   *((name, load.seed, *row) for row in zip(x, count, above, below, strict=True)))  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(figures.main(["stress_contact_spectra", *sys.argv[1:]]))
