@@ -82,7 +82,7 @@ def summed(load: Load) -> np.ndarray:
         modulus = 2 * stiffness / q
         return (exponential.response(q, load.mean_pressure, load.zeta, contact_modulus=modulus) * stiffness) ** 2
 
-    return load.weighted_spectrum("height", weight)
+    return load.weighted_spectrum("height", weight)[1]
 
 
 def _draw_persson(sheet: Sheet, group: Ensemble):

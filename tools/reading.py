@@ -209,13 +209,15 @@ class Load:
                 return self.groups[name]["edges"]
         return spectra.bin_edges(*self._cell, q_max=self.q_limits[1])
 
-    def weighted_spectrum(self, name: str, weight: Callable[[np.ndarray], np.ndarray], edges=None) -> np.ndarray:
-        """Mean of weight(|q|) |f̃|² over the modes of each bin that `spectrum` returns, weighed mode by mode: (m,).
+    def weighted_spectrum(
+        self, name: str, weight: Callable[[np.ndarray], np.ndarray], edges: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q, mean of weight(|q|) |f̃|², weighed mode by mode, and modes, of the bins that `spectrum` returns: (m,) each.
 
         From the field; raises InputError if the run did not keep it.
         """
         edges = self.edges if edges is None else edges
-        return rowblocks.radial_spectrum(self.blocks(name), *self._cell, edges=edges, weight=weight)[1]
+        return rowblocks.radial_spectrum(self.blocks(name), *self._cell, edges=edges, weight=weight)
 
     def full_contact(self) -> np.ndarray:
         """(stiffness |h̃|)², the stress spectrum in full contact, per bin of `spectrum`: (m,).
@@ -223,7 +225,7 @@ class Load:
         Mode by mode if the heights are kept, else with the mean q of each bin.
         """
         if "height" in self.fields:
-            return self.weighted_spectrum("height", lambda q: self.stiffness(q) ** 2)
+            return self.weighted_spectrum("height", lambda q: self.stiffness(q) ** 2)[1]
         q, power, _ = self.spectrum("height")
         return self.stiffness(q) ** 2 * power
 
