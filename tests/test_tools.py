@@ -200,7 +200,7 @@ def test_pending_names_only_what_is_to_be_done(runs, tmp_path):
 
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
 GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
-GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches"}
+GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale"}
 KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
@@ -209,8 +209,8 @@ KINDS = {
     ("file",): GENERAL,
     ("sinusoid",): GENERAL,
     ("paraboloid",): GENERAL,
-    ("soft1", "soft2"): {"overview", "persson_spectrum", "field_theory"},
-    ("soft file",): {"overview", "persson_spectrum", "field_theory"},
+    ("soft1", "soft2"): {"overview", "persson_spectrum", "field_theory", "energy_by_scale"},
+    ("soft file",): {"overview", "persson_spectrum", "field_theory", "energy_by_scale"},
     ("no patches",): GENERAL - {"autocorrelations", "bearing_area", "contact_patches"},
     ("one load",): GENERAL,
     ("none to full",): GENERAL,
@@ -344,6 +344,27 @@ def test_an_exact_field_theory_reads_one(runs):
     seen = np.isfinite(ratios)
     assert np.count_nonzero(seen) >= 3
     np.testing.assert_allclose(ratios[seen], 1, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["kept", "file", "soft1"])
+def test_energy_of_all_scales_is_that_of_the_run(runs, name):
+    """½ Σ |σ̃|²/stiffness over all modes is the elastic energy of the table of loads; 1e-10 is rounding of the sums."""
+    import energy_by_scale
+
+    for load in reading.loads([runs[name]]):
+        assert energy_by_scale.energies(load)[1].sum() == pytest.approx(load.number("elastic_energy"), rel=1e-10)
+
+
+def test_energy_from_spectra_is_that_of_the_field_up_to_the_bins(runs):
+    """The mean q of a bin in place of each mode's: second order in bins of 12 %, of all modes together below 1e-3."""
+    import energy_by_scale
+
+    kept = reading.loads([runs["seed1"]])[0]
+    q, stress, count = kept.spectrum("stress")
+    assert round(count.sum()) == 48**2 - 1
+    assert np.sum(count * stress / (kept.modulus * q)) == pytest.approx(
+        energy_by_scale.energies(kept)[1].sum(), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize(("tau", "most"), [(1.85, np.inf), (2.3, np.inf), (0.4, 30.0), (1.0, 30.0), (-0.5, 30.0)])

@@ -33,6 +33,7 @@ FIGURES = (
     "field_theory",
     "contact_patches",
     "resolution",
+    "energy_by_scale",
 )
 
 
