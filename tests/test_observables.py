@@ -18,7 +18,7 @@ from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics import kernels, spectra
 from pgfmd.observables.statistics.correlations import correlate, mode_rings
-from pgfmd.observables.statistics.distributions import contact_moments, linear_edges, log_edges, pressure_groups
+from pgfmd.observables.statistics.distributions import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.statistics.lowpass import lowpass
 from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
@@ -328,9 +328,9 @@ def test_moments(comm):
     contact = pressure[pressure > 0] / pressure[pressure > 0].mean()
     grid = SlabGrid(comm, (24, 24))
     for unit in (1e-200, 1.0, 1e200):
-        pixels, moments = contact_moments(grid, unit * pressure[grid.rows])
-        assert pixels == contact.size
-        np.testing.assert_allclose(moments, [np.mean(contact**n) for n in (1, 2, 3, 4)], rtol=1e-13)
+        moments = pressure_groups(grid, unit * pressure[grid.rows], 10)["pressure_moments"]
+        np.testing.assert_array_equal(moments["order"], [1, 2, 3, 4])
+        np.testing.assert_allclose(moments["value"], [np.mean(contact**n) for n in (1, 2, 3, 4)], rtol=1e-13)
 
 
 def test_persson_fit_finds_the_width(comm):
@@ -358,14 +358,27 @@ def test_edges_hold_all_values_and_are_decimals():
     assert linear_edges(0.0, 0.0, 5)[-1] == 1.0
 
 
-@pytest.mark.parametrize("logarithmic", [False, True])
-def test_histogram_loop(logarithmic):
-    """The compiled histogram is NumPy's for values on, beside and beyond every edge."""
-    edges = log_edges(1e-4, 1.0, 7) if logarithmic else linear_edges(-1.0, 2.0, 13)
-    values = np.concatenate([edges, np.nextafter(edges, -9), np.nextafter(edges, 9), [0.0, 1e9, -1e9]])[None, :]
-    counts = np.zeros(len(edges) - 1, np.int64)
-    kernels.histogram(values, edges, logarithmic, 0, 1, counts)
-    np.testing.assert_array_equal(counts, np.histogram(values[values != 0], edges)[0])
+def test_histogram_loops():
+    """The compiled histograms are NumPy's for values on, beside and beyond every edge."""
+    even, logarithmic = linear_edges(-1.0, 2.0, 13), log_edges(1e-4, 1.0, 7)
+    for edges in (even, logarithmic):
+        values = np.concatenate([edges, np.nextafter(edges, -9), np.nextafter(edges, 9), [0, 1e9, -1e9]])[None, :]
+        counts = np.zeros(len(even) - 1, np.int64)
+        kernels.histogram(values, even, 0, 1, counts)
+        np.testing.assert_array_equal(counts, np.histogram(values[values != 0], even)[0])
+        both, powers = [np.zeros(len(each) - 1, np.int64) for each in (even, logarithmic)], np.zeros(2)
+        kernels.contact_sums(values, 0.5, 0, 1, (even, logarithmic), tuple(both), powers)
+        for each, found in zip((even, logarithmic), both, strict=True):
+            np.testing.assert_array_equal(found, np.histogram(values[values > 0], each)[0])
+        np.testing.assert_allclose(powers, [np.sum((values[values > 0] / 0.5) ** n) for n in (1, 2)], rtol=1e-14)
+
+
+def test_fit_of_many_bins(comm):
+    """The fit of a histogram of 64,000 bins is that of 1000, to which they are merged; a minimum is found to 1e-8."""
+    grid = SlabGrid(comm, (160, 150))
+    pressure = np.maximum(np.random.default_rng(2).normal(size=grid.shape) - 0.5, 0)[grid.rows]
+    coarse, fine = (pressure_groups(grid, pressure.copy(), bins)["persson_fit"] for bins in (1000, 64000))
+    assert float(fine["width"]) == pytest.approx(float(coarse["width"]), rel=1e-6)
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 8])

@@ -1,80 +1,124 @@
 """Distribution of pressures and gaps: histograms, moments, and the fit of Persson's form.
 
-Bin edges are decimal numbers, the extreme values rounded outward: they are the same, bit for bit, whatever the rank
-count.
+Edges of bins are decimal numbers, chosen from the extreme values rounded outward, so that they do not depend on the
+number of ranks, not even in the last bit.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.statistics.kernels import histogram, positive_range, power_sums
+from pgfmd.observables.statistics.kernels import contact_sums, histogram, survey
 from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
 DECADES = 12  # that the logarithmic bins reach down from the largest pressure, at most
 BINS_PER_DECADE_SHARE = 10  # logarithmic bins to a decade: one for so many linear ones
+FIT_BINS = 1000  # to at most so many bins the histogram is merged for the fit, which takes hundreds of passes over them
+
+Group = dict[str, np.ndarray]
 
 
-def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str, dict[str, np.ndarray]]:
+def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str, Group]:
     """Histograms (linear and logarithmic) over contact, moments and Persson's fit of a pressure slab.  Collective.
 
     Densities are normalised to 1 over the contact, p > 0.  Without contact, counts are zero and the rest is NaN.
+    Two passes over the field.
     """
-    least, _, largest = value_range(grid, pressure)
-    linear = _histogram(grid, pressure, linear_edges(0.0, max(largest, 0.0), bins), False)
-    logarithmic = _histogram(grid, pressure, log_edges(least, largest, max(1, bins // BINS_PER_DECADE_SHARE)), True)
-    pixels, moments = contact_moments(grid, pressure)
-    groups = {
-        "pressure_histogram": linear | {"density": _density(linear, pixels)},
-        "pressure_histogram_log": logarithmic | {"density": _density(logarithmic, pixels)},
-        "pressure_moments": {"order": np.arange(1, ORDERS + 1), "value": moments},
+    seen = look_over(grid, pressure)
+    linear = linear_edges(0.0, max(seen.largest, 0.0), bins)
+    logarithmic = log_edges(seen.least_positive, seen.largest, max(1, bins // BINS_PER_DECADE_SHARE))
+    mean = seen.total / seen.positive if seen.positive else math.nan  # over the contact
+
+    def part(first: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        counts = np.zeros(len(linear) - 1, np.int64), np.zeros(len(logarithmic) - 1, np.int64)
+        powers = np.zeros(ORDERS)
+        contact_sums(pressure, mean, first, stop, (linear, logarithmic), counts, powers)
+        return *counts, powers
+
+    count, log_count, powers = _totals(grid, part)
+    return {
+        "pressure_histogram": _histogram(linear, count, seen.positive),
+        "pressure_histogram_log": _histogram(logarithmic, log_count, seen.positive),
+        "pressure_moments": {
+            "order": np.arange(1, ORDERS + 1),
+            "value": powers / seen.positive if seen.positive else np.full(ORDERS, np.nan),
+        },
+        "persson_fit": persson_fit(linear, count, seen.total / grid.size, grid.size),
     }
-    density, edges = groups["pressure_histogram"]["density"] * (pixels / grid.size), linear["edges"]
-    mean = grid.reduction.sum(pressure) / grid.size
-    width = residual = math.nan
-    if pixels:
-        width = persson.fit_std(edges, density, mean)
-        model = -np.diff(persson.exceedance(edges, mean, width)) / np.diff(edges)
-        residual = float(np.sqrt(np.mean((model - density) ** 2) / np.mean(density**2)))
-    return groups | {"persson_fit": {"width": np.array(width), "residual": np.array(residual)}}
 
 
-def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, dict[str, np.ndarray]]:
+def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
     """Histogram of the gaps of a slab.  Collective.
 
     Gaps that are exactly zero, those of hard contact, are left out of the bins, but the density is over all points: its
-    integral is 1 − f_c.
+    integral is 1 − f_c.  Two passes over the field.
     """
-    _, least, largest = value_range(grid, gap)
-    found = _histogram(grid, gap, linear_edges(min(least, 0.0), max(largest, 0.0), bins), False)
-    return {"gap_histogram": found | {"density": _density(found, grid.size)}}
+    seen = look_over(grid, gap)
+    edges = linear_edges(min(seen.least, 0.0), max(seen.largest, 0.0), bins)
+
+    def part(first: int, stop: int) -> tuple[np.ndarray]:
+        counts = np.zeros(len(edges) - 1, np.int64)
+        histogram(gap, edges, first, stop, counts)
+        return (counts,)
+
+    (count,) = _totals(grid, part)
+    return {"gap_histogram": _histogram(edges, count, grid.size)}
 
 
-def contact_moments(grid: SlabGrid, pressure: np.ndarray) -> tuple[int, np.ndarray]:
-    """Contact pixels, and ⟨σⁿ⟩_c / σ_c^n for n = 1 … ORDERS (the second is m₂); NaN without contact.  Collective."""
-    pixels = int(grid.reduction.sum(np.count_nonzero(pressure > 0)))
-    if pixels == 0:
-        return 0, np.full(ORDERS, np.nan)
-    scale, parts = pixels / grid.reduction.sum(pressure), {}
-
-    def part(first: int, stop: int):
-        parts[first] = np.zeros(ORDERS)
-        power_sums(pressure, scale, first, stop, parts[first])
-
-    grid.threads.split(part, len(pressure))
-    return pixels, grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0)) / pixels
+def persson_fit(edges: np.ndarray, count: np.ndarray, mean: float, points: int) -> Group:
+    """Width s and misfit of N(σ; p̄, s) − N(σ; −p̄, s), for counts of `points` in all; NaN if all counts are zero."""
+    if not count.any():
+        return {"width": np.array(math.nan), "residual": np.array(math.nan)}
+    starts = np.arange(0, len(count), -(-len(count) // FIT_BINS))
+    edges, count = np.append(edges[starts], edges[-1]) / mean, np.add.reduceat(count, starts)  # pressures over p̄
+    density = count / (points * np.diff(edges))
+    width = persson.fit_std(edges, density, 1.0)
+    model = -np.diff(persson.exceedance(edges, 1.0, width)) / np.diff(edges)
+    residual = np.sqrt(np.mean((model - density) ** 2) / np.mean(density**2))
+    return {"width": np.array(width * mean), "residual": np.array(residual)}
 
 
-def value_range(grid: SlabGrid, field: np.ndarray) -> tuple[float, float, float]:
-    """Least positive value (inf if none), least and largest value of a distributed field.  Collective."""
-    parts = grid.threads.collect(lambda a, b: positive_range(field, a, b), len(field))
-    positive, least, largest = zip(*parts, strict=True)
-    return grid.reduction.min(positive), grid.reduction.min(least), grid.reduction.max(largest)
+class Survey(NamedTuple):
+    """What one pass over a distributed field tells."""
+
+    positive: int  # points with a value > 0
+    total: float  # sum of all values
+    least_positive: float  # inf if there is none
+    least: float
+    largest: float
+
+
+def look_over(grid: SlabGrid, field: np.ndarray) -> Survey:
+    """Count, sum and extreme values of a slab (nx_local, ny).  Collective."""
+    parts = grid.threads.collect(lambda first, stop: survey(field, first, stop), len(field))
+    positive, total, least_positive, least, largest = zip(*parts, strict=True)
+    reduction = grid.reduction
+    count, total = reduction.sums(sum(positive), math.fsum(total))
+    return Survey(
+        int(count), float(total), reduction.min(least_positive), reduction.min(least), reduction.max(largest)
+    )  # fmt: skip
+
+
+def _totals(grid: SlabGrid, part: Callable[[int, int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
+    """Sums over threads and ranks of the arrays that part(first, stop) returns for rows of this rank.  Collective."""
+    found: dict[int, tuple[np.ndarray, ...]] = {}
+    grid.threads.split(lambda first, stop: found.update({first: part(first, stop)}), grid.local_shape[0])
+    totals = [np.sum(arrays, axis=0) for arrays in zip(*(found[first] for first in sorted(found)), strict=True)]
+    for total in totals:
+        grid.comm.Allreduce(MPI.IN_PLACE, total)
+    return totals
+
+
+def _histogram(edges: np.ndarray, count: np.ndarray, points: int) -> Group:
+    """Edges, counts, and counts per bin width and point."""
+    return {"edges": edges, "count": count, "density": count / (max(points, 1) * np.diff(edges))}
 
 
 def linear_edges(least: float, largest: float, bins: int) -> np.ndarray:
@@ -106,23 +150,3 @@ def _round_up(value: float) -> float:
     digits = math.ceil(value / 10.0**exponent)
     rounded = float(f"{digits}e{exponent}")
     return rounded if rounded >= value else float(f"{digits + 1}e{exponent}")
-
-
-def _histogram(grid: SlabGrid, field: np.ndarray, edges: np.ndarray, logarithmic: bool) -> dict[str, np.ndarray]:
-    """Edges and counts of the non-zero values of a distributed field.  Collective."""
-    parts = []
-
-    def part(first: int, stop: int):
-        counts = np.zeros(len(edges) - 1, np.int64)
-        histogram(field, edges, logarithmic, first, stop, counts)
-        parts.append(counts)
-
-    grid.threads.split(part, len(field))
-    total = np.sum(parts, axis=0)
-    grid.comm.Allreduce(MPI.IN_PLACE, total)
-    return {"edges": edges, "count": total}
-
-
-def _density(found: dict[str, np.ndarray], points: int) -> np.ndarray:
-    """Counts per point and bin width."""
-    return found["count"] / (max(points, 1) * np.diff(found["edges"]))

@@ -87,52 +87,70 @@ def count_edges(pressure, above, first, stop):
 
 
 @_jit
-def positive_range(field, first, stop):
-    """(least value > 0 or inf, least value, largest value) of rows first … stop−1."""
-    least_positive, least, largest = np.inf, np.inf, -np.inf
+def survey(field, first, stop):
+    """(number of values > 0, sum, least value > 0 or inf, least value, largest value) of rows first … stop−1."""
+    positive, total, least_positive, least, largest = 0, 0.0, np.inf, np.inf, -np.inf
     for i in range(first, stop):
+        sum_of_row = 0.0
         for j in range(field.shape[1]):
             value = field[i, j]
             least, largest = min(least, value), max(largest, value)
+            sum_of_row += value
             if value > 0:
+                positive += 1
                 least_positive = min(least_positive, value)
-    return least_positive, least, largest
+        total += sum_of_row
+    return positive, total, least_positive, least, largest
 
 
 @_jit
-def histogram(field, edges, logarithmic, first, stop, counts):
-    """counts += numpy.histogram(rows[rows != 0], edges): bins hold their lower edge, the last one both.
+def find_bin(value, at, edges, origin, scale):
+    """The bin that holds a value: its lower edge belongs to it, and the last bin holds both of its edges.
 
-    `edges` are evenly spaced, in the logarithm if `logarithmic` (then all are positive).
+    at: the value where `edges` are evenly spaced from `origin` on, `scale` to one; it gives a first guess.
     """
-    m = counts.size
-    origin = math.log10(edges[0]) if logarithmic else edges[0]
-    scale = m / ((math.log10(edges[m]) if logarithmic else edges[m]) - origin)
+    last = edges.size - 2
+    b = min(max(int((at - origin) * scale), 0), last)
+    while b > 0 and value < edges[b]:  # rounding of the guess
+        b -= 1
+    while b < last and value >= edges[b + 1]:
+        b += 1
+    return b
+
+
+@_jit
+def histogram(field, edges, first, stop, counts):
+    """counts += numpy.histogram(rows[rows != 0], edges), for evenly spaced edges."""
+    scale = counts.size / (edges[counts.size] - edges[0])
     for i in range(first, stop):
         for j in range(field.shape[1]):
             value = field[i, j]
-            if value == 0 or value < edges[0] or value > edges[m]:
-                continue
-            b = int(((math.log10(value) if logarithmic else value) - origin) * scale)
-            b = min(max(b, 0), m - 1)
-            while b > 0 and value < edges[b]:  # rounding of the guess
-                b -= 1
-            while b < m - 1 and value >= edges[b + 1]:
-                b += 1
-            counts[b] += 1
+            if value != 0 and edges[0] <= value <= edges[counts.size]:
+                counts[find_bin(value, value, edges, edges[0], scale)] += 1
 
 
 @_jit
-def power_sums(field, scale, first, stop, sums):
-    """sums[n] += Σ (scale · p)^(n+1) over the points p > 0 of rows first … stop−1."""
+def contact_sums(field, mean, first, stop, edges, counts, powers):
+    """Over the points p > 0 of rows first … stop−1: counts[0] and counts[1] are increased by their histograms over
+    edges[0], evenly spaced, and edges[1], evenly spaced in the logarithm; powers[n] by Σ (p/mean)^(n+1).
+    """
+    (even, logarithmic), (count, log_count) = edges, counts
+    scale = count.size / (even[count.size] - even[0])
+    origin = math.log10(logarithmic[0])
+    log_scale = log_count.size / (math.log10(logarithmic[log_count.size]) - origin)
     for i in range(first, stop):
         for j in range(field.shape[1]):
-            if field[i, j] > 0:
-                x = field[i, j] * scale
-                power = 1.0
-                for n in range(sums.size):
-                    power *= x
-                    sums[n] += power
+            p = field[i, j]
+            if not p > 0:
+                continue
+            if even[0] <= p <= even[count.size]:
+                count[find_bin(p, p, even, even[0], scale)] += 1
+            if logarithmic[0] <= p <= logarithmic[log_count.size]:
+                log_count[find_bin(p, math.log10(p), logarithmic, origin, log_scale)] += 1
+            x, power = p / mean, 1.0
+            for n in range(powers.size):
+                power *= x
+                powers[n] += power
 
 
 @_jit
