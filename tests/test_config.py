@@ -109,7 +109,7 @@ REFUSED = {
     "grid.n=64.0": "grid.n = 64.0: must be a whole number ≥ 1",
     "grid.n=true": "grid.n = true: must be a whole number",
     "grid.n=[4, 4, 4]": "or two of them [x, y]",
-    "grid.n=" + 30 * "9": "grid.n = 0x",
+    "grid.n=" + 30 * "9": "grid.n = 999999999999999999999999999999: must be",
     "grid.length=0": "grid.length = 0: must be a number > 0",
     "grid.spacing=inf": "grid.spacing = inf: must be a number > 0",
     "grid.spacing=1e-320": "out of range",

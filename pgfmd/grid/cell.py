@@ -14,12 +14,12 @@ TRANSFORMS = ("blocked", "mpi4py-fft")  # of a grid: blocks in cache over FFTW's
 
 @dataclass(frozen=True, kw_only=True)
 class Cell(Section):
-    """The periodic cell: `shape` (nx, ny) points, `lengths` (lx, ly)."""
+    """The periodic cell and its grid of points."""
 
     where = "grid"
-    n: tuple[int, int] = key(pair(integer(1)), needed=True)  # points [nx, ny]; one number: both
-    length: tuple[float, float] | None = key(pair(POSITIVE))  # cell [lx, ly]; or
-    spacing: tuple[float, float] | None = key(pair(POSITIVE))  # grid spacing [ax, ay]; 1 if neither is given
+    n: tuple[int, int] = key(pair(integer(1)), about="points [nx, ny]; one number: both", needed=True, example=512)
+    length: tuple[float, float] | None = key(pair(POSITIVE), about="of the cell, [lx, ly]; or spacing")
+    spacing: tuple[float, float] | None = key(pair(POSITIVE), about="of the grid, [ax, ay]; 1 if neither is given")
 
     def check(self) -> None:
         if max(self.n) < 2:

@@ -25,13 +25,15 @@ class Solid(Section):
     """
 
     where = "solid"
-    lame_lambda: float | None = key(number())
-    lame_mu: float | None = key(POSITIVE)
-    young: float | None = key(POSITIVE)
-    poisson: float | None = key(number(above=-1, below=0.5))
-    contact_modulus: float | None = key(POSITIVE)  # E' = E/(1 − ν²)
-    thickness: float = key(number(above=0, infinite=True), math.inf)
-    base: str = key(choice("bonded", "free", "sliding"), "bonded")  # of a slab: bonded to, or sliding on, a rigid plane
+    lame_lambda: float | None = key(number(), about="λ, with lame_mu")
+    lame_mu: float | None = key(POSITIVE, about="μ")
+    young: float | None = key(POSITIVE, about="E, with poisson")
+    poisson: float | None = key(number(above=-1, below=0.5), about="ν")
+    contact_modulus: float | None = key(POSITIVE, about="E' = E/(1 − ν²)")
+    thickness: float = key(number(above=0, infinite=True), math.inf, "of a slab; inf is a half-space")
+    base: str = key(
+        choice("bonded", "free", "sliding"), "bonded", "of a slab: bonded, under a constant stress, or sliding"
+    )
 
     def check(self) -> None:
         given = {name: getattr(self, name) for name in MODULI if getattr(self, name) is not None}
@@ -120,5 +122,7 @@ class Run(Section):
     """Long runs on machines that stop jobs; seconds."""
 
     where = "run"
-    checkpoint_interval: float = key(number(low=0, infinite=True), 1800.0)  # 0: each outer step; inf: each load
-    time_limit: float = key(number(above=0, infinite=True), math.inf)  # of the run; it stops before it, to be restarted
+    checkpoint_interval: float = key(
+        number(low=0, infinite=True), 1800.0, "between checkpoints of an unfinished load; 0: each step; inf: none"
+    )
+    time_limit: float = key(number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted")

@@ -21,9 +21,9 @@ class Sinusoid(Surface):
     """Δ cos(qx), or Δ cos(qx) cos(qy)."""
 
     kind = "sinusoid"
-    amplitude: float = key(number(), needed=True)  # Δ of Δ cos(qx) or Δ cos(qx) cos(qy)
-    waves: int = key(integer(1), 1)  # wavelengths in the cell
-    two_dimensional: bool = key(flag(), False)
+    amplitude: float = key(number(), about="Δ", needed=True, example=1.0)
+    waves: int = key(integer(1), 1, "wavelengths in the cell")
+    two_dimensional: bool = key(flag(), False, "true: Δ cos(qx) cos(qy)")
 
     def check_in(self, cell: Cell) -> None:
         for direction, points in zip("xy" if self.two_dimensional else "x", cell.n, strict=False):
