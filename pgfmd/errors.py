@@ -14,3 +14,7 @@ class Stopped(Exception):
 
     The command line exits with 75 (EX_TEMPFAIL).
     """
+
+
+class NoProgress(Exception):
+    """A time limit ended a run before it got on: it would end so each time.  The command line exits with 1."""

@@ -12,20 +12,21 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
-from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
-from pgfmd.io.writer import ResultWriter
-from pgfmd.job.job import Job, as_toml, differences, parse
+from pgfmd.io.provenance import Origin
+from pgfmd.io.writer import Form, ResultWriter
+from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
+from pgfmd.parallel.collectives import from_root
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.run import machine
+from pgfmd.run import machine, preflight
 from pgfmd.run.estimate import estimate
 from pgfmd.run.progress import Progress
-from pgfmd.run.stop import Watch
+from pgfmd.run.stop import Interruptions
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import Loads
 from pgfmd.solvers.solution import ContactSolution
@@ -43,13 +44,19 @@ def simulate(
     """
     phases = _Phases()
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
-    with ResultWriter(
-        comm, directory, job.text, as_toml(job),
-        shape=grid.shape, lengths=grid.lengths, rows=grid.rows, loads=len(job.load.targets),
-        overwrite=overwrite, restart=restart, precision=job.output.precision,
-        length_unit=job.output.length_unit, pressure_unit=job.output.pressure_unit, layout=LAYOUT,
-    ) as writer, Watch(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as watch:  # fmt: skip
-        _refuse_changed_job(job, writer)
+    output = job.output
+    origin = Origin(
+        job.text, as_toml(job), len(job.load.targets), from_root(comm, preflight.digests, job.surface.files)
+    )
+    form = Form(
+        grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT
+    )
+    mode = "overwrite" if overwrite else "restart" if restart else "new"
+    with (
+        ResultWriter(comm, directory, origin, form, mode) as writer,
+        Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
+    ):
+        preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
         machine.report(comm, estimate(job, comm.size).memory)  # now: a wrong input is answered by one line
@@ -59,16 +66,20 @@ def simulate(
             comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
         )  # fmt: skip
         with phases("write"):
-            if writer.former.job is None:
+            if writer.replacing:
+                checkpoints.aside, interruptions.resumption = True, "--overwrite"
+            elif writer.earlier.job is None:
                 checkpoints.remove()
             writer.begin()
-            if "height" in job.output.fields and not writer.former.has_height:
+            if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_field("height", heights)
-        steps = _Steps(job, grid, watch, checkpoints)
+        steps = _Steps(job, grid, interruptions, checkpoints)
         loads = make_loads(job, problem, steps)
         for index in writer.pending:
             with phases("solve"), steps.of_load(index):
-                loads.resume(checkpoints.load(index))
+                start = checkpoints.load(index)
+                interruptions.load_begins(resumed=start is not None)
+                loads.resume(start)
                 solution = loads.solution(job.load.targets[index])
                 steps.solved(solution)
             with phases("observe"):
@@ -77,7 +88,8 @@ def simulate(
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
                 checkpoints.remove()
-            watch.load_done()
+            interruptions.load_done()
+            interruptions.resumption = "--restart"
             _report(comm, index, len(job.load.targets), row)
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
 
@@ -102,9 +114,9 @@ def make_loads(job: Job, problem: ContactProblem, steps: _Steps) -> Loads:
 class _Steps:
     """What happens between two steps of a solver: progress is shown, checkpoints are written, the run may stop."""
 
-    def __init__(self, job: Job, grid: SlabGrid, watch: Watch, checkpoints: Checkpoints):
+    def __init__(self, job: Job, grid: SlabGrid, interruptions: Interruptions, checkpoints: Checkpoints):
         self.count, self.tolerance = len(job.load.targets), job.solver.tolerance
-        self.grid, self.watch, self.checkpoints = grid, watch, checkpoints
+        self.grid, self.interruptions, self.checkpoints = grid, interruptions, checkpoints
         self.index = self.progress = None
 
     @contextmanager
@@ -112,7 +124,7 @@ class _Steps:
         """While load number `index` is solved.  Collective."""
         self.index = index
         self.progress = Progress(self.grid.comm.rank, f"load {index + 1}/{self.count}", self.grid.shape, self.tolerance)
-        self.watch.look()
+        self.interruptions.between_steps()
         try:
             yield
         finally:
@@ -122,27 +134,19 @@ class _Steps:
         """The monitor of a solver at that load.  Collective, on grids that are distributed like the finest one."""
         self.progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
         if level is self.grid:
-            self.watch.look(partial(self._save, mean_pressure, state))
+            self.interruptions.between_steps(partial(self._save, mean_pressure, state))
         elif level.comm is self.grid.comm:
-            self.watch.look()
+            self.interruptions.between_steps()
 
     def solved(self, solution: ContactSolution) -> None:
         """The load is solved, not yet written.  Collective."""
-        self.watch.look(partial(self._save, solution.mean_pressure, solution))
+        self.interruptions.between_steps(partial(self._save, solution.mean_pressure, solution))
 
     def _save(self, mean_pressure: float, found) -> None:
         """A checkpoint of a state's or solution's pressure; solvers have units of their own.  Collective."""
         pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
         self.checkpoints.save(self.index, unit * pressure)
-
-
-def _refuse_changed_job(job: Job, writer: ResultWriter) -> None:
-    """A run is continued by the same job only."""
-    if writer.former.job is not None:
-        changed = differences(parse(writer.former.job, "results"), job)
-        if changed:
-            raise InputError(f"{writer.directory}: cannot be continued, the job differs: {'; '.join(changed)}")
 
 
 def _report(comm: MPI.Comm, index: int, count: int, row: dict) -> None:

@@ -44,6 +44,30 @@ def write_job(path: Path, n: int, lambda_s: float = 16.0, pressures=SIX_LOADS, i
     return path
 
 
+FILE_JOB = """
+[grid]
+n = {n}
+[surface]
+kind = "file"
+path = "{heights}"
+[load]
+pressure = {pressures}
+[solver]
+tolerance = 1e-12
+[output]
+fields = ["height", "pressure"]
+[run]
+checkpoint_interval = 0.0
+"""
+
+
+def write_file_job(path: Path, n: int, heights: Path, pressure: float) -> Path:
+    """A job of six loads, from that pressure on, on the n × n heights in a file; as strict as that of `write_job`."""
+    pressures = [pressure * (1 + 0.3 * number) for number in range(6)]
+    path.write_text(FILE_JOB.format(n=n, heights=heights, pressures=pressures))
+    return path
+
+
 def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> subprocess.Popen:
     """`mpirun -n ranks python -m pgfmd …`, going on in a session of its own; stderr is a pipe."""
     command = [str(ROOT / "tests" / "mpirun.sh"), str(ranks), sys.executable, *map(str, (*script, *arguments))]

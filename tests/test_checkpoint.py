@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd.io import atomic, hdf5_slabs
+from pgfmd.io import atomic, checksum
 from pgfmd.io import writer as output
 from pgfmd.io.checkpoint import Checkpoints
-from pgfmd.io.checksum import BLOCK, sealed, unsealed
+from pgfmd.io.checksum import sealed, unsealed
+from pgfmd.io.provenance import Origin
 from pgfmd.io.results import Results
 from pgfmd.job import job as config
 from pgfmd.parallel.collectives import slab
@@ -101,30 +102,68 @@ def test_cut_files_are_recognised(comm, shared_tmp_path):
     assert mine.load(0) is None
 
 
-def test_seal_covers_every_block(comm, shared_tmp_path, monkeypatch):
-    """Seals made by many ranks equal those of one; damage names the block; each block has its own digest."""
-    monkeypatch.setattr("pgfmd.io.checksum.BLOCK", 1000)
-    content = np.random.default_rng(1).bytes(10_500)
-    path = shared_tmp_path / "file"
+def test_seal_covers_every_byte(comm, shared_tmp_path, monkeypatch):
+    """A seal made by many ranks while they write is that of one, and names the block of rows that is damaged; the
+    serial check of a file finds every byte that the ranks wrote, without HDF5.
+    """
+    monkeypatch.setattr("pgfmd.io.checksum.BLOCK", 100)  # two rows of 48 bytes
+    mine, path = checkpoints(comm, shared_tmp_path), shared_tmp_path / "checkpoint.h5"
+    mine.save(0, FIELD[mine.rows])
+    assert checksum.damage(path) is None
+    seal, _ = checksum.read_seal(path)
+    array = seal.arrays["pressure"]
+    assert (array.row_bytes, array.rows, len(array.sums)) == (48, 13, 7)
     if comm.rank == 0:
-        path.write_bytes(content)
+        alone = checkpoints(MPI.COMM_SELF, shared_tmp_path / "alone")
+        alone.path.parent.mkdir()
+        alone.save(0, FIELD)
+        assert alone.path.read_bytes() == path.read_bytes()
     comm.Barrier()
-    hdf5_slabs.add_seal(comm, path)
-    assert path.read_bytes() == sealed(content) and unsealed(sealed(content)) == content
-    assert hdf5_slabs.damage(comm, path) is None
-    for at in (0, 4321, 10_499):
+    for at, words in ((array.start, "bytes"), (array.stop - 1, "bytes"), (9, "beside"), (seal.size + 3, "seal")):
         flip(comm, path, at)
-        assert f"bytes {at // 1000 * 1000} to" in hdf5_slabs.damage(comm, path)
+        assert words in checksum.damage(path)
+        block = (at - array.start) // 96
+        assert words != "bytes" or f"bytes {array.start + 96 * block} to" in checksum.damage(path)
+        comm.Barrier()
         flip(comm, path, at)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (5, 3), (64, 7)])
+@pytest.mark.parametrize("block", [8, 100, 2**24])
+def test_sums_of_rows(shape, block, monkeypatch):
+    """Sums of parts in any order add up to that of the whole; one changed bit, two changed bits and rows that change
+    places are seen.
+    """
+    monkeypatch.setattr("pgfmd.io.checksum.BLOCK", block)
+    rows = np.random.default_rng(1).random(shape)
+    array = checksum.array_at(0, 8 * shape[1], shape[0])
+
+    def sums(rows, cuts=()):
+        found = array.blank_sums()
+        for first, stop in reversed(list(zip([0, *cuts], [*cuts, shape[0]], strict=True))):
+            array.add(found, first, rows[first:stop])
+        return found.tolist()
+
+    whole = sums(rows)
+    assert sums(rows, range(1, shape[0], 2)) == whole
+    for flips in ([0], [63], [0, 64 * rows.size - 1], [63, 64 * rows.size - 1]):
+        changed = rows.copy()
+        for bit in flips:
+            changed.reshape(-1).view(np.uint64)[bit // 64] ^= np.uint64(1 << bit % 64)
+        assert sums(changed) != whole or len(set(flips)) < len(flips)
+    if shape[0] > 1:
+        assert sums(rows[::-1].copy()) != whole
 
 
 def test_seals_of_any_length():
-    """Empty contents and those of exactly one block have seals too; a file that has none is refused, if strict."""
-    for content in (b"", b"x", bytes(BLOCK), bytes(BLOCK + 1)):
+    """Empty contents have seals too; a file that has none is refused, if strict."""
+    for content in (b"", b"x", bytes(2**24 + 1)):
         assert unsealed(sealed(content)) == content
     assert unsealed(b"x" * 500, strict=False) == b"x" * 500
     with pytest.raises(OSError, match="no seal"):
         unsealed(b"x" * 500)
+    with pytest.raises(OSError, match="another version"):
+        unsealed(sealed(b"x").replace(b"seal 2", b"seal 1"))
 
 
 def test_full_disk_keeps_the_last_one(comm, shared_tmp_path, monkeypatch):
@@ -147,13 +186,13 @@ def written(comm, folder):
     """A run of three loads whose first two are complete."""
     rows = slab(SHAPE[0], comm.size, comm.rank)
     job = config.as_toml(config.parse(JOB))
-    options = {"shape": SHAPE, "lengths": SHAPE, "rows": rows, "loads": 3}
-    with output.ResultWriter(comm, folder, JOB, job, **options) as writer:
+    parts = Origin(JOB, job, 3), output.Form(SHAPE, SHAPE, rows)
+    with output.ResultWriter(comm, folder, *parts) as writer:
         writer.write_field("height", FIELD[rows])
         for index in range(2):
             writer.write_load(index, {"mean_pressure": 0.1}, None, {"pressure": (index + 1) * FIELD[rows]})
     comm.Barrier()
-    return lambda: output.ResultWriter(comm, folder, JOB, job, restart=True, **options)
+    return lambda: output.ResultWriter(comm, folder, *parts, "restart")
 
 
 @pytest.mark.parametrize(
@@ -166,21 +205,25 @@ def written(comm, folder):
         ("observables.h5", [1, 2], True),
     ],
 )
-@pytest.mark.parametrize("how", ["flipped", "missing"])
+@pytest.mark.parametrize("how", ["flipped", "cut short", "missing"])
 def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, height, how):
-    """One byte of a result file is damaged, or the file gone: what it held, and only that, is to be made again."""
+    """A byte beside the numbers of a result file is damaged, or the file cut short or gone: what it held, and only
+    that, is to be made again.
+    """
     restart = written(comm, shared_tmp_path / "out")
     path = shared_tmp_path / "out" / name
     if how == "missing" and name == "observables.h5":
         pytest.skip("without it nothing can be continued: the run begins anew")
     if how == "flipped":
-        flip(comm, path, path.stat().st_size // 3)
-    elif comm.rank == 0:
+        flip(comm, path, 50)
+    elif comm.rank == 0 and how == "missing":
         path.unlink()
+    elif comm.rank == 0:
+        path.write_bytes(path.read_bytes()[:-100])
     comm.Barrier()
     with restart() as writer:
-        assert writer.pending == pending and writer.former.has_height == height
-        rows = writer.rows
+        assert writer.pending == pending and writer.earlier.has_height == height
+        rows = writer.form.rows
         writer.begin()
         if not height:
             writer.write_field("height", FIELD[rows])
@@ -194,7 +237,7 @@ def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, he
         np.testing.assert_array_equal(read.field("pressure", index), (index + 1) * FIELD)
     comm.Barrier()
     with restart() as writer:
-        assert writer.pending == [] and not writer.former.damaged
+        assert writer.pending == [] and not writer.earlier.damaged
 
 
 def test_every_byte_of_the_results_counts(comm, shared_tmp_path, caplog):

@@ -21,15 +21,17 @@ JOB = '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]
 STAND_IN = """
 import sys, types
 import numpy as np
-from pgfmd import InputError, SolverError
-from pgfmd.job import job as config
-from pgfmd.io.writer import ResultWriter
+from pgfmd.errors import InputError, SolverError
+from pgfmd.io.provenance import Origin
+from pgfmd.io.writer import Form, ResultWriter
+from pgfmd.job.job import as_toml
 from pgfmd.parallel.collectives import raise_together, slab
 
 def simulate(job, comm, folder, overwrite=False, restart=False):
     rows = slab(job.grid.n[0], comm.size, comm.rank)
-    with ResultWriter(comm, folder, job.text, config.as_toml(job), shape=job.grid.shape, lengths=job.grid.lengths,
-                      rows=rows, loads=2, overwrite=overwrite, restart=restart) as writer:
+    mode = "overwrite" if overwrite else "restart" if restart else "new"
+    layout = Form(job.grid.shape, job.grid.lengths, rows)
+    with ResultWriter(comm, folder, Origin(job.text, as_toml(job), 2), layout, mode) as writer:
         FAULT
         for index, pressure in enumerate(job.load.targets):
             local = np.full((rows.stop - rows.start, job.grid.n[1]), pressure)

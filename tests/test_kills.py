@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import random
+import shutil
 import subprocess
 import time
 
 import launching
+import numpy as np
 import pytest
 from conftest import SIZE
+
+from pgfmd.io.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="starts mpirun itself")
 
@@ -54,6 +58,78 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
         print(f"run {runs} complete, pressures differ by {found:.1e}", flush=True)
         assert found < SAME
         assert not list(folder.glob("**/.*tmp")) and not (folder / "checkpoint.h5").exists()
+
+
+def changed(tmp_path, n: int, kills: int):
+    """Complete results are replaced by runs of other heights, of another job, or of another version, each killed at a
+    random moment: what is there is what was, or what was to be, and goes on as that and as nothing else.
+    """
+    seed = time.time_ns()
+    print(f"seed {seed}")
+    chance, lengths = random.Random(seed), []
+    jobs, heights = {}, tmp_path / "heights.npy"
+    rough = np.random.default_rng(1).normal(size=(n, n))
+    rough = np.fft.rfft2(rough) * (np.hypot(*np.meshgrid(np.fft.rfftfreq(n), np.fft.fftfreq(n))) < 4.5 / n)
+    rough = np.fft.irfft2(rough) * (n / 64) ** 2  # rms slope 0.03
+    surfaces = {"old": rough, "inputs": 1.5 * rough[::-1], "job": rough, "version": rough}
+    for name, surface in surfaces.items():
+        pressure = 1.5e-3 if name == "job" else 1e-3
+        jobs[name] = launching.write_file_job(tmp_path / f"{name}.toml", n, heights, pressure)
+        np.save(heights, surface)
+        began = time.monotonic()
+        code, stderr = launching.wait(launching.start(2, "run", jobs[name], "--output", tmp_path / f"as {name}"), 900)
+        assert code == 0, stderr
+        lengths.append(time.monotonic() - began)
+    other_version = tmp_path / "other.py"
+    other_version.write_text(
+        "import sys, pgfmd\npgfmd.__version__ = '9.9'\nfrom pgfmd import cli\nsys.exit(cli.main())\n"
+    )
+    seen = []
+    for number in range(kills):
+        folder, name = tmp_path / f"kill {number}", ("inputs", "job", "version")[number % 3]
+        script = (other_version,) if name == "version" else ("-m", "pgfmd")
+        shutil.copytree(tmp_path / "as old", folder)
+        before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        np.save(heights, surfaces[name])
+        ranks = chance.choice([1, 2, 3])
+        refused = launching.start(ranks, "run", jobs[name], "--output", folder, "--restart", script=script)
+        code, stderr = launching.wait(refused, 300)
+        assert code == 2 and "cannot be continued" in stderr, stderr
+        assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        run = launching.start(ranks, "run", jobs[name], "--output", folder, "--overwrite", script=script)
+        launching.wait_for_folder(run, folder)
+        time.sleep(chance.uniform(0, 0.6 * max(lengths)))
+        launching.kill(run, chance.choice(["one", "all", "mpirun"]), chance.choice)
+        launching.wait(run)
+        read = Results(folder)
+        version = read.provenance["softwareVersion"]
+        new = {"inputs": read.provenance["inputs"] != Results(tmp_path / "as old").provenance["inputs"],
+               "job": read.job["load"]["pressure"][0] == 1.5e-3, "version": version == "9.9"}[name]  # fmt: skip
+        seen.append(new)
+        _, found = launching.distance(folder, tmp_path / f"as {name if new else 'old'}", complete=not new)
+        assert found < SAME
+        present = name if new else "old"
+        np.save(heights, surfaces[present])
+        script = script if new else ("-m", "pgfmd")
+        goes_on = launching.start(1, "run", jobs[present], "--output", folder, "--restart", script=script)
+        code, stderr = launching.wait(goes_on, 600)
+        assert code == 0, stderr
+        _, found = launching.distance(folder, tmp_path / f"as {present}")
+        print(f"kill {number + 1:2} of {ranks} ranks, other {name}: {present}, {found:.0e}", flush=True)
+        assert found < SAME
+        shutil.rmtree(folder)
+    return seen
+
+
+def test_killed_replacements(tmp_path):
+    """Three kills, one for each kind of change."""
+    changed(tmp_path, 64, 3)
+
+
+@pytest.mark.long
+def test_thirty_killed_replacements(tmp_path):
+    """Thirty, at 256²; among them some before and some after the first new load."""
+    assert set(changed(tmp_path, 256, 30)) == {True, False}
 
 
 def test_killed_runs_go_on(tmp_path):

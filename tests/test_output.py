@@ -16,6 +16,7 @@ import pytest
 from pgfmd.errors import InputError
 from pgfmd.io import atomic, hdf5_slabs, schema
 from pgfmd.io import writer as output
+from pgfmd.io.provenance import Origin
 from pgfmd.io.results import Results, summary
 from pgfmd.job import job
 from pgfmd.observables.table import LAYOUT
@@ -33,15 +34,14 @@ def writer(comm, folder, **options):
     """A writer of a 13 × 6 grid."""
     effective = job.as_toml(job.parse(JOB))
     rows = slab(SHAPE[0], comm.size, comm.rank)
-    return output.ResultWriter(
-        comm, folder, JOB, effective, "pgfmd run", shape=SHAPE, lengths=LENGTHS, rows=rows, loads=3, layout=LAYOUT,
-        **options,
-    )  # fmt: skip
+    mode = options.pop("mode", "new")
+    origin = Origin(JOB, effective, 3, command="pgfmd run")
+    return output.ResultWriter(comm, folder, origin, output.Form(SHAPE, LENGTHS, rows, groups=LAYOUT, **options), mode)
 
 
 def write_load(result, index, factor=1.0):
     """One load with recognisable numbers."""
-    local = FIELD[result.rows] * factor
+    local = FIELD[result.form.rows] * factor
     row = {"mean_pressure": 0.1 * factor, "contact_area": 0.25, "iterations": 7}
     result.write_load(index, row, HISTOGRAM, {"pressure": local, "gap": -local})
 
@@ -60,7 +60,7 @@ def test_what_is_written_is_read(comm, shared_tmp_path, transport):
     """Fields, rows and groups come back bit for bit from any rank count and either transport."""
     folder = shared_tmp_path / "a folder é"
     with writer(comm, folder) as result:
-        result.write_field("height", FIELD[result.rows])
+        result.write_field("height", FIELD[result.form.rows])
         for index in range(3):
             write_load(result, index, index + 1.0)
         result.finish({"solve": 1.5})
@@ -89,7 +89,7 @@ def test_what_is_written_is_read(comm, shared_tmp_path, transport):
 def test_files_are_plain_hdf5(comm, shared_tmp_path):
     """The documented layout, opened by h5py alone: links resolve; all say their unit, description and origin."""
     with writer(comm, shared_tmp_path / "out", length_unit="µm", pressure_unit="GPa") as result:
-        result.write_field("height", FIELD[result.rows])
+        result.write_field("height", FIELD[result.form.rows])
         write_load(result, 0)
     with h5py.File(shared_tmp_path / "out" / "fields.h5", "r") as file:
         np.testing.assert_array_equal(file["load_0000/pressure"][:], FIELD)
@@ -111,7 +111,7 @@ def test_single_precision_and_integers(comm, shared_tmp_path, transport):
     """Real fields are rounded once to the precision asked for; labels stay integers."""
     with writer(comm, shared_tmp_path / "out", precision="float32") as result:
         labels = np.arange(78, dtype=np.int32).reshape(SHAPE)
-        result.write_load(0, {}, None, {"gap": FIELD[result.rows], "labels": labels[result.rows]})
+        result.write_load(0, {}, None, {"gap": FIELD[result.form.rows], "labels": labels[result.form.rows]})
     read = Results(shared_tmp_path / "out")
     assert read.field("gap", 0).dtype == np.float32 and read.field("labels", 0).dtype == np.int32
     np.testing.assert_array_equal(read.field("gap", 0), FIELD.astype(np.float32))
@@ -121,30 +121,38 @@ def test_single_precision_and_integers(comm, shared_tmp_path, transport):
 def test_long_job_text(comm, shared_tmp_path):
     """A job text beyond the 64 KiB of HDF5's compact attributes is kept whole."""
     text = JOB + "# " + 100_000 * "x"
-    with output.ResultWriter(
-        comm, shared_tmp_path / "out", text, text, shape=SHAPE, lengths=LENGTHS, rows=slab(13, comm.size, comm.rank)
-    ) as result:
+    layout = output.Form(SHAPE, LENGTHS, slab(13, comm.size, comm.rank))
+    with output.ResultWriter(comm, shared_tmp_path / "out", Origin(text, text), layout) as result:
         result.begin()
     assert Results(shared_tmp_path / "out").provenance["job_toml"] == text
 
 
 def test_results_are_not_replaced_unasked(comm, shared_tmp_path):
-    """Existing results are refused, and live on until a run that may replace them has something to write."""
+    """Existing results are refused, and live on until a run that may replace them has completed its first load."""
     folder = shared_tmp_path / "out"
     with writer(comm, folder) as result:
         write_load(result, 0)
     comm.Barrier()
     with pytest.raises(InputError, match="holds results already.*--overwrite"):
         writer(comm, folder)
-    with writer(comm, folder, overwrite=True):
+    with writer(comm, folder, mode="overwrite"):
         pass
     comm.Barrier()
     np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
     comm.Barrier()
-    with writer(comm, folder, overwrite=True) as result:
-        result.begin()
+    with writer(comm, folder, mode="overwrite") as result:
+        result.write_field("height", -FIELD[result.form.rows])
     comm.Barrier()
-    assert len(Results(folder)) == 0 and not list((folder / "fields").iterdir())
+    np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
+    comm.Barrier()
+    with writer(comm, folder, mode="overwrite") as result:
+        write_load(result, 0, 2.0)
+    comm.Barrier()
+    np.testing.assert_array_equal(Results(folder).field("pressure", 0), 2 * FIELD)
+    with h5py.File(folder / "fields.h5") as file:
+        np.testing.assert_array_equal(file["load_0000/pressure"][:], 2 * FIELD)
+    assert [path.name for path in (folder / "fields-2").iterdir()] == ["load_0000.h5"]
+    assert not (folder / "fields").exists()
 
 
 def test_restart_continues(comm, shared_tmp_path):
@@ -153,8 +161,8 @@ def test_restart_continues(comm, shared_tmp_path):
     with writer(comm, folder) as result:
         write_load(result, 0)
     comm.Barrier()
-    with writer(comm, folder, restart=True) as result:
-        assert result.completed == 1 and job.parse(result.former.job) == job.parse(JOB)
+    with writer(comm, folder, mode="restart") as result:
+        assert result.completed == 1 and job.parse(result.earlier.job) == job.parse(JOB)
         write_load(result, 1, 2.0)
         result.finish()
     read = Results(folder)
@@ -162,18 +170,18 @@ def test_restart_continues(comm, shared_tmp_path):
     np.testing.assert_array_equal(read.field("pressure", 0), FIELD)
     np.testing.assert_array_equal(read.field("pressure", 1), 2 * FIELD)
     comm.Barrier()
-    with writer(comm, shared_tmp_path / "empty", restart=True) as result:
-        assert result.completed == 0 and result.former.job is None
+    with writer(comm, shared_tmp_path / "empty", mode="restart") as result:
+        assert result.completed == 0 and result.earlier.job is None
 
 
 def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
     """While a run holds its folder, another one is refused, with who holds it; afterwards it is not."""
     with writer(comm, shared_tmp_path / "out"):
         with pytest.raises(InputError, match="another run writes here"):
-            writer(comm, shared_tmp_path / "out", overwrite=True)
+            writer(comm, shared_tmp_path / "out", mode="overwrite")
         comm.Barrier()
     comm.Barrier()
-    with writer(comm, shared_tmp_path / "out", overwrite=True):
+    with writer(comm, shared_tmp_path / "out", mode="overwrite"):
         pass
 
 
@@ -240,7 +248,7 @@ def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatc
             raise OSError(errno.EIO, "Input/output error")
 
     rows, shape = slab(13, comm.size, comm.rank), (13, 2**14)
-    result = output.ResultWriter(comm, shared_tmp_path / "out", shape=shape, lengths=LENGTHS, rows=rows)
+    result = output.ResultWriter(comm, shared_tmp_path / "out", Origin(), output.Form(shape, LENGTHS, rows))
     with pytest.raises((OSError, RuntimeError), match="Input/output error"), result:
         monkeypatch.setattr(hdf5_slabs, "_put", failing)
         result.write_load(0, {}, None, {"gap": np.zeros((rows.stop - rows.start, shape[1]))})
@@ -255,7 +263,7 @@ def test_wrong_slab_on_one_rank(comm, shared_tmp_path):
         pytest.raises((ValueError, RuntimeError), match="slab of shape"),
         writer(comm, shared_tmp_path / "out") as result,
     ):
-        local = FIELD[result.rows]
+        local = FIELD[result.form.rows]
         result.write_field("height", local[:-1] if comm.rank == comm.size - 1 else local)
 
 
@@ -343,24 +351,18 @@ def test_format_1_is_read(comm, shared_tmp_path):
     check_format_1(read.load(0), read.field("pressure", 0), read.field("height"), read.loads["contact_area_corrected"])
 
 
-def test_format_1_is_continued(comm, shared_tmp_path):
-    """A run of the version before that is continued is brought to the present format as a whole."""
+def test_format_1_is_not_continued(comm, shared_tmp_path):
+    """Loads of two versions in one folder would be a mixture: that is refused; such results may be replaced."""
     if comm.rank == 0:
         format_1(shared_tmp_path)
     comm.Barrier()
-    old = Results(shared_tmp_path)
-    rows = slab(24, comm.size, comm.rank)
-    geometry = {"shape": (24, 20), "lengths": (12.0, 10.0), "rows": rows}
-    with output.ResultWriter(
-        comm, shared_tmp_path, "", old.provenance["effective_toml"], **geometry, restart=True, layout=LAYOUT
-    ) as result:
-        result.begin()
-    new = Results(shared_tmp_path)
-    assert new.provenance["format_version"] == schema.FORMAT_VERSION
-    check_format_1(new.load(0), new.field("pressure", 0), new.field("height"), new.loads["contact_area_corrected"])
-    expected = new.load(0)["stress_spectrum"]["value"]
-    with h5py.File(shared_tmp_path / "observables.h5", "r") as file:
-        np.testing.assert_array_equal(file["load_0000/stress_spectrum/value"][:], expected)
+    with pytest.raises(InputError, match="cannot be continued: it was sealed by another version"):
+        writer(comm, shared_tmp_path, mode="restart")
+    with writer(comm, shared_tmp_path, mode="overwrite") as result:
+        write_load(result, 0)
+    comm.Barrier()
+    np.testing.assert_array_equal(Results(shared_tmp_path).field("pressure", 0), FIELD)
+
 
 
 def test_reading_needs_no_mpi():

@@ -10,9 +10,9 @@ import launching
 import pytest
 from conftest import SIZE, WORLD
 
-from pgfmd.errors import Stopped
+from pgfmd.errors import NoProgress, Stopped
 from pgfmd.io.results import Results
-from pgfmd.run.stop import Watch
+from pgfmd.run.stop import Interruptions
 
 MANY = [1e-3 + 1e-6 * number for number in range(2000)]  # loads: more than can be solved while the test looks on
 
@@ -27,10 +27,10 @@ class Clock:
         return self.time
 
 
-def watch_at(comm, folder, interval=1e9, time_limit=1e9) -> tuple[Watch, Clock]:
-    """A watch with a clock of its own."""
+def interruptions_at(comm, folder, interval=1e9, time_limit=1e9) -> tuple[Interruptions, Clock]:
+    """One with a clock of its own."""
     clock = Clock()
-    return Watch(comm, folder, interval, time_limit, clock), clock
+    return Interruptions(comm, folder, interval, time_limit, clock), clock
 
 
 def completed(folder) -> int:
@@ -42,55 +42,117 @@ def completed(folder) -> int:
 def test_checkpoints_on_the_clock(comm, shared_tmp_path):
     """One checkpoint per interval, counted from the last one or from a completed load; interval 0: at each look."""
     for interval, expected in ((10.0, [False, True, False, True, False]), (0.0, 5 * [True])):
-        watch, clock = watch_at(comm, shared_tmp_path, interval)
+        run, clock = interruptions_at(comm, shared_tmp_path, interval)
         found = []
         for seconds in (9.0, 2.0, 9.0, 2.0, 9.0):
             clock.time += seconds if comm.rank == 0 else 0  # the clocks of the others do not count
             saved = []
-            watch.look(lambda saved=saved: saved.append(True))
+            run.between_steps(lambda saved=saved: saved.append(True))
             found.append(bool(saved))
         assert found == expected
         clock.time += 5
-        watch.load_done()
+        run.load_done()
         clock.time += 9
         if interval:
-            watch.look(pytest.fail)
+            run.between_steps(pytest.fail)
 
 
 @pytest.mark.mpi
 def test_time_limit_leaves_time_to_save(comm, shared_tmp_path):
     """With steps of 3 s and a limit of 60 s a run stops in time for two more steps, and no earlier."""
-    watch, clock = watch_at(comm, shared_tmp_path, time_limit=60.0)
+    run, clock = interruptions_at(comm, shared_tmp_path, time_limit=60.0)
     began = clock.time
     with pytest.raises(Stopped, match="time limit of the job"):
         while True:
             clock.time += 3
-            watch.look()
+            run.between_steps(lambda: None)
     assert 45 < clock.time - began <= 54
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("resumed", [False, True])
+@pytest.mark.parametrize("how", ["time limit", "STOP"])
+def test_no_progress(comm, shared_tmp_path, resumed, how):
+    """A time limit that ends a run before it could save more than it began with is no reason to go on: the same would
+    happen each time.  Whoever asks by a file gets the usual answer.  The first step from a checkpoint is not new.
+    """
+    run, clock = interruptions_at(comm, shared_tmp_path, time_limit=60.0)
+    run.load_begins(resumed)
+    comm.Barrier()
+    if how == "STOP" and comm.rank == 0:
+        run.stop_file.touch()
+    clock.time += 59
+    with pytest.raises(NoProgress if how == "time limit" else Stopped, match=how):
+        run.between_steps()  # on a coarse grid, of which no checkpoint can be made
+    with pytest.raises(NoProgress if resumed and how == "time limit" else Stopped):
+        run.between_steps(lambda: None)
+    with pytest.raises(Stopped):
+        run.between_steps(lambda: None)
+
+
+@pytest.mark.mpi
+def test_stop_files(comm, shared_tmp_path):
+    """A STOP file from before does not count and stays; it counts when it is touched again.  That of a batch script is
+    taken away before the run.
+    """
+    stop, batch = shared_tmp_path / "STOP", shared_tmp_path / ".pgfmd.stop"
+    if comm.rank == 0:
+        stop.write_text("not yours")
+        os.utime(stop, (1, 1))
+        batch.touch()
+    comm.Barrier()
+    run, _ = interruptions_at(comm, shared_tmp_path)
+    with run:
+        run.between_steps()
+        assert not batch.exists()
+        comm.Barrier()
+        for path in (stop, batch):
+            if comm.rank == 0:
+                path.touch()
+            with pytest.raises(Stopped, match=path.name):
+                run.between_steps()
+            comm.Barrier()
+            if comm.rank == 0:
+                os.utime(stop, (1, 1))
+            comm.Barrier()
+    assert stop.read_text() == "not yours"
 
 
 @pytest.mark.mpi
 def test_limit_of_the_batch_job(comm, shared_tmp_path, monkeypatch):
     """SLURM's end of the job counts, in seconds since 1970."""
     monkeypatch.setenv("SLURM_JOB_END_TIME", str(int(time.time()) + 1))
-    watch, _ = watch_at(comm, shared_tmp_path)
+    run, _ = interruptions_at(comm, shared_tmp_path)
     with pytest.raises(Stopped, match="batch job"):
-        watch.look()
+        run.between_steps(lambda: None)
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP])
 def test_signal_to_any_rank_stops_all(comm, shared_tmp_path, number):
     """A signal that reaches the last rank only stops all ranks, after a checkpoint; the old handler comes back."""
     before = signal.getsignal(number)
     saved = []
-    watch, _ = watch_at(comm, shared_tmp_path)
-    with watch:
+    run, _ = interruptions_at(comm, shared_tmp_path)
+    with run:
         if comm.rank == comm.size - 1:
             os.kill(os.getpid(), number)
         with pytest.raises(Stopped, match=number.name):
-            watch.look(lambda: saved.append(True))
+            run.between_steps(lambda: saved.append(True))
     assert saved and signal.getsignal(number) is before
+
+
+@pytest.mark.mpi
+def test_ignored_signals_stay_ignored(comm, shared_tmp_path):
+    """Under nohup, or in the background of a script, nothing changes that."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        run, _ = interruptions_at(comm, shared_tmp_path)
+        with run:
+            os.kill(os.getpid(), signal.SIGHUP)
+            run.between_steps(pytest.fail)
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 @pytest.mark.mpi
@@ -100,14 +162,14 @@ def test_full_disk(comm, shared_tmp_path):
     def full():
         raise OSError(28, "No space left on device")
 
-    watch, _ = watch_at(comm, shared_tmp_path, interval=0.0)
-    watch.look(full)
-    with watch:
+    run, _ = interruptions_at(comm, shared_tmp_path, interval=0.0)
+    run.between_steps(full)
+    with run:
         comm.Barrier()
         if comm.rank == 0:
-            watch.stop_file.touch()
+            run.stop_file.touch()
         with pytest.raises(OSError, match="No space"):
-            watch.look(full)
+            run.between_steps(full)
 
 
 @pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")

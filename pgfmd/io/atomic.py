@@ -9,7 +9,7 @@ import io
 import os
 import platform
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from pgfmd.errors import InputError
@@ -28,7 +28,12 @@ def previous(path: Path) -> Path:
     return path.with_name(f".{path.name}.previous")
 
 
-def commit(path: Path, keep: bool = False):
+def beside(path: Path) -> Path:
+    """Where a version of `path` is kept that is to replace it later."""
+    return path.with_name(f".{path.name}.new")
+
+
+def commit(path: Path, keep: bool = False) -> None:
     """Put the finished temporary file of `path` in its place, on the disk before and after the change of name.
 
     keep : the version that it replaces stays as `previous(path)`
@@ -44,14 +49,14 @@ def commit(path: Path, keep: bool = False):
     _sync(path.parent)
 
 
-def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False):
+def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False, anew: bool = False) -> None:
     """Replace the small, sealed file `path`, in memory, by what `change` makes of its content (none if it is new).
 
-    keep : see `commit`
+    keep : see `commit`;  anew : `change` gets no content although there is some
 
     HDF5 crashes when a disk is full; Python says so.  Raises OSError, and the old file stays.
     """
-    content = io.BytesIO(unsealed(path.read_bytes()) if path.exists() else b"")
+    content = io.BytesIO(unsealed(path.read_bytes()) if path.exists() and not anew else b"")
     change(content)
     try:
         with named(path):
@@ -63,7 +68,7 @@ def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False)
 
 
 @contextlib.contextmanager
-def named(path: Path):
+def named(path: Path) -> Iterator[None]:
     """An OSError in the block that names no file (full disks do not) names this one."""
     try:
         yield
@@ -73,13 +78,7 @@ def named(path: Path):
         raise
 
 
-def append(path: Path, data: bytes):
-    """Add bytes to the end of a file; raises OSError."""
-    with named(path), open(path, "ab") as file:
-        file.write(data)
-
-
-def reserve(path: Path, size: int):
+def reserve(path: Path, size: int) -> None:
     """Make a file of `size` bytes whose space on the disk is taken; raises OSError if there is not so much."""
     folder = path.parent
     try:
@@ -94,7 +93,7 @@ def reserve(path: Path, size: int):
         raise OSError(errno.ENOSPC, message, str(folder)) from None
 
 
-def _sync(path: Path):
+def _sync(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -151,12 +150,12 @@ class OutputFolder:
         os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())
         return handle
 
-    def release(self):
+    def release(self) -> None:
         """Give the folder free."""
         (self.path / LOCK_NAME).unlink(missing_ok=True)
         os.close(self._handle)
 
-    def discard(self):
+    def discard(self) -> None:
         """Remove the folders that were made here, as far as they are empty."""
         for folder in self.made:
             with contextlib.suppress(OSError):

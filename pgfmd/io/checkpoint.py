@@ -2,6 +2,7 @@
 
     checkpoint.h5               pressure (nx, ny), the load's index, the effective job; sealed
     .checkpoint.h5.previous     the one before, used if that one is damaged
+    .checkpoint.h5.new          of a run whose results are to replace others, as long as those are there
 
 Files of one rank count are read on any other.  A start that is wrong cannot make a wrong result, since every solver
 certifies what it returns; the seal is what keeps a damaged one from costing time.
@@ -11,16 +12,15 @@ from __future__ import annotations
 
 import logging
 import os
-from contextlib import suppress
 from pathlib import Path
 
 import h5py
 import numpy as np
 from mpi4py import MPI
 
-from pgfmd.io import atomic, hdf5_slabs
+from pgfmd.io import atomic, checksum, hdf5_slabs
 from pgfmd.io.schema import CHECKPOINT_FILE
-from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel.collectives import from_root
 
 log = logging.getLogger("pgfmd")
 
@@ -30,62 +30,60 @@ class Checkpoints:
 
     rows : slice of the global rows of the grid of that `shape` (nx, ny) which this rank holds
     job : a text that is the same for the same job; checkpoints of another job are left aside
+
+    aside : write beside the checkpoint that is there, which belongs to results that are still to be replaced
     """
 
     def __init__(self, comm: MPI.Comm, directory: str | os.PathLike, shape: tuple[int, int], rows: slice, job: str):
         self.comm, self.shape, self.rows, self.job = comm, shape, rows, job
         self.path = Path(directory) / CHECKPOINT_FILE
+        self.aside = False
 
-    def save(self, index: int, pressure: np.ndarray):
+    def save(self, index: int, pressure: np.ndarray) -> None:
         """Write the pressure (nx_local, ny), in any unit, of the unfinished load `index`.  Collective.
 
         The last good checkpoint stays until this one is whole and on the disk.  Raises OSError on all ranks.
         """
-        draft = atomic.temporary(self.path)
 
         def create(file: h5py.File, name: str) -> h5py.Dataset:
             file.attrs.update(software="pgfmd", load=index, job=self.job)
             return hdf5_slabs.create_dataset(file, name, self.shape, pressure.dtype)
 
-        try:
-            fields = {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}
-            hdf5_slabs.write(self.comm, draft, self.rows, fields, create)
-            hdf5_slabs.add_seal(self.comm, draft)
-            from_root(self.comm, atomic.commit, self.path, True)
-        except BaseException:
-            if self.comm.rank == 0:
-                with suppress(OSError):
-                    draft.unlink(missing_ok=True)
-            raise
+        path = atomic.beside(self.path) if self.aside else self.path
+        fields = {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}
+        hdf5_slabs.replace_by(self.comm, path, self.rows, fields, create, not self.aside)
 
     def load(self, index: int) -> np.ndarray | None:
         """The newest good pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if there is none.
         Collective.
         """
-        for path in (self.path, atomic.previous(self.path)):
-            if not from_root(self.comm, path.exists):
+        for path in (atomic.beside(self.path), self.path, atomic.previous(self.path)):
+            if not from_root(self.comm, self._belongs, path, index):
                 continue
-            fault = hdf5_slabs.damage(self.comm, path)
-            if fault is not None:
-                log.warning("%s: %s; it is not used", path, fault)
-                continue
-            with raise_together(self.comm):
-                pressure = self._read(path, index)
-            if pressure is not None:
+            pressure, fault = hdf5_slabs.read(self.comm, path, self.rows, "pressure")
+            if fault is None:
                 log.info("load %d goes on from its checkpoint", index + 1)
                 return pressure
+            log.warning("%s: %s; it is not used", path, fault)
         return None
 
-    def _read(self, path: Path, index: int) -> np.ndarray | None:
+    def _belongs(self, path: Path, index: int) -> bool:
+        """Whether there is a checkpoint of that load of this job, good as far as can be told without its numbers."""
+        if not path.exists():
+            return False
+        _, fault = checksum.read_seal(path)
+        if fault is not None:
+            log.warning("%s: %s; it is not used", path, fault)
+            return False
         with h5py.File(path, "r", locking=False) as file:
-            if file.attrs["load"] != index or file.attrs["job"] != self.job:
-                return None
-            return file["pressure"][self.rows]
+            return file.attrs["load"] == index and file.attrs["job"] == self.job
 
-    def remove(self):
-        """Remove all checkpoints.  Collective."""
+    def remove(self) -> None:
+        """Remove all checkpoints; what was beside them takes their place from now on.  Collective."""
         from_root(self.comm, self._remove)
+        self.aside = False
 
-    def _remove(self):
-        for path in (self.path, atomic.previous(self.path), atomic.temporary(self.path)):
+    def _remove(self) -> None:
+        for path in (self.path, atomic.previous(self.path), atomic.beside(self.path)):
             path.unlink(missing_ok=True)
+            atomic.temporary(path).unlink(missing_ok=True)

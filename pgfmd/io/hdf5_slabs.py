@@ -1,7 +1,6 @@
-"""Distributed fields into one HDF5 file: by all ranks together where h5py has MPI, else through rank 0.
+"""Distributed fields in one sealed HDF5 file: written by all ranks together where h5py has MPI, else through rank 0.
 
-Only `output` uses it.  Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue
-965).
+Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue 965).
 """
 
 from __future__ import annotations
@@ -9,7 +8,8 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -17,6 +17,7 @@ import numpy as np
 from mpi4py import MPI
 
 from pgfmd.io import atomic, checksum
+from pgfmd.io.checksum import SealedArray
 from pgfmd.parallel.collectives import from_root, raise_together, slab
 
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
@@ -44,6 +45,8 @@ class Field:
 
 
 Create = Callable[[h5py.File, str], h5py.Dataset]
+Note = Callable[[str, int, np.ndarray], None]
+"""(field, its first row, rows as they are in the file): told of each block of this rank that is written."""
 
 
 def is_collective(comm: MPI.Comm) -> bool:
@@ -62,8 +65,8 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
     return h5py.Dataset(h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, layout))
 
 
-def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create):
-    """Write a new file of `fields`; this rank holds the global `rows`.  Collective.
+def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create) -> None:
+    """Write a new, sealed file of `fields`; this rank holds the global `rows`.  Collective.
 
     create(file, name) makes the dataset of a field by `create_dataset`; rank 0 calls it.  The file gets its whole size
     on the disk before the first number: HDF5 crashes or hangs when a disk is full; so it never meets one.
@@ -71,51 +74,80 @@ def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], cre
     """
     count = comm.allreduce(rows.stop - rows.start)
     size = count * sum(field.row_bytes for field in fields.values())
-    from_root(comm, _lay_out, path, size, list(fields), create)
-    (_write_together if is_collective(comm) else _write_through_root)(comm, path, rows, fields)
+    arrays = from_root(comm, _lay_out, path, size, list(fields), create)
+    sums = {name: array.blank_sums() for name, array in arrays.items()}
+    transport = _write_together if is_collective(comm) else _write_through_root
+    transport(comm, path, rows, fields, lambda name, first, block: arrays[name].add(sums[name], first, block))
+    arrays = {name: replace(array, sums=_added(comm, sums[name])) for name, array in arrays.items()}
+    from_root(comm, _seal, path, arrays)
 
 
-def add_seal(comm: MPI.Comm, path: Path):
-    """Append the seal to a finished file; the ranks share its blocks.  Collective.  Raises OSError on all ranks."""
-    size = from_root(comm, os.path.getsize, path)
-    tail = checksum.tail(size, _digests(comm, path, size))
-    from_root(comm, atomic.append, path, tail)
+def replace_by(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create, keep: bool) -> None:
+    """`write` under a temporary name, then put in its place; after a failure nothing is left of it.  Collective.
+
+    keep: the version that it replaces stays as `atomic.previous(path)`.  Raises like `write`.
+    """
+    draft = atomic.temporary(path)
+    try:
+        write(comm, draft, rows, fields, create)
+        from_root(comm, atomic.commit, path, keep)
+    except BaseException:
+        if comm.rank == 0:
+            with suppress(OSError):
+                draft.unlink(missing_ok=True)
+        raise
 
 
-def damage(comm: MPI.Comm, path: Path) -> str | None:
-    """What is wrong with a sealed file, in words; None if every byte is the one that was written.  Collective."""
-    size, expected, fault = from_root(comm, checksum.read_tail, path)
-    if fault is not None:
-        return fault
-    for number, digests in enumerate(zip(_digests(comm, path, size), expected, strict=True)):
-        if digests[0] != digests[1]:
-            start = number * checksum.BLOCK
-            return f"its bytes {start} to {min(start + checksum.BLOCK, size) - 1} are not those that were written"
-    return None
-
-
-def _digests(comm: MPI.Comm, path: Path, size: int) -> list[bytes]:
-    """Digest of each block of a file, in order; the ranks take turns.  Collective."""
-    mine: dict[int, bytes] = {}
+def read(comm: MPI.Comm, path: Path, rows: slice, name: str) -> tuple[np.ndarray | None, str | None]:
+    """This rank's rows of a field in a sealed file, checked while they are in memory, or what is wrong with the file.
+    Collective.
+    """
+    seal, fault = from_root(comm, checksum.read_seal, path)
+    if seal is None:
+        return None, fault
     with raise_together(comm):
-        mine = checksum.digest_blocks(path, range(comm.rank * checksum.BLOCK, size, comm.size * checksum.BLOCK), size)
-    parts = {start: digest for part in comm.allgather(mine) for start, digest in part.items()}
-    return [parts[start] for start in sorted(parts)]
+        with h5py.File(path, "r", locking=False) as file:
+            local = file[name][rows]
+    array = seal.arrays[name]
+    sums = array.blank_sums()
+    array.add(sums, rows.start, local)
+    fault = array.difference(np.array(_added(comm, sums), np.uint64))
+    return (local if fault is None else None), fault
 
 
-def _lay_out(path: Path, size: int, names: list[str], create: Create):
-    """The file with everything but the numbers, in space that is reserved beforehand.  On rank 0."""
+def _seal(path: Path, arrays: dict[str, SealedArray]) -> None:
+    with atomic.named(path):
+        checksum.add_seal(path, arrays)
+
+
+def _added(comm: MPI.Comm, sums: np.ndarray) -> list[int]:
+    """The sums of all ranks, modulo 2⁶⁴.  Collective."""
+    comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
+    return [int(number) for number in sums]
+
+
+def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, SealedArray]:
+    """The file with everything but the numbers, in space that is reserved beforehand; where each field lies.  Rank 0.
+    """
     atomic.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
         blank = _Blank(raw)
         with h5py.File(blank, "w", libver=LIBVER) as file:
-            for name in names:
-                create(file, name)
+            datasets = [create(file, name) for name in names]
+            arrays = {
+                name: checksum.array_at(found.id.get_offset(), found.shape[1] * found.dtype.itemsize, found.shape[0])
+                for name, found in zip(names, datasets, strict=True)
+            }
         raw.truncate(blank.size)
+    return arrays
 
 
 class _Blank(io.RawIOBase):
-    """A file that has its space on the disk, shown to HDF5 as one of `size` bytes, none at first."""
+    """A file that has its space on the disk, shown to HDF5 as one of `size` bytes, none at first.
+
+    Opened by its name, HDF5 would cut it to nothing and give the space back; where then 4 to 64 kB are left on the
+    disk, it ends the process by SIGSEGV when it closes the file (HDF5 1.10, 1.14).
+    """
 
     def __init__(self, raw: io.FileIO):
         self._raw, self.size = raw, 0
@@ -141,7 +173,7 @@ class _Blank(io.RawIOBase):
         return self.size
 
 
-def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field]):
+def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note) -> None:
     """Each rank writes its own rows, all at the same time.  Collective.
 
     Every single call of HDF5 is followed by an agreement: an error that shows on one rank reaches all of them.
@@ -156,10 +188,13 @@ def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, F
             pieces = -(-comm.allreduce(count, MPI.MAX) * field.row_bytes // COLLECTIVE_BYTES)
             for number in range(pieces):
                 part = slab(count, pieces, number)
-                if part.start == part.stop:  # fewer rows than pieces here: write the last one once more
+                again = part.start == part.stop  # fewer rows than pieces here: write the last one once more
+                if again:
                     part = slice(count - 1, count)
                 with raise_together(comm):  # all have their numbers before any of them enters the write
                     block = field.block(part)
+                    if not again:
+                        note(name, rows.start + part.start, block)
                 with raise_together(comm), dataset.collective:
                     dataset[rows.start + part.start : rows.start + part.stop] = block
     finally:
@@ -167,19 +202,21 @@ def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, F
             file.close()
 
 
-def _write_through_root(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field]):
+def _write_through_root(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note) -> None:
     """The slabs go to rank 0 in turn, in blocks of rows; rank 0 writes.  Collective."""
     slabs = comm.gather((rows.start, rows.stop))
     with raise_together(comm):
         if comm.rank == 0:
-            _receive(comm, path, slabs, fields)
+            _receive(comm, path, slabs, fields, note)
             return
-        for field in fields.values():
+        for name, field in fields.items():
             for part in _blocks(rows.stop - rows.start, field.row_bytes):
-                comm.Send([field.block(part).reshape(-1).view(np.uint8), MPI.BYTE], 0)
+                block = field.block(part)
+                note(name, rows.start + part.start, block)
+                comm.Send([block.reshape(-1).view(np.uint8), MPI.BYTE], 0)
 
 
-def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: dict[str, Field]):
+def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: dict[str, Field], note: Note) -> None:
     """Rank 0's side: it takes every block even after a failure, so that nobody is left waiting."""
     failure = None
 
@@ -198,6 +235,7 @@ def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: d
             for part in _blocks(stop - start, field.row_bytes):
                 if source == 0:
                     block = field.block(part)
+                    attempt(note, name, start + part.start, block)
                 else:
                     block = np.empty((part.stop - part.start, field.local.shape[1]), field.dtype)
                     comm.Recv([block.reshape(-1).view(np.uint8), MPI.BYTE], source)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import os
+import functools
+import json
 import platform
 import shlex
 import subprocess
 import sys
+from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 
 from pgfmd import __version__
 from pgfmd.io.schema import FORMAT_VERSION
+from pgfmd.parallel.threads import threads_per_rank
 
 LIBRARIES = ("numpy", "scipy", "numba", "pyfftw", "mpi4py", "mpi4py-fft", "h5py")
 
@@ -22,12 +25,7 @@ def command_line() -> str:
     return shlex.join(sys.orig_argv)
 
 
-def threads() -> int:
-    """Threads per rank: OMP_NUM_THREADS, or else the cores that this process may use."""
-    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
-
-
+@functools.cache
 def git_commit() -> str:
     """The commit of the checkout that the package lies in, with "+" if it was changed since; else "unknown"."""
     root = Path(__file__).resolve().parents[2]
@@ -51,6 +49,7 @@ def now() -> str:
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
+@functools.cache
 def versions() -> str:
     """Versions of Python and of the libraries, one per line: "name version"."""
     found = [f"python {platform.python_version()}"]
@@ -62,20 +61,34 @@ def versions() -> str:
     return "\n".join(found)
 
 
-def gather(ranks: int, extra_versions: dict[str, str], job_toml: str, effective_toml: str, command: str | None) -> dict:
-    """Everything as attributes (str and int) of a result file's root."""
+@dataclass(frozen=True)
+class Origin:
+    """What a run was asked for: the TOML text, the effective job, the number of its loads, digests of the files that it
+    names, and the command (None: that of this process).
+    """
+
+    job_toml: str = ""
+    effective_toml: str = ""
+    loads: int = 0
+    inputs: dict[str, str] = field(default_factory=dict)
+    command: str | None = None
+
+
+def gather(ranks: int, extra_versions: dict[str, str], origin: Origin) -> dict[str, str | int]:
+    """Everything as attributes of a result file's root."""
     extra = "".join(f"\n{name} {version}" for name, version in extra_versions.items())
     return {
         "software": "pgfmd",
         "softwareVersion": __version__,
         "format_version": FORMAT_VERSION,
         "commit": git_commit(),
-        "command": command_line() if command is None else command,
-        "job_toml": job_toml,
-        "effective_toml": effective_toml,
+        "command": command_line() if origin.command is None else origin.command,
+        "job_toml": origin.job_toml,
+        "effective_toml": origin.effective_toml,
+        "inputs": json.dumps(origin.inputs),
         "libraries": versions() + extra,
         "ranks": ranks,
-        "threads": threads(),
+        "threads": threads_per_rank(),
         "host": platform.node(),
         "date": now(),
     }

@@ -1,34 +1,43 @@
-"""What a result folder holds of a run that is to be continued, and whether it is whole."""
+"""What a result folder holds already: what a run may continue or replace, and what it must leave alone."""
 
 from __future__ import annotations
 
 import io
+import json
 import logging
 import os
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import h5py
-from mpi4py import MPI
 
 from pgfmd.errors import InputError
-from pgfmd.io import atomic, hdf5_slabs
-from pgfmd.io.checksum import unsealed
-from pgfmd.io.schema import FIELDS_FOLDER, OBSERVABLES_FILE, load_name
-from pgfmd.parallel.collectives import from_root
+from pgfmd.io import atomic, checksum
+from pgfmd.io.schema import CHECKPOINT_FILE, FIELDS_FILE, FIELDS_FOLDER, OBSERVABLES_FILE, load_name
 
 log = logging.getLogger("pgfmd")
 
+FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results that replace others lie in the folder those are not in
+_FIELD_FILE = re.compile(r"(height|load_\d{4,})\.h5")
+
 
 @dataclass
-class FormerRun:
-    """Results so far: completed loads, effective job (None: nothing to continue), fields by load, files that are
-    damaged or missing, by name (`load_0002`, `height`); state: the file that says so.
+class EarlierResults:
+    """Results that are to be continued.
+
+    completed: loads; job: the effective job (None: there is nothing to continue); inputs: digests of the files that it
+    names; version: that of the program, and of the file format; fields: names by load; folder: where their files are;
+    damaged: names (`load_0002`, `height`) of files that are missing or damaged; state: the file that says all this
     """
 
     completed: int = 0
     job: str | None = None
+    inputs: dict[str, str] = field(default_factory=dict)
+    version: str = ""
     fields: dict[str, list[str]] = field(default_factory=dict)
+    folder: str = FIELDS_FOLDER
     damaged: set[str] = field(default_factory=set)
     state: Path | None = None
 
@@ -45,42 +54,85 @@ class FormerRun:
                 found |= {f"{name}/{key}": (f"{name}.h5", key) for key in keys}
         return found
 
-    def settle(self):
+    def settle(self) -> None:
         """Make the version of observables.h5 that was read the present one."""
         if self.state is not None and self.state.name != OBSERVABLES_FILE:
             os.replace(self.state, self.state.with_name(OBSERVABLES_FILE))
 
+    def find_damage(self, directory: Path) -> None:
+        """Note files of fields that are missing, or whose length or seal is wrong; their numbers are not read."""
+        for name, keys in ({"height": ["height"]} | self.fields).items():
+            path = directory / self.folder / f"{name}.h5"
+            there = path.exists()
+            fault = checksum.read_seal(path)[1] if there else "it is missing"
+            if keys and fault is not None:
+                self.damaged.add(name)
+                if there or name != "height":
+                    log.warning("%s: %s; it will be made again", path, fault)
 
-def read(directory: Path) -> FormerRun:
-    """The run in a folder, from observables.h5 or, if that is damaged, from the version before.
+
+def read(directory: Path) -> EarlierResults:
+    """The results in a folder, from observables.h5 or, if that is damaged, from the version before.
 
     Raises InputError if neither can be used.
     """
     path, reason = directory / OBSERVABLES_FILE, ""
     for state in (path, atomic.previous(path)):
         try:
-            with h5py.File(io.BytesIO(unsealed(state.read_bytes())), "r") as file:
-                count, job = len(file["loads/mean_pressure"]), str(file.attrs["effective_toml"])
-                names = [load_name(index) for index in range(count)]
-                fields = {name: list(file[name].attrs["fields"]) for name in names}
+            with h5py.File(io.BytesIO(checksum.unsealed(state.read_bytes())), "r") as file:
+                names = [load_name(index) for index in range(len(file["loads/mean_pressure"]))]
+                found = EarlierResults(
+                    completed=len(names),
+                    job=str(file.attrs["effective_toml"]),
+                    inputs=json.loads(file.attrs.get("inputs", "{}")),
+                    version=f"{file.attrs['softwareVersion']}, format {file.attrs['format_version']}",
+                    fields={name: list(file[name].attrs["fields"]) for name in names},
+                    folder=str(file.attrs.get("fields_folder", FIELDS_FOLDER)),
+                    state=state,
+                )
         except (OSError, KeyError) as error:
             reason = reason or str(error)
             continue
         if reason:
             log.warning("%s: %s; the version before it is used", path, reason)
-        return FormerRun(count, job, fields, state=state)
-    raise InputError(f"{path}: cannot be continued: {reason}; start afresh with --overwrite")
+        found.find_damage(directory)
+        return found
+    raise InputError(f"{path}: cannot be continued: {reason}; move it away, or choose another folder")
 
 
-def find_damage(comm: MPI.Comm, directory: Path, former: FormerRun):
-    """Add to `former.damaged` the files of fields that are not as they were written.  Collective."""
-    if former.job is None:
-        return
-    for name, fields in ({"height": ["height"]} | former.fields).items():
-        path = directory / FIELDS_FOLDER / f"{name}.h5"
-        there = from_root(comm, path.exists)
-        fault = hdf5_slabs.damage(comm, path) if there else "it is missing"
-        if fields and fault is not None:
-            former.damaged.add(name)
-            if there or name != "height":
-                log.warning("%s: %s; it will be made again", path, fault)
+def other_folder(directory: Path) -> str:
+    """The folder of fields that the results in observables.h5 do not use; the second one if they cannot be read."""
+    try:
+        content = checksum.unsealed((directory / OBSERVABLES_FILE).read_bytes(), strict=False)
+        with h5py.File(io.BytesIO(content), "r") as file:
+            used = str(file.attrs.get("fields_folder", FIELDS_FOLDER))
+    except OSError:
+        used = FIELDS_FOLDER
+    return FIELDS_FOLDERS[used == FIELDS_FOLDER]
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file was written by this program: it is sealed or, cut short, its beginning says so."""
+    if checksum.is_sealed(path):
+        return True
+    try:
+        with open(path, "rb") as file:
+            start = file.read(2**16)
+    except OSError:
+        return False
+    return start.startswith(b"\x89HDF") and b"software" in start and b"pgfmd" in start
+
+
+def own_field_files(folder: Path) -> Iterator[Path]:
+    """Files of fields, finished or not, that this program wrote into a folder."""
+    yield from folder.glob(".*.h5.tmp")
+    yield from (path for path in folder.glob("*.h5") if _FIELD_FILE.fullmatch(path.name) and is_own(path))
+
+
+def refuse_foreign(directory: Path, folder: str) -> None:
+    """Raise InputError if files that are to be written there, fields in `folder`, exist and are not this program's."""
+    fields = (path for path in (directory / folder).glob("*.h5") if _FIELD_FILE.fullmatch(path.name))
+    for path in (*(directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, CHECKPOINT_FILE)), *fields):
+        if os.path.lexists(path) and not is_own(path) and not is_own(atomic.previous(path)):
+            raise InputError(f"{path}: was not written by pgfmd, which would replace it; move it away, or choose "
+                             "another folder")  # fmt: skip

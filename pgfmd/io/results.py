@@ -13,7 +13,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
-from pgfmd.io.schema import FIELDS, FIELDS_FILE, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
+from pgfmd.io.schema import FIELDS, FIELDS_FOLDER, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
 
 
 class Results:
@@ -77,24 +77,25 @@ class Results:
 
     def fields(self, load: int | None = None) -> list[str]:
         """Names of the fields that were written, for a load or (None) for the whole run."""
-        if not (self.directory / FIELDS_FILE).exists():
-            return []
-        with self._open(FIELDS_FILE) as file:
-            group = file if load is None else file.get(load_name(self._index(load)), {})
-            return [name for name in group if not name.startswith("load_")]
+        if load is None:
+            return ["height"] if self._field_file("height").exists() else []
+        with self._open(OBSERVABLES_FILE) as file:
+            return [str(name) for name in file[load_name(self._index(load))].attrs["fields"]]
 
     def field(self, name: str, load: int | None = None, rows: slice = slice(None)) -> np.ndarray:
         """Rows of a field, shape (rows, ny): "height" without a load, the others with one."""
-        path = name if load is None else f"{load_name(self._index(load))}/{name}"
-        if not (self.directory / FIELDS_FILE).exists():
-            raise InputError(f"{self.directory}: no fields were written")
-        with self._open(FIELDS_FILE) as file:
-            try:
-                return file[path][rows]
-            except KeyError:
-                which = "the run" if load is None else f"load {load}"
-                hint = "" if load is not None or name not in FIELDS else " (give a load, if it belongs to one)"
-                raise InputError(f"{self.directory}: no field {name} of {which}{hint}") from None
+        if name not in self.fields(load):
+            which = "the run" if load is None else f"load {load}"
+            hint = " (give a load, if it belongs to one)" if load is None and name in FIELDS else ""
+            raise InputError(f"{self.directory}: no field {name} of {which}{hint}")
+        path = self._field_file(name if load is None else load_name(self._index(load)))
+        if not path.exists():
+            raise InputError(f"{path}: is missing")
+        with self._open(path.relative_to(self.directory)) as file:
+            return file[name][rows]
+
+    def _field_file(self, name: str) -> Path:
+        return self.directory / self.provenance.get("fields_folder", FIELDS_FOLDER) / f"{name}.h5"
 
     def blocks(self, name: str, load: int | None = None, size: int = 2**26) -> Iterator[tuple[slice, np.ndarray]]:
         """A field in blocks of rows of about `size` bytes: (rows, values), so that it may be larger than memory."""
@@ -108,7 +109,7 @@ class Results:
             raise InputError(f"{self.directory}: no load {index}: {len(self)} were completed, counted from 0")
         return index % len(self)
 
-    def _open(self, name: str) -> h5py.File:
+    def _open(self, name: str | Path) -> h5py.File:
         # Files are replaced as a whole and never changed in place: nothing to lock, and read-only folders work.
         try:
             return h5py.File(self.directory / name, "r", locking=False)

@@ -1,12 +1,15 @@
-"""Result files, written in parallel.  The only module that opens HDF5 files in parallel.
-
-At every instant the folder holds complete files only, of all loads completed so far:
+"""The files of a run, each complete at every instant.
 
     observables.h5          small: one row per load, groups of curves and tables, provenance
     fields.h5               links to the big fields: height, load_0000/pressure, …; open this one to read them
     fields/height.h5, fields/load_0000.h5, …
 
-Every one of them ends in a seal (module `seal`): a file that is damaged is recognised before a run is continued.
+Every one of them ends in a seal (module `checksum`), so that a damaged file can be recognised.
+
+Results that replace others (`overwrite`) put their fields into fields-2/ where the others have fields/, and the other
+way round.  The others stay whole until the first new load is; then one change of name, that of observables.h5, replaces
+them, and only after it their fields are removed.  fields.h5 is missing for that moment: it never shows fields of which
+observables.h5 does not tell.
 """
 
 from __future__ import annotations
@@ -16,22 +19,24 @@ import logging
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import h5py
 import numpy as np
 from mpi4py import MPI
 
 from pgfmd.errors import InputError, Stopped
-from pgfmd.io import atomic, hdf5_slabs, provenance
-from pgfmd.io import restart as former
-from pgfmd.io.formats import modern
+from pgfmd.io import atomic, hdf5_slabs, provenance, restart
+from pgfmd.io.provenance import Origin
+from pgfmd.io.restart import EarlierResults
 from pgfmd.io.schema import (
+    CHECKPOINT_FILE,
     FIELDS,
     FIELDS_FILE,
     FIELDS_FOLDER,
-    FORMAT_VERSION,
     LOADS,
     OBSERVABLES_FILE,
     SI,
@@ -44,55 +49,58 @@ from pgfmd.parallel.collectives import from_root, raise_together
 log = logging.getLogger("pgfmd")
 
 
+@dataclass(frozen=True)
+class Form:
+    """The form of the files: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of its rows that this
+    rank holds, the precision of real fields in the file, names of units, and the layout of the groups of a load.
+    """
+
+    shape: tuple[int, int]
+    lengths: tuple[float, float]
+    rows: slice
+    precision: str = "float64"
+    length_unit: str = "length"
+    pressure_unit: str = "pressure"
+    groups: Layout = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Names of units by what they measure, for `schema`."""
+        return {"length": self.length_unit, "pressure": self.pressure_unit}
+
+
 class ResultWriter:
     """Writes one run's folder; a context manager.  Every method is collective.
 
-    comm : communicator; directory : the folder, made if missing
-    shape (nx, ny), lengths (lx, ly) : of the global grid; rows : slice of global rows that this rank holds
-    config_text, effective_toml, command, loads : kept as provenance (`loads`: how many are to be written)
-    overwrite : replace results that are there; restart : continue them; otherwise they are refused
-    precision : "float64" or "float32", of real fields in the file;  layout : of the groups of a load
+    comm : communicator; directory : the folder, made if missing; origin, form : what is kept with the results, and how
+    mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
 
-    Making one checks and locks the folder, and writes nothing: old results live until `begin` (or the first write).
-    Raises InputError on all ranks if the folder cannot be written, is in use, or holds results not to be replaced.
+    Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
+    written, is in use, or holds results or files that are not to be replaced.
 
-    completed : loads written so far;  former : what is to be continued
+    completed : loads written so far;  earlier : what is to be continued
+    replacing : whether other results are still there, which the first load will replace
     """
 
     def __init__(
         self,
         comm: MPI.Comm,
         directory: str | os.PathLike,
-        config_text: str = "",
-        effective_toml: str = "",
-        command: str | None = None,
-        *,
-        shape: tuple[int, int],
-        lengths: tuple[float, float],
-        rows: slice,
-        loads: int = 0,
-        overwrite: bool = False,
-        restart: bool = False,
-        precision: str = "float64",
-        length_unit: str = "length",
-        pressure_unit: str = "pressure",
-        layout: Layout | None = None,
+        origin: Origin,
+        form: Form,
+        mode: Literal["new", "overwrite", "restart"] = "new",
     ):
-        self.comm, self.directory = comm, Path(directory)
-        self.shape, self.lengths, self.rows = tuple(shape), tuple(lengths), rows
-        self.precision, self.unit_names = np.dtype(precision), {"length": length_unit, "pressure": pressure_unit}
-        self.layout = layout or {}
+        self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
         self.collective = hdf5_slabs.is_collective(comm)
-        self._job, self._overwrite, self._restart = (config_text, effective_toml, command, loads), overwrite, restart
         self._begun = False
-        self._folder = None
-        self.former = from_root(comm, self._enter)
-        self.completed = self.former.completed
+        self._folder: atomic.OutputFolder | None = None
+        self.earlier, self.replacing, self._fields = from_root(comm, self._enter)
+        self.completed = self.earlier.completed
+        self._links = self.earlier.links()
         try:
             with raise_together(comm):  # a folder that only rank 0 sees is of no use to a collective write
                 if self.collective and not (self.directory / atomic.LOCK_NAME).exists():
                     raise InputError(f"{self.directory}: rank {comm.rank} does not see the folder that rank 0 made")
-            former.find_damage(comm, self.directory, self.former)
         except BaseException as error:
             self.__exit__(type(error), error, None)
             raise
@@ -100,23 +108,29 @@ class ResultWriter:
             how = "by all ranks together" if self.collective else "through rank 0 (h5py has no MPI)"
             log.info("fields are written %s", how)
 
-    def _enter(self) -> former.FormerRun:
-        """Lock the folder; what is to be continued.  Rank 0."""
+    def _enter(self) -> tuple[EarlierResults, bool, str]:
+        """Lock the folder; what is to be continued, whether something is to be replaced, the folder of fields.  Rank 0.
+        """
         folder = atomic.OutputFolder(self.directory)
         try:
             found = [
                 name for name in (OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER) if (self.directory / name).exists()
             ]
-            if found and not (self._overwrite or self._restart):
+            if found and self._mode == "new":
                 raise InputError(
                     f"{self.directory}: holds results already ({', '.join(found)}); replace them with "
                     "--overwrite, continue them with --restart, or choose another folder"
                 )
-            if not self._restart or OBSERVABLES_FILE not in found:
-                self._restart = False
-            answer = former.read(self.directory) if self._restart else former.FormerRun()
+            earlier, fields = EarlierResults(), FIELDS_FOLDER
+            replacing = self._mode == "overwrite" and OBSERVABLES_FILE in found
+            if self._mode == "restart" and OBSERVABLES_FILE in found:
+                earlier = restart.read(self.directory)
+                fields = earlier.folder
+            elif replacing:
+                fields = restart.other_folder(self.directory)
+            restart.refuse_foreign(self.directory, fields)
             self._folder = folder
-            return answer
+            return earlier, replacing, fields
         finally:
             if self._folder is None:
                 folder.release()
@@ -125,17 +139,22 @@ class ResultWriter:
     @property
     def pending(self) -> list[int]:
         """The loads that are still to be solved: not completed, or their fields damaged."""
-        damaged = self.former.damaged
-        return [index for index in range(self._job[3]) if index >= self.completed or load_name(index) in damaged]
+        damaged = self.earlier.damaged
+        return [i for i in range(self.origin.loads) if i >= self.completed or load_name(i) in damaged]
 
-    def begin(self):
-        """Remove old results (unless they are continued) and write observables.h5 without loads.  Collective."""
+    def begin(self) -> None:
+        """Remove what runs left that were broken off; write observables.h5 without loads, unless others' results are
+        there or continued.  Collective.
+        """
         if not self._begun:
             from_root(self.comm, self._clear)
-            from_root(self.comm, self._revise_observables, self._describe)
+            if not self.replacing:
+                from_root(self.comm, self._revise_observables, self._describe)
             self._begun = True
 
-    def write_field(self, name: str, local: np.ndarray, description: str | None = None, units: str | None = None):
+    def write_field(
+        self, name: str, local: np.ndarray, description: str | None = None, units: str | None = None
+    ) -> None:
         """Write a field that belongs to no load, e.g. the heights.  Collective.
 
         local : this rank's slab (nx_local, ny)
@@ -143,7 +162,7 @@ class ResultWriter:
         """
         self.begin()
         self._write_slabs(f"{name}.h5", {name: local}, description, units)
-        from_root(self.comm, self._link, {name: (f"{name}.h5", name)})
+        self._link({name: (f"{name}.h5", name)})
 
     def write_load(
         self,
@@ -151,10 +170,10 @@ class ResultWriter:
         row: dict[str, float],
         groups: Groups | None = None,
         fields: dict[str, np.ndarray] | None = None,
-    ):
+    ) -> None:
         """Write one completed load: fields first, then, at once, its row and groups.  Collective.
 
-        row : values of `schema.LOADS` (missing: NaN); groups : arrays that `layout` describes; both of rank 0 count
+        row : values of `schema.LOADS` (missing: NaN); groups : arrays that `form.groups` describes; rank 0 counts
         fields : this rank's slabs (nx_local, ny), same names on all ranks
         Raises OSError on all ranks if it cannot be written.
         """
@@ -162,9 +181,9 @@ class ResultWriter:
         name = load_name(index)
         if fields:
             self._write_slabs(f"{name}.h5", fields)
-            from_root(self.comm, self._link, {f"{name}/{field}": (f"{name}.h5", field) for field in fields})
+            self._link({f"{name}/{key}": (f"{name}.h5", key) for key in fields})
 
-        def add(file: h5py.File):
+        def add(file: h5py.File) -> None:
             self._add_row(file["loads"], index, row)
             if name in file:
                 del file[name]
@@ -173,15 +192,16 @@ class ResultWriter:
                 self._add_group(group, title, table)
             group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
-        from_root(self.comm, self._revise_observables, add)
+        from_root(self.comm, self._replace if self.replacing else self._revise_observables, add)
+        self.replacing = False
         self.completed = max(self.completed, index + 1)
-        self.former.damaged.discard(name)
+        self.earlier.damaged.discard(name)
 
-    def finish(self, phases: dict[str, float] | None = None):
+    def finish(self, phases: dict[str, float] | None = None) -> None:
         """Mark the run as complete; `phases` are seconds by name, of rank 0.  Collective."""
         self.begin()
 
-        def mark(file: h5py.File):
+        def mark(file: h5py.File) -> None:
             file.attrs.update(status="complete", finished=provenance.now())
             file.require_group("phases").attrs.update({name: float(value) for name, value in (phases or {}).items()})
 
@@ -190,15 +210,13 @@ class ResultWriter:
     def __enter__(self) -> ResultWriter:
         return self
 
-    def __exit__(self, kind, error, trace):
+    def __exit__(self, kind, error, trace) -> None:
         """Give the folder free.  Not collective: it also runs where one rank alone has failed."""
         if self._folder is None:
             return
         if self._begun and error is not None:
-            message = (str(error) or kind.__name__)[:1000]
             with suppress(OSError):  # the disk may be what has failed; the first error is the one to report
-                status = "stopped" if isinstance(error, Stopped) else "failed"
-                self._revise_observables(lambda file: file.attrs.update(status=status, error=message))
+                self._note_failure(error)
         self._folder.release()
         if not self._begun:
             self._folder.discard()
@@ -206,34 +224,77 @@ class ResultWriter:
 
     # Rank 0: small files, each replaced as a whole.
 
-    def _clear(self):
-        path, folder = self.directory / OBSERVABLES_FILE, self.directory / FIELDS_FOLDER
-        drafts = [*self.directory.glob(".*.h5.tmp"), *folder.glob(".*.h5.tmp")]
-        old = [] if self._restart else [path, atomic.previous(path), self.directory / FIELDS_FILE, *folder.glob("*.h5")]
-        for path in (*old, *drafts):
-            path.unlink(missing_ok=True)
-        folder.mkdir(exist_ok=True)
-        if self._restart:
-            self.former.settle()
-            (self.directory / FIELDS_FILE).unlink(missing_ok=True)  # made anew: whole or not, it is not needed
-            if self.former.links():
-                self._link(self.former.links())
+    def _note_failure(self, error: BaseException) -> None:
+        """Say in observables.h5 how the run ended; or, if the results there are not of this run, leave no trace."""
+        if self.replacing:
+            self._remove_fields(self._fields)
+            if not isinstance(error, Stopped):
+                atomic.beside(self.directory / CHECKPOINT_FILE).unlink(missing_ok=True)
+            return
+        status = "stopped" if isinstance(error, Stopped) else "failed"
+        message = (str(error) or type(error).__name__)[:1000]
+        self._revise_observables(lambda file: file.attrs.update(status=status, error=message))
 
-    def _revise_observables(self, change: Callable[[h5py.File], None]):
+    def _clear(self) -> None:
+        """Remove what runs that were broken off left behind, and fields of which observables.h5 does not tell."""
+        for draft in (*self.directory.glob(".*.h5.tmp"), *(self.directory / self._fields).glob(".*.h5.tmp")):
+            draft.unlink(missing_ok=True)
+        if not self._links:
+            self._remove_fields(self._fields)
+        (self.directory / self._fields).mkdir(exist_ok=True)
+        if not self.replacing:
+            self._remove_others()
+            self.earlier.settle()
+            if self._links:
+                self._write_links()
+
+    def _remove_others(self) -> None:
+        """Remove the fields of other results, and links to them."""
+        (self.directory / FIELDS_FILE).unlink(missing_ok=True)
+        for folder in set(restart.FIELDS_FOLDERS) - {self._fields}:
+            self._remove_fields(folder)
+
+    def _remove_fields(self, folder: str) -> None:
+        """Remove the files of fields that this program wrote, and the folder if nothing else is in it."""
+        for path in restart.own_field_files(self.directory / folder):
+            path.unlink(missing_ok=True)
+        with suppress(OSError):
+            (self.directory / folder).rmdir()
+
+    def _replace(self, change: Callable[[h5py.File], None]) -> None:
+        """The results of this run, from now on, in place of the others."""
+        path = self.directory / OBSERVABLES_FILE
+
+        def describe(file: h5py.File) -> None:
+            self._describe(file)
+            change(file)
+
+        (self.directory / FIELDS_FILE).unlink(missing_ok=True)
+        atomic.previous(path).unlink(missing_ok=True)
+        _revise(path, describe, anew=True)
+        self._remove_others()
+        if self._links:
+            self._write_links()
+
+    def _revise_observables(self, change: Callable[[h5py.File], None]) -> None:
         _revise(self.directory / OBSERVABLES_FILE, change, keep=True)
 
-    def _link(self, targets: dict[str, tuple[str, str]]):
-        def add(file: h5py.File):
+    def _link(self, targets: dict[str, tuple[str, str]]) -> None:
+        """Show fields, name → (file, dataset), in fields.h5 as soon as that is of this run.  Collective."""
+        self._links |= targets
+        if not self.replacing:
+            from_root(self.comm, self._write_links)
+
+    def _write_links(self) -> None:
+        def fill(file: h5py.File) -> None:
             file.attrs.update(self._provenance)
-            for name, (target, dataset) in targets.items():
-                if name in file:
-                    del file[name]
-                file[name] = h5py.ExternalLink(f"{FIELDS_FOLDER}/{target}", dataset)
+            for name, (target, dataset) in self._links.items():
+                file[name] = h5py.ExternalLink(f"{self._fields}/{target}", dataset)
 
-        _revise(self.directory / FIELDS_FILE, add)
+        _revise(self.directory / FIELDS_FILE, fill, anew=True)
 
-    def _describe(self, file: h5py.File):
-        if not self._restart:
+    def _describe(self, file: h5py.File) -> None:
+        if self.earlier.job is None:
             file.attrs.update(self._provenance)
             group = file.create_group("loads")
             for name, (units, description) in LOADS.items():
@@ -246,19 +307,21 @@ class ResultWriter:
                     group.create_dataset(name, (0,), maxshape=(None,), chunks=(64,), **fill), description, units
                 )
         else:
-            self._modernise(file)
+            line = f"from load {self.completed} on: " + " ".join(
+                f"{name} {self._provenance[name]}" for name in ("date", "commit", "host", "ranks", "threads")
+            )
+            file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
         file.attrs.pop("error", None)
-        file.attrs.update(status="running", loads_requested=self._job[3])
+        file.attrs.update(status="running", loads_requested=self.origin.loads)
 
     @cached_property
     def _provenance(self) -> dict:
-        text, effective, command, _ = self._job
         mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
         libraries = {"HDF5": h5py.version.hdf5_version, "MPI": mpi}
-        found = provenance.gather(self.comm.size, libraries, text, effective, command)
-        return found | {"shape": self.shape, "lengths": self.lengths}
+        found = provenance.gather(self.comm.size, libraries, self.origin)
+        return found | {"shape": self.form.shape, "lengths": self.form.lengths, "fields_folder": self._fields}
 
-    def _add_row(self, group: h5py.Group, index: int, row: dict[str, float]):
+    def _add_row(self, group: h5py.Group, index: int, row: dict[str, float]) -> None:
         unknown = row.keys() - LOADS.keys()
         if unknown:
             raise ValueError(f"not in schema.LOADS: {', '.join(sorted(unknown))}")
@@ -267,73 +330,54 @@ class ResultWriter:
             if name in row:
                 group[name][index] = row[name]
 
-    def _add_group(self, load: h5py.Group, title: str, table: Mapping[str, np.ndarray]):
+    def _add_group(self, load: h5py.Group, title: str, table: Mapping[str, np.ndarray]) -> None:
         for key, values in table.items():
-            form = self.layout[title][key]
-            self._annotate(load.create_dataset(f"{title}/{key}", data=values), form.description, form.unit)
+            about = self.form.groups[title][key]
+            self._annotate(load.create_dataset(f"{title}/{key}", data=values), about.description, about.unit)
 
-    def _modernise(self, file: h5py.File):
-        """Bring the loads of an earlier format, which a run continues, to the present one."""
-        for name in (name for name in file if name.startswith("load_")):
-            for title in list(file[name]):
-                table = {key: dataset[()] for key, dataset in file[name][title].items()}
-                changed = modern(title, table, file.attrs["format_version"], self.shape)
-                if changed is not table:
-                    del file[name][title]
-                    self._add_group(file[name], title, changed)
-        file.attrs["format_version"] = FORMAT_VERSION
-
-    def _annotate(self, dataset: h5py.Dataset, description: str, units: str):
-        dataset.attrs.update(description=description, units=units.format(**self.unit_names))
+    def _annotate(self, dataset: h5py.Dataset, description: str, units: str) -> None:
+        dataset.attrs.update(description=description, units=units.format(**self.form.units))
 
     # All ranks: the big fields, each in a file of its own, in one piece on the disk.
 
     def _write_slabs(
         self, name: str, fields: dict[str, np.ndarray], description: str | None = None, units: str | None = None
-    ):
-        """Write fields/`name` under a temporary name and put it in its place.  Collective."""
-        path = self.directory / FIELDS_FOLDER / name
-        draft = atomic.temporary(path)
-        slabs = {}
+    ) -> None:
+        """Write the file `name` of fields under a temporary name and put it in its place.  Collective."""
+        form, slabs = self.form, {}
         for key, local in fields.items():
             real = np.issubdtype(local.dtype, np.floating)
-            slabs[key] = hdf5_slabs.Field(local, self.precision if real else local.dtype)
+            slabs[key] = hdf5_slabs.Field(local, np.dtype(form.precision) if real else local.dtype)
         with raise_together(self.comm):
-            expected = (self.rows.stop - self.rows.start, self.shape[1])
+            expected = (form.rows.stop - form.rows.start, form.shape[1])
             for key, local in fields.items():
                 if local.shape != expected:
                     raise ValueError(f"field {key}: slab of shape {local.shape}, expected {expected}")
 
         def create(file: h5py.File, key: str) -> h5py.Dataset:
-            dataset = hdf5_slabs.create_dataset(file, key, self.shape, slabs[key].dtype)
+            file.attrs["software"] = "pgfmd"
+            dataset = hdf5_slabs.create_dataset(file, key, form.shape, slabs[key].dtype)
             schema_units, schema_text = FIELDS.get(key, ("1", key))
             self._annotate(dataset, description or schema_text, units or schema_units)
-            unit = self.unit_names.get((units or schema_units).strip("{}"), "")
+            unit = form.units.get((units or schema_units).strip("{}"), "")
             dataset.attrs.update(
                 axisLabels=np.array(["x", "y"], h5py.string_dtype()),
                 dataOrder="C",
                 geometry="cartesian",
-                gridSpacing=np.divide(self.lengths, self.shape),
+                gridSpacing=np.divide(form.lengths, form.shape),
                 gridGlobalOffset=np.zeros(2),
                 position=np.zeros(2),
-                gridUnitSI=SI.get(self.unit_names["length"], 1.0),
+                gridUnitSI=SI.get(form.length_unit, 1.0),
                 unitSI=SI.get(unit, 1.0),
             )
             return dataset
 
-        try:
-            hdf5_slabs.write(self.comm, draft, self.rows, slabs, create)
-            hdf5_slabs.add_seal(self.comm, draft)
-            from_root(self.comm, atomic.commit, path)
-        except BaseException:
-            if self.comm.rank == 0:
-                with suppress(OSError):
-                    draft.unlink(missing_ok=True)
-            raise
+        path = self.directory / self._fields / name
+        hdf5_slabs.replace_by(self.comm, path, form.rows, slabs, create, False)
 
 
-def _revise(path: Path, change: Callable[[h5py.File], None], **options):
-    def modify(content: io.BytesIO):
+def _revise(path: Path, change: Callable[[h5py.File], None], **options: bool) -> None:
+    def modify(content: io.BytesIO) -> None:
         with h5py.File(content, "r+" if content.getbuffer().nbytes else "w", libver=hdf5_slabs.LIBVER) as file:
             change(file)
 

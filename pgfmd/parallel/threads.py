@@ -11,8 +11,8 @@ from pgfmd.parallel.thread_pool import team
 
 
 def threads_per_rank() -> int:
-    """OMP_NUM_THREADS if set, else the number of cores that this process is bound to."""
-    asked = os.environ.get("OMP_NUM_THREADS", "")
+    """OMP_NUM_THREADS if set (of a list "4,1" the first), else the number of cores that this process is bound to."""
+    asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
     return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
 
 

@@ -14,23 +14,28 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from pgfmd.errors import Stopped
+from pgfmd.errors import NoProgress, Stopped
 
 log = logging.getLogger("pgfmd")
 
-STOP_FILE = "STOP"
-SIGNALS = (signal.SIGTERM, signal.SIGUSR1)
+STOP_FILE = "STOP"  # made by a user; it stays
+BATCH_STOP_FILE = ".pgfmd.stop"  # made by a batch script that goes on later; it is removed when the next run begins
+SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
 SPARE = 2.0  # seconds kept before a time limit, beside what steps and checkpoints take
 GO_ON, SAVE, STOP = range(3)
 
 
-class Watch:
-    """Looks at the clock and listens to signals between the steps of a solver; a context manager.
+class Interruptions:
+    """Looks at the clock, at files and for signals between the steps of a solver; a context manager.
 
     interval : seconds between checkpoints;  time_limit : seconds that the run may take from now
 
-    The clock and the STOP file are rank 0's, a signal may reach any rank.  Handlers of SIGTERM and SIGUSR1 are in place
-    within the context, if it is entered by the main thread; a STOP file from before is taken away.
+    The clock and the files are rank 0's, a signal may reach any rank.  Within the context, if the main thread enters
+    it, SIGTERM, SIGUSR1, SIGINT and SIGHUP ask the run to stop, unless they are ignored (as SIGHUP under nohup); a
+    second SIGINT ends it at once.  A STOP file from before the context is left alone and does not count, until it is
+    touched again.
+
+    resumption : the option by which this run can be continued, for the message
     """
 
     def __init__(
@@ -41,56 +46,69 @@ class Watch:
         time_limit: float,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self.comm, self.interval = comm, interval
-        self.stop_file = Path(directory) / STOP_FILE
-        self.now = clock
-        self.end, self.limit = min((self.now() + time_limit, "the time limit of the job"), _batch_limit(self.now()))
-        self._saved = self._seen = self.now()
+        self.comm, self.interval, self.now = comm, interval, clock
+        self.stop_file, self.batch_stop_file = Path(directory) / STOP_FILE, Path(directory) / BATCH_STOP_FILE
+        self.resumption = "--restart"
+        self._began = self._saved = self._seen = self.now()
+        self.end, self.limit = min((self._began + time_limit, "the time limit of the job"), _batch_limit(self._began))
         self._longest_step = self._longest_save = 0.0
+        self._steps, self._progress = 0, False
         self._signal = 0
+        self._earlier_stop = _version(self.stop_file)
         self._handlers: dict[int, object] = {}
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Interruptions:
         if self.comm.rank == 0:
-            self.stop_file.unlink(missing_ok=True)
+            self._earlier_stop = _version(self.stop_file)
+            self.batch_stop_file.unlink(missing_ok=True)
         if threading.current_thread() is threading.main_thread():
-            self._handlers = {number: signal.signal(number, self._note) for number in SIGNALS}
+            heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+            self._handlers = {number: signal.signal(number, self._note) for number in heeded}
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
-    def _note(self, number: int, frame):
+    def _note(self, number: int, frame) -> None:
         self._signal = number
+        if number == signal.SIGINT:
+            signal.signal(number, signal.default_int_handler)
 
-    def look(self, save: Callable[[], None] | None = None):
-        """Between two steps: write a checkpoint by `save()`, itself collective, if it is time to.  Collective.
+    def load_begins(self, resumed: bool) -> None:
+        """The solution of a load begins, from a checkpoint or not."""
+        self._steps = -1 if resumed else 0  # the first step only looks at what was loaded
 
-        Raises Stopped on all ranks if the run is to end, after a checkpoint (if there is anything to save).  One on the
-        clock that cannot be written is a warning: the run may well end before it is needed.
+    def load_done(self) -> None:
+        """A load is written: the interval begins anew."""
+        self._saved, self._progress = self.now(), True
+
+    def between_steps(self, save: Callable[[], None] | None = None) -> None:
+        """Write a checkpoint by `save()`, itself collective, if it is time to.  Collective.
+
+        Raises Stopped on all ranks if the run is to end, after a checkpoint (if there is anything to save); NoProgress
+        if a time limit ends it before a checkpoint could be written that is ahead of where it began.  A checkpoint on
+        the clock that cannot be written is a warning: the run may well end before it is needed.
         """
         now = self.now()
         self._longest_step = max(self._longest_step, now - self._seen)
         worst = np.array([self._verdict(now), self._signal])
         self.comm.Allreduce(MPI.IN_PLACE, worst, MPI.MAX)
         verdict, number = map(int, worst)
+        self._steps += save is not None
         if verdict != GO_ON and save is not None:
             try:
                 save()
+                self._progress |= self._steps > 0
             except OSError as error:
                 if verdict == STOP:
                     raise
                 log.warning("no checkpoint could be written, the run goes on: %s", error)
-            self.load_done()
-            self._longest_save = max(self._longest_save, self.now() - now)
+            self._saved = self.now()
+            self._longest_save = max(self._longest_save, self._saved - now)
         self._seen = self.now()
         if verdict == STOP:
-            raise Stopped(f"stopped by {self.comm.bcast(self._reason(number))}; go on with --restart")
-
-    def load_done(self):
-        """Everything so far is written: the interval begins anew."""
-        self._saved = self.now()
+            raise self.comm.bcast(self._reason(number))
 
     def _verdict(self, now: float) -> int:
         if self._signal:
@@ -98,14 +116,35 @@ class Watch:
         if self.comm.rank != 0:
             return GO_ON
         margin = SPARE + 2 * self._longest_step + 2 * self._longest_save
-        if now + margin > self.end or self.stop_file.exists():
+        if now + margin > self.end or self._stop_file():
             return STOP
         return SAVE if now - self._saved >= self.interval else GO_ON
 
-    def _reason(self, number: int) -> str:
-        if number:
-            return signal.Signals(number).name
-        return f"the file {self.stop_file}" if self.stop_file.exists() else self.limit
+    def _stop_file(self) -> Path | None:
+        """The file that asks the run to stop."""
+        if _version(self.stop_file) not in (None, self._earlier_stop):
+            return self.stop_file
+        return self.batch_stop_file if self.batch_stop_file.exists() else None
+
+    def _reason(self, number: int) -> Stopped:
+        reason = signal.Signals(number).name if number else f"the file {self._stop_file()}"
+        if number or self._stop_file():
+            return Stopped(f"stopped by {reason}; go on with {self.resumption}")
+        if self._progress:
+            return Stopped(f"stopped by {self.limit}; go on with {self.resumption}")
+        return NoProgress(
+            f"{self.limit} is too short: {self.end - self._began:.0f} s are over before a checkpoint could be written "
+            "that is ahead of the last one; give it more, or more ranks"
+        )
+
+
+def _version(path: Path) -> tuple[int, int] | None:
+    """What changes when a file is touched; None if there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_ino, found.st_mtime_ns
 
 
 def _batch_limit(now: float) -> tuple[float, str]:

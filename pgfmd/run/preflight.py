@@ -1,0 +1,46 @@
+"""Where a job is judged against everything that it names, before anything is computed or touched."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from pgfmd import __version__
+from pgfmd.errors import InputError
+from pgfmd.io.provenance import Origin
+from pgfmd.io.restart import EarlierResults
+from pgfmd.io.schema import FORMAT_VERSION
+from pgfmd.job.job import Job, differences, parse
+from pgfmd.options.text import printable
+
+
+def digests(paths: Iterable[str]) -> dict[str, str]:
+    """SHA-256 of each file that a job names, by its path; raises InputError for one that cannot be read."""
+    found = {}
+    for path in paths:
+        try:
+            with open(path, "rb") as file:
+                found[os.fspath(path)] = hashlib.file_digest(file, "sha256").hexdigest()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"{printable(os.fspath(path), 400)}: cannot be read: {reason}") from None
+    return found
+
+
+def refuse_changes(job: Job, origin: Origin, earlier: EarlierResults, directory: Path) -> None:
+    """Raise InputError unless earlier results are of the same job, the same inputs and the same version."""
+    if earlier.job is None:
+        return
+    cannot = f"{directory}: cannot be continued"
+    this = f"{__version__}, format {FORMAT_VERSION}"
+    if earlier.version != this:
+        raise InputError(f"{cannot}: it was written by pgfmd {earlier.version}; this is {this}")
+    changed = differences(parse(earlier.job, "results"), job)
+    if changed:
+        raise InputError(f"{cannot}, the job differs: {'; '.join(changed)}")
+    other = [path for path, digest in origin.inputs.items() if earlier.inputs.get(path, digest) != digest]
+    if other:
+        names = ", ".join(printable(path, 400) for path in other)
+        raise InputError(f"{cannot}: the content of {names} has changed since")
