@@ -1,0 +1,176 @@
+"""Compiled loops of the contact line.  A field `signed` holds the pressure in contact and minus the gap, as the
+pressure E' g/a, outside; `around` are the values about one pair of neighbours, a contact pixel and an open one:
+
+    around[0 … 3]    along the pair, outward: the pixel before the contact pixel, the pair, the pixel after the open one
+    around[4 … 7]    left and right of the contact pixel, left and right of the open one
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+_jit = numba.njit(nogil=True, cache=True, error_model="numpy")
+
+OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
+FARTHEST = 5.0
+"""Most by which the ratio of two neighbouring pressures, or of two gaps, is taken to differ from that at a straight edge
+of an unbounded contact: where contacts or openings are about one pixel wide, the ratio says little.  Of 2, 3, 5, 10 and
+30 the one with the smallest error on exact waves from .5 pixel wide contacts to .5 pixel wide openings:
+`tools/contact_line.py limit`."""
+_ROUNDS = 8
+
+
+@_jit
+def _distance(value, scale):
+    """Roughly linear in the distance to the edge on both sides: p² inside, −(¾E'g/a)^(2/3) outside."""
+    if value > 0:
+        return (value / scale) ** 2
+    return -np.cbrt((0.75 * value / scale) ** 2)
+
+
+@_jit
+def describe(around, ratio):
+    """(share of the pressure in p + E'g/a at the pair, angle between the pair and the apparent normal, 0 … π/2).
+
+    ratio: spacing across the pair over that along it.
+    """
+    scale = around[1] - around[2]
+    left = _distance(around[4], scale) + _distance(around[6], scale)
+    right = _distance(around[5], scale) + _distance(around[7], scale)
+    middle = _distance(around[1], scale) - _distance(around[2], scale)
+    along = middle
+    for i in range(4, 6):
+        along += _distance(around[i], scale) - _distance(around[i + 2], scale)
+    across = abs(right - left) / (4 * ratio)
+    return around[1] / scale, math.atan2(across, max(along / 3, 1e-9))
+
+
+@_jit
+def describe_all(around, ratio, share, angle):
+    """`describe` of each row of `around` (count, 8)."""
+    for i in range(len(around)):
+        share[i], angle[i] = describe(around[i], ratio)
+
+
+@_jit
+def _look(table, share, angle, which):
+    """Bilinear interpolation in table (angles, shares, quantities), even in angle from 0 to π/2, share from 0 to 1."""
+    y = min(angle * (2 / math.pi), 1.0) * (table.shape[0] - 1)
+    x = min(share, 1.0) * (table.shape[1] - 1)
+    j, i = min(int(y), table.shape[0] - 2), min(int(x), table.shape[1] - 2)
+    y, x = y - j, x - i
+    low = table[j, i, which] * (1 - x) + table[j, i + 1, which] * x
+    high = table[j + 1, i, which] * (1 - x) + table[j + 1, i + 1, which] * x
+    return low * (1 - y) + high * y
+
+
+@_jit
+def locate(around, ratio, table):
+    """(area between the line and the middle of the pair, in pixels; |cosine| of the line's normal to the pair).
+
+    Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for α = β = 0.
+    g/p at the pair is first reduced to this case: times (p₂/p)^a (g₂/g)^b, each ratio relative to its value at α = β = 0,
+    with a and b such that the terms of first and second order cancel.
+    """
+    plain, angle = describe(around, ratio)
+    pressure, gap = around[1], -around[2]
+    share = plain
+    for _ in range(_ROUNDS):
+        t = min(max(_look(table, share, angle, PLACE), -0.2), 1.0)
+        inner = min(max(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure, 1 / FARTHEST), FARTHEST)
+        outer = min(max(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300), 1 / FARTHEST), FARTHEST)
+        first = 0.6 + 0.4 * t
+        b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
+        a = first + 0.6 * b
+        before, share = share, pressure / (pressure + gap * inner**a * outer**b)
+        if abs(share - before) < 1e-4:
+            break
+    return _look(table, share, angle, OFFSET), _look(table, share, angle, COSINE)
+
+
+@_jit
+def _signed(pressure, gap, halo, i, j, scale):
+    """`signed` at row i, column j of a slab with two more rows before and after it: halo = (pressure, gap) of them."""
+    rows, columns = pressure.shape
+    if j < 0:
+        j += columns
+    elif j >= columns:
+        j -= columns
+    if i < 0 or i >= rows:
+        k = i + 2 if i < 0 else i - rows + 2
+        p, g = halo[0, k, j], halo[1, k, j]
+    else:
+        p, g = pressure[i, j], gap[i, j]
+    return p if p > 0 else -scale * max(g, 0.0)
+
+
+@_jit
+def line_of_pixel(fields, i, j, scales, ratios, tables, around):
+    """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, length along the rows in
+    spacings along a column, length along the columns in spacings along a row, corners).
+
+    corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
+    over a patch is the number of its outer outlines less that of its holes.
+    """
+    pressure, gap, halo = fields
+    area = corners = 0.0
+    length_x = length_y = 0.0
+    for axis in range(2):
+        scale = scales[axis]
+        for sign in (-1, 1):
+            di, dj = (sign, 0) if axis == 0 else (0, sign)
+            if _signed(pressure, gap, halo, i + di, j + dj, scale) > 0:
+                continue
+            for k in range(4):
+                around[k] = _signed(pressure, gap, halo, i + (k - 1) * di, j + (k - 1) * dj, scale)
+            for k in range(2):
+                around[4 + 2 * k] = _signed(pressure, gap, halo, i + k * di - dj, j + k * dj - di, scale)
+                around[5 + 2 * k] = _signed(pressure, gap, halo, i + k * di + dj, j + k * dj + di, scale)
+            offset, cosine = locate(around, ratios[axis], tables[axis])
+            area += offset
+            if axis == 0:
+                length_x += cosine
+            else:
+                length_y += cosine
+    for di in (-1, 1):
+        one = _signed(pressure, gap, halo, i + di, j, 1.0) > 0
+        for dj in (-1, 1):
+            other = _signed(pressure, gap, halo, i, j + dj, 1.0) > 0
+            if one == other and not _signed(pressure, gap, halo, i + di, j + dj, 1.0) > 0:
+                corners += -0.25 if one else 0.25
+    return area, length_x, length_y, corners
+
+
+@_jit
+def add_line(fields, scales, ratios, tables, first, stop):
+    """Sums of `line_of_pixel` over the contact pixels of rows first … stop−1."""
+    around = np.empty(8)
+    total = np.zeros(4)
+    pressure = fields[0]
+    for i in range(first, stop):
+        for j in range(pressure.shape[1]):
+            if pressure[i, j] > 0:
+                area, length_x, length_y, corners = line_of_pixel(fields, i, j, scales, ratios, tables, around)
+                total[0] += area
+                total[1] += length_x
+                total[2] += length_y
+                total[3] += corners
+    return total
+
+
+@_jit
+def add_lines_of_patches(fields, scales, ratios, tables, runs, first, fragment, patch, total):
+    """Add `line_of_pixel` to total[p] for the pixels of each local patch p.  Runs as in `patches.run_length`."""
+    around = np.empty(8)
+    for i in range(1, len(first) - 1):
+        for k in range(first[i], first[i + 1]):
+            p = patch[fragment[k]]
+            for j in range(runs[k, 0], runs[k, 1]):
+                area, length_x, length_y, corners = line_of_pixel(fields, i - 1, j, scales, ratios, tables, around)
+                total[p, 0] += area
+                total[p, 1] += length_x
+                total[p, 2] += length_y
+                total[p, 3] += corners

@@ -1,0 +1,79 @@
+"""Area and perimeter of a contact from the line between its pixels.
+
+The line is not drawn: each pair of neighbouring pixels of which one is in contact gives, from the exact solution of the
+straight edge on the grid (`theory.lattice_edge`), the place t at which the line crosses it and the angle θ to the
+line's normal.  Then
+
+    area = pixels + Σ (t − ½) cos²θ + b χ,    perimeter = Σ cos θ (spacing across the pair) − χ ∮ δ dθ,
+
+cos²θ sharing the area between crossings of rows and of columns.  This is exact for straight lines.  Along a curved line
+the sums err by a constant times its turning; χ, the number of patches less that of their holes, is the total turning
+over 2π, and b = π(ax² + ay²)/32 + ½ ∮ δ² dθ: cosine-weighted chords of a circle, and the pairs, which lie about the line
+at the distance δ outside, counted there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_line.kernels import add_line, add_lines_of_patches
+from pgfmd.observables.contact_line.table import EdgeTable, edge_table
+from pgfmd.observables.patches.labelling import Labels
+
+SMOOTH = 2.0 * (1 + 1e-9)
+"""Grid points to the shortest wave of a surface, above which a contact line is found.  Where roughness goes down to the
+pixel there is none."""
+
+
+@dataclass(frozen=True)
+class ContactLine:
+    """The line of a contact.  `fields`: pressure and gap (nx_local, ny) and the two rows of each before and after."""
+
+    grid: SlabGrid
+    fields: tuple[np.ndarray, np.ndarray, np.ndarray]
+    scales: np.ndarray  # (2,) E' over the spacings: gap to pressure
+    tables: tuple[EdgeTable, EdgeTable]  # for pairs along x, along y
+
+    @property
+    def _arguments(self):
+        (ax, ay), values = self.grid.spacing, tuple(table.values for table in self.tables)
+        return self.fields, self.scales, np.array([ay / ax, ax / ay]), values
+
+    def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(area beyond that of the pixels, perimeter) from sums (…, 4) of `kernels.line_of_pixel`."""
+        ax, ay = self.grid.spacing
+        offset, length_x, length_y, corners = np.moveaxis(sums, -1, 0)
+        table = self.tables[0]
+        curved = math.pi / 32 * (ax**2 + ay**2) + table.square * ax**2 / 2
+        return offset * (ax * ay) + curved * corners, length_x * ay + length_y * ax - table.shift * ax * corners
+
+    def total(self) -> tuple[float, float]:
+        """Area beyond that of the pixels, and perimeter.  Collective."""
+        parts = self.grid.threads.collect(lambda a, b: add_line(*self._arguments, a, b), self.grid.local_shape[0])
+        area, perimeter = self._finish(self.grid.reduction.sums(*np.sum(parts, axis=0)))
+        return float(area), float(perimeter)
+
+    def of_patches(self, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
+        """The same of each patch that this rank keeps.  Collective."""
+        sums = np.zeros((labels.kept + len(labels.foreign), 4))
+        add_lines_of_patches(*self._arguments, labels.runs, labels.first, labels.fragment, labels.patch, sums)
+        np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
+        return self._finish(sums[: labels.kept])
+
+
+def contact_line(grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, contact_modulus: float) -> ContactLine:
+    """The line of a hard contact with this pressure and gap (nx_local, ny).  Collective."""
+    first, stop = grid.rows.start, grid.rows.stop
+    halo = np.array(
+        [
+            np.concatenate([grid.fetch(field, first - 2, first), grid.fetch(field, stop, stop + 2)])
+            for field in (pressure, gap)
+        ]
+    )
+    ax, ay = grid.spacing
+    scales = contact_modulus / np.array([ax, ay])
+    return ContactLine(grid, (pressure, gap, halo), scales, (edge_table(ay / ax), edge_table(ax / ay)))
