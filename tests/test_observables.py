@@ -14,6 +14,7 @@ from mpi4py import MPI
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io import schema
+from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics import kernels, spectra
@@ -256,23 +257,25 @@ def test_memory(comm):
 
 @CASES
 def test_area_counts_pixels_and_edges(comm, shape, lengths):
-    """f_c, the edges along both axes with the wrap, and the correction, against NumPy; S_d is the patches' sum."""
+    """f_c and the edges along both axes with the wrap, against NumPy; S_d is the patches' sum.  Without a contact line
+    nothing is corrected.
+    """
     pressure = fields(shape)[1]
     grid = SlabGrid(comm, shape, lengths)
-    area, mask = contact_area(grid, pressure[grid.rows].copy()), pressure > 0
+    area, mask = contact_area(grid, pressure[grid.rows].copy(), None), pressure > 0
     edges = [np.count_nonzero(mask != np.roll(mask, 1, axis)) for axis in (0, 1)]
     assert (area.pixels, area.edges_x, area.edges_y) == (mask.sum(), *edges)
-    assert area.corrected == pytest.approx(mask.mean() - 0.118114 * sum(edges) / mask.size, abs=1e-6 * sum(edges))
+    assert area.corrected == area.fraction == mask.mean() and area.perimeter == area.edge_length
     perimeters = observe(comm, shape, lengths, ("patches",))["patches"]["perimeter"]
-    assert perimeters.sum() == pytest.approx(area.perimeter, rel=1e-14)
+    assert perimeters.sum() == pytest.approx(area.edge_length, rel=1e-14)
 
 
 def test_edges_of_a_disc(comm):
     """The pixel edges of a convex patch have the length of the box around it, 8 r for a disc, to a spacing a side."""
     grid = SlabGrid(comm, (200, 200), (1.0, 1.0))
     x, y = coordinates(grid)
-    area = contact_area(grid, np.maximum(0.3**2 - (x - 0.5) ** 2 - (y - 0.5) ** 2, 0.0))
-    assert area.perimeter == pytest.approx(8 * 0.3, abs=8 / 200)
+    area = contact_area(grid, np.maximum(0.3**2 - (x - 0.5) ** 2 - (y - 0.5) ** 2, 0.0), None)
+    assert area.edge_length == pytest.approx(8 * 0.3, abs=8 / 200)
 
 
 def test_row(comm):
@@ -411,7 +414,7 @@ def test_lowpass_removes_short_waves(comm):
 def test_area_of_the_low_passed_surface(comm):
     """f(q) of a 2-D sinusoid with a ripple that q leaves out is the sinusoid's own: A = 0.1905 at f = 0.1, to 0.003.
 
-    That is the corrected area; the raw one is larger by the staircase.
+    That is the area inside the contact line; that of the pixels is larger.
     """
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     heights = sinusoid(grid, 0.01, (1, 1)) + sinusoid(grid, 0.001, (40, 40))
@@ -435,9 +438,10 @@ def test_area_of_the_low_passed_surface(comm):
 
 
 def test_area_is_that_of_the_finest_grid(comm):
-    """f(q) from coarse grids agrees with the same low-passed surfaces solved on the full grid, corrected, to 2 %.
+    """f(q) from coarse grids agrees with the same low-passed surfaces solved on the full grid, inside their
+    contact lines, to .5 %.
 
-    8 points per wave err by 0.8 % for a spectrum that ends there, 16 by 0.6 %.
+    8 points per wave err by up to .2 % for a spectrum that ends there, a few patches by more.
     """
     grid, solid = SlabGrid(comm, (256, 256)), Elasticity(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
@@ -446,8 +450,10 @@ def test_area_is_that_of_the_finest_grid(comm):
     solution = solve_hard_wall(problem, 1e-4)
     found = observer.groups(observer.contact(solution))["lowpass_area"]
     for q, area in zip(found["q"], found["area_corrected"], strict=True):
-        direct = solve_hard_wall(problem.on(grid, lowpass(grid, heights, q)), 1e-6)
-        assert area == pytest.approx(contact_area(grid, direct.pressure).corrected, rel=0.02)
+        smooth = problem.on(grid, lowpass(grid, heights, q))
+        direct = solve_hard_wall(smooth, 1e-6)
+        line = line_of(smooth, direct, q)
+        assert area == pytest.approx(contact_area(grid, direct.pressure, line).corrected, rel=0.005)
     assert np.all(np.diff(found["area_corrected"]) < 0)
 
 

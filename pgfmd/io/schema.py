@@ -35,7 +35,9 @@ Groups = Mapping[str, Mapping[str, np.ndarray]]
 LOADS = {
     "mean_pressure": ("{pressure}", "mean pressure p̄"),
     "contact_area": ("1", "relative contact area f_c: fraction of grid points with pressure > 0"),
-    "contact_area_corrected": ("1", "f_c without the pixel staircase, doi:10.1016/j.triboint.2017.04.023"),
+    "contact_area_corrected": ("1", "relative area inside the contact line between pixels; f_c if there is no line"),
+    "contact_perimeter": ("1/({length})", "length of the contact line, or of the pixels' edges, per area of the cell"),
+    "contact_line": ("1", "1: there is a contact line; 0: none, as roughness goes down to the pixel or all is touched"),
     "kappa": ("1", "f_c E' g_rms / p̄"),
     "mean_gap": ("{length}", "mean gap"),
     "elastic_energy": ("{pressure}*{length}", "elastic energy per area of the cell"),

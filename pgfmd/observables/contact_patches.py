@@ -28,6 +28,10 @@ LOADS = {
     "mean_pressure": Dataset("{pressure}", "mean pressure", PATCH),
     "peak_pressure": Dataset("{pressure}", "peak pressure", PATCH),
 }
+LINES = {
+    "area_corrected": Dataset("{length}^2", "area inside the contact line between the pixels", PATCH),
+    "perimeter_corrected": Dataset("{length}", "length of the contact line", PATCH),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +40,7 @@ class ContactPatches(Observable):
 
     name = "patches"
     where = "output.patches"
-    layout = {"patches": {**SHAPES, **LOADS}}
+    layout = {"patches": {**SHAPES, **LOADS, **LINES}}
 
     connectivity: int = key(choice(8, 4), 8, "8: points are neighbours over edges and corners; 4: over edges")
 

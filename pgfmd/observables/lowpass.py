@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact
 
 POINTS_PER_WAVE = 8
-"""Grid points to the shortest wavelength that is left.  With the staircase correction the area is then within 1 % of
-that of an infinitely fine grid."""
+"""Grid points to the shortest wavelength that is left.  The area inside the contact line is then within .2 % of that
+of an infinitely fine grid."""
 FEWEST_POINTS = 4
-"""The same where more would take the full grid; the area is then within 2 %."""
+"""The same where more would take the full grid; the area is then within 1 %."""
 TOLERANCE = 1e-4
 """Certified error of the contacts that are solved: their area has converged to a few parts in 1e4."""
 TRANSFORMS = 30
@@ -42,7 +42,7 @@ class Lowpass(Observable):
         "lowpass_area": {
             "q": Dataset("1/({length})", "cut-off wave number, radians per length", ("q",)),
             "area": Dataset("1", "relative contact area f_c of the surface without modes beyond q", ("q",)),
-            "area_corrected": Dataset("1", "f_c without the pixel staircase, as contact_area_corrected", ("q",)),
+            "area_corrected": Dataset("1", "f_c inside the contact line, as contact_area_corrected", ("q",)),
         }
     }
 

@@ -65,6 +65,8 @@ class Observer:
             "mean_pressure": load,
             "contact_area": area.fraction,
             "contact_area_corrected": area.corrected,
+            "contact_perimeter": area.perimeter / math.prod(self.problem.grid.lengths),
+            "contact_line": float(contact.line is not None),
             "kappa": area.fraction * modulus * self.surface.rms_slope / load if load > 0 else math.nan,
             "mean_gap": solution.mean_gap,
             "elastic_energy": solution.elastic_energy,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +12,10 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
 from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings
+
+BROAD = 2.5
+"""Highest wave number over √(Σ q⁴|h̃|² / Σ q²|h̃|²), which is 1 for a sinusoid, and √((4−2H)/(2−2H)) for broad
+self-affine spectra: 1.6 for H = .3, 2.4 for H = .8."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +48,17 @@ class RoughSurface:
         return correlate(self.grid, fill, self.modes, self.lags, watch)
 
     @cached_property
-    def _measured(self) -> tuple[Correlations, float]:
+    def _measured(self) -> tuple[Correlations, float, float]:
         parts, grid = {}, self.grid
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
-            parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * grid.q_squared(first, stop) * power))
+            squared = grid.q_squared(first, stop)
+            weighted = grid.hermitian_weight[first:stop] * squared * power
+            parts[first] = float(np.sum(weighted)), float(np.einsum("ij,ij->", weighted, squared))
 
         found = self.correlate(source(self.heights), watch)
-        return found, math.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)])) / grid.size
+        moments = grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))
+        return found, *(np.sqrt(moments) / grid.size)
 
     @property
     def correlations(self) -> Correlations:
@@ -62,7 +68,14 @@ class RoughSurface:
     @property
     def rms_slope(self) -> float:
         """√Σ q²|h̃|²."""
-        return self._measured[1]
+        return float(self._measured[1])
+
+    @property
+    def highest(self) -> float:
+        """The cutoff; where none is known, BROAD times the rms curvature over the rms slope."""
+        if self.cutoff is not None:
+            return self.cutoff
+        return BROAD * float(self._measured[2]) / self.rms_slope if self.rms_slope else 0.0
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_line.line import ContactLine, line_of
 from pgfmd.observables.patches.labelling import Labels, label_patches
 from pgfmd.observables.patches.table import patch_table
 from pgfmd.observables.rough_surface import RoughSurface
@@ -44,8 +45,13 @@ class SolvedContact:
 
     @cached_property
     def area(self) -> Area:
-        """Contact area, raw and corrected."""
-        return contact_area(self.grid, self.solution.pressure)
+        """Contact area, of the pixels and inside the line."""
+        return contact_area(self.grid, self.solution.pressure, self.line)
+
+    @cached_property
+    def line(self) -> ContactLine | None:
+        """The contact line, if there is one."""
+        return line_of(self.problem, self.solution, self.surface.highest)
 
     @cached_property
     def stress(self) -> Correlations:
@@ -89,7 +95,8 @@ class SolvedContact:
 
     def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
         """The table of patches on rank 0, empty elsewhere."""
-        table = patch_table(labels, self.grid.spacing, pressure)
+        line = None if pressure is None or self.line is None else self.line.of_patches(labels)
+        table = patch_table(labels, self.grid.spacing, pressure, line)
         return {} if table is None else {name: column for name, column in vars(table).items() if column is not None}
 
     def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:

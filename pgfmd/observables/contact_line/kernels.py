@@ -16,10 +16,9 @@ _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
 FARTHEST = 5.0
-"""Most by which the ratio of two neighbouring pressures, or of two gaps, is taken to differ from that at a straight edge
-of an unbounded contact: where contacts or openings are about one pixel wide, the ratio says little.  Of 2, 3, 5, 10 and
-30 the one with the smallest error on exact waves from .5 pixel wide contacts to .5 pixel wide openings:
-`tools/contact_line.py limit`."""
+"""Most by which the ratio of two neighbouring pressures, or of two gaps, is taken to differ from that at a straight
+edge of an unbounded contact: where contacts or openings are about one pixel wide, the ratio says little.  Of 2, 3, 5,
+10 and 30 the one with the smallest error on exact waves: `tools/contact_line.py limit`."""
 _ROUNDS = 8
 
 
@@ -68,20 +67,25 @@ def _look(table, share, angle, which):
 
 
 @_jit
+def _bounded(ratio):
+    return min(max(ratio, 1 / FARTHEST), FARTHEST)
+
+
+@_jit
 def locate(around, ratio, table):
     """(area between the line and the middle of the pair, in pixels; |cosine| of the line's normal to the pair).
 
-    Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for α = β = 0.
-    g/p at the pair is first reduced to this case: times (p₂/p)^a (g₂/g)^b, each ratio relative to its value at α = β = 0,
-    with a and b such that the terms of first and second order cancel.
+    Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for
+    α = β = 0.  g/p at the pair is first reduced to this case: times (p₂/p)^a (g₂/g)^b, each ratio relative to its value
+    at α = β = 0, with a and b such that the terms of first and second order cancel.
     """
     plain, angle = describe(around, ratio)
     pressure, gap = around[1], -around[2]
     share = plain
     for _ in range(_ROUNDS):
         t = min(max(_look(table, share, angle, PLACE), -0.2), 1.0)
-        inner = min(max(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure, 1 / FARTHEST), FARTHEST)
-        outer = min(max(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300), 1 / FARTHEST), FARTHEST)
+        inner = _bounded(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure)
+        outer = _bounded(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300))
         first = 0.6 + 0.4 * t
         b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
         a = first + 0.6 * b

@@ -6,10 +6,10 @@ line's normal.  Then
 
     area = pixels + Σ (t − ½) cos²θ + b χ,    perimeter = Σ cos θ (spacing across the pair) − χ ∮ δ dθ,
 
-cos²θ sharing the area between crossings of rows and of columns.  This is exact for straight lines.  Along a curved line
-the sums err by a constant times its turning; χ, the number of patches less that of their holes, is the total turning
-over 2π, and b = π(ax² + ay²)/32 + ½ ∮ δ² dθ: cosine-weighted chords of a circle, and the pairs, which lie about the line
-at the distance δ outside, counted there.
+cos²θ sharing the area between crossings of rows and of columns.  This is exact for straight lines.  Along a curved
+line the sums err by a constant times its turning; χ, the number of patches less that of their holes, is the total
+turning over 2π.  In a circle the pairs lie about the line at the distance δ outside, so that Σ cos θ measures that
+line, and the sum of the areas is short by b = π(ax² + ay²)/32 + ½ ∮ δ² dθ.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_line.kernels import add_line, add_lines_of_patches
 from pgfmd.observables.contact_line.table import EdgeTable, edge_table
 from pgfmd.observables.patches.labelling import Labels
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.solution import ContactSolution
 
 SMOOTH = 2.0 * (1 + 1e-9)
-"""Grid points to the shortest wave of a surface, above which a contact line is found.  Where roughness goes down to the
+"""Grid points to the shortest wave of a surface above which a contact has a line.  Where roughness goes down to the
 pixel there is none."""
 
 
@@ -63,6 +65,17 @@ class ContactLine:
         add_lines_of_patches(*self._arguments, labels.runs, labels.first, labels.fragment, labels.patch, sums)
         np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
         return self._finish(sums[: labels.kept])
+
+
+def line_of(problem: ContactProblem, solution: ContactSolution, highest: float) -> ContactLine | None:
+    """The line of a contact on a surface without modes beyond the wave number `highest`.  Collective.
+
+    None where roughness goes down to the pixel, and under a law by which everything touches.
+    """
+    grid = problem.grid
+    if not problem.law.releases or 2 * math.pi <= SMOOTH * max(grid.spacing) * highest:
+        return None
+    return contact_line(grid, solution.pressure, solution.gap, problem.solid.contact_modulus)
 
 
 def contact_line(grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, contact_modulus: float) -> ContactLine:

@@ -25,9 +25,9 @@ class EdgeTable:
     """For pairs of pixels along one axis.
 
     values: (POINTS, POINTS, 5), over the apparent angle from 0 to π/2 and the share p/(p + E'g/a) from 0 to 1, see
-    `kernels.describe`: area (t − ½) cos²θ between the line and the middle of the pair in pixels, t the place of the line
-    from the contact pixel on in spacings; cos θ, θ between the pair and the normal; t; p/p₂ and g/g₂, p₂ and g₂ one pixel
-    farther in and out
+    `kernels.describe`: area (t − ½) cos²θ between the line and the middle of the pair in pixels, t the place of the
+    line from the contact pixel on in spacings; cos θ, θ between the pair and the normal; t; p/p₂ and g/g₂, p₂ and g₂
+    one pixel farther in and out
     shift, square: ∮ δ dθ and ∮ δ² dθ, δ as in `theory.lattice_edge`
     """
 

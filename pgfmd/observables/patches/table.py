@@ -33,12 +33,20 @@ class PatchTable:
     extent_y: np.ndarray
     percolates_x: np.ndarray  # bool: see `patch_table`
     percolates_y: np.ndarray
+    area_corrected: np.ndarray | None  # inside the contact line; None without one
+    perimeter_corrected: np.ndarray | None  # length of the contact line
 
 
-def patch_table(labels: Labels, spacing: tuple[float, float], pressure: np.ndarray | None = None) -> PatchTable | None:
+def patch_table(
+    labels: Labels,
+    spacing: tuple[float, float],
+    pressure: np.ndarray | None = None,
+    line: tuple[np.ndarray, np.ndarray] | None = None,
+) -> PatchTable | None:
     """Measure all patches; the table on rank 0, None on the others.  Collective.
 
     `pressure`: (rows, columns) float32 or float64, the slab of this rank; `spacing` = (ax, ay).
+    `line`: area beyond that of the pixels and length of the contact line of each patch that this rank keeps.
 
     A patch percolates in x if, followed from pixel to pixel over the edges of the cell, it arrives at a periodic image
     of itself that is displaced along x (whatever the displacement along y), that is if the unrolled patch has no end
@@ -56,6 +64,8 @@ def patch_table(labels: Labels, spacing: tuple[float, float], pressure: np.ndarr
         total, peak = _pressures(labels, pressure)
         load = total * (spacing[0] * spacing[1])
         columns |= {"load": load, "mean_pressure": load / columns["area"], "peak_pressure": peak}
+    beyond, length = (None, None) if line is None else line
+    columns |= {"area_corrected": None if beyond is None else columns["area"] + beyond, "perimeter_corrected": length}
     gathered = {field.name: _gather(labels, columns.pop(field.name)) for field in fields(PatchTable)}
     return PatchTable(**gathered) if labels.comm.rank == 0 else None
 

@@ -9,6 +9,7 @@ import numpy as np
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import restrict
+from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
@@ -20,7 +21,7 @@ Solve = Callable[..., ContactSolution]
 def lowpass_areas(
     problem: ContactProblem, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
 ) -> np.ndarray:
-    """Relative contact area, raw and corrected for the staircase, without modes |q| > each cutoff: (cutoffs, 2).
+    """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2).
     Collective.
 
     cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per
@@ -41,8 +42,9 @@ def lowpass_areas(
                 fine.free()
             fine = coarse
         for index in indices:
-            solution = solve(problem.on(coarse, lowpass(coarse, heights, cutoffs[index][1])), start=before)
-            area = contact_area(coarse, solution.pressure)
+            smooth = problem.on(coarse, lowpass(coarse, heights, cutoffs[index][1]))
+            solution = solve(smooth, start=before)
+            area = contact_area(coarse, solution.pressure, line_of(smooth, solution, cutoffs[index][1]))
             areas[index] = area.fraction, area.corrected
             before = solution.pressure if factor > 1 else before
     if fine is not grid:

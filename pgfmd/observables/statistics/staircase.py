@@ -1,18 +1,14 @@
-"""The contact area, raw and corrected for the staircase that pixels make of its edge."""
+"""The contact area, by counting pixels and from the line between them."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_line.line import ContactLine
 from pgfmd.observables.statistics.kernels import count_edges
-
-STAIRCASE = (math.pi - 1 + math.log(2)) / 24
-"""Area per pixel edge, in pixels, by which counting pixels errs on average: Yastrebov, Anciaux, Molinari (2017),
-doi:10.1016/j.triboint.2017.04.023."""
 
 
 @dataclass(frozen=True)
@@ -23,20 +19,18 @@ class Area:
     edges_x: int  # between contact and non-contact pixels that are neighbours along x
     edges_y: int
     fraction: float  # relative contact area f_c
-    corrected: float  # f_c without the staircase
-    perimeter: float  # S_d, length of all these edges
+    edge_length: float  # S_d, length of all these edges
+    corrected: float  # f_c inside the contact line; `fraction` where there is none
+    perimeter: float  # length of the contact line; `edge_length` where there is none
 
 
-def contact_area(grid: SlabGrid, pressure: np.ndarray) -> Area:
-    """Count contact pixels of a slab (nx_local, ny) and the edges around them.  Collective.
-
-    The correction is A = A_num − STAIRCASE S_d a.  Where ax ≠ ay each edge counts with the pixel area, its length times
-    the spacing across it: then the relative area is unchanged by stretching the cell.
-    """
+def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None) -> Area:
+    """Count contact pixels of a slab (nx_local, ny) and the edges around them, and measure the line.  Collective."""
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
     parts = grid.threads.collect(lambda a, b: count_edges(pressure, above, a, b), grid.local_shape[0])
     pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
     ax, ay = grid.spacing
-    fraction = pixels / grid.size
-    corrected = fraction - STAIRCASE * (edges_x + edges_y) / grid.size
-    return Area(pixels, edges_x, edges_y, fraction, corrected, edges_x * ay + edges_y * ax)
+    fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
+    beyond, perimeter = (0.0, edge_length) if line is None else line.total()
+    corrected = fraction + beyond / (grid.size * grid.pixel_area)
+    return Area(pixels, edges_x, edges_y, fraction, edge_length, corrected, perimeter)
