@@ -38,7 +38,7 @@ def measure(grid, pressure, gap, modulus=1.0):
 
 
 def shift_by_quadrature(angle, spacing):
-    """δ = (1/π) ∫_0^∞ log(t/|fold(t n)|) dt/t² over t = 1/s: the other form of `LatticeEdge.shift`, in any direction."""
+    """δ = (1/π) ∫_0^∞ log(t/|fold(t n)|) dt/t² over t = 1/s: the other form of `LatticeEdge.shift`, any direction."""
     s = (np.arange(400_000) + 0.5) / 400_000 * 1.05 * max(spacing) / np.pi
     q = [np.array(component / s) for component in (math.cos(angle), math.sin(angle))]
     folded = [
@@ -112,7 +112,7 @@ def test_straight_edges(comm, direction):
     x, y = coordinates(grid)
     length, errors = 2 * n * n * waves, []
     for fraction in (0.3, 0.5, 0.7):
-        for phase in rng.random(3):
+        for phase in rng.random(2):
             heights = np.cos(2 * np.pi * (direction[0] * x / n + direction[1] * y / n + phase))
             pressure, gap = solve(grid, heights, fraction * math.pi * waves)
             area, perimeter = measure(grid, pressure, gap)
