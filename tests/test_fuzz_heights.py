@@ -61,6 +61,10 @@ def originals(folder) -> list:
     np.save(paths[2], heights.astype(np.float32))
     with h5py.File(paths[3], "w") as file:
         file["heights"] = heights
+    paths += [folder / "a.txt", folder / "a.csv", folder / "a.xyz"]
+    np.savetxt(paths[5], heights, fmt="%.6g")
+    np.savetxt(paths[6], heights, fmt="%.6g", delimiter=";")
+    np.savetxt(paths[7], [[i, j, heights[i, j]] for i, j in np.ndindex(SHAPE)], fmt="%.6g")
     with h5py.File(paths[4], "w", libver="latest") as file:
         file.create_dataset("x/y", data=heights, chunks=(5, 5), compression="gzip", shuffle=True, fletcher32=True)
     return paths
@@ -118,7 +122,7 @@ def odd_npy(folder):
         "records": (np.zeros(SHAPE, [("a", float)]), "real numbers"),
         "scalar": (np.float64(3), "shape ()"),
         "flat": (np.ones(120), "shape (120,)"),
-        "turned": (np.ones(SHAPE[::-1]), "shape (10, 12)"),
+        "turned": (np.ones(SHAPE[::-1]), "holds 10 x 12 points"),
         "deep": (np.ones((*SHAPE, 1)), "shape (12, 10, 1)"),
         "empty": (np.ones((0, 10)), "shape (0, 10)"),
         "nan": (np.full(SHAPE, np.nan), "[0, 0] is nan"),
@@ -138,7 +142,7 @@ def odd_hdf5(folder):
         "strings": (lambda file: file.create_dataset("height", SHAPE, h5py.string_dtype()), "real numbers"),
         "records": (lambda file: file.create_dataset("height", SHAPE, [("a", float)]), "real numbers"),
         "null": (lambda file: file.create_dataset("height", data=h5py.Empty(float)), "say which dataset"),
-        "shape": (lambda file: file.create_dataset("height", (3, 3), float), "shape (3, 3)"),
+        "shape": (lambda file: file.create_dataset("height", (3, 3), float), "holds 3 x 3 points"),
         "elsewhere": (lambda file: file.update({"height": h5py.ExternalLink("none.h5", "x")}), "found: none"),
         "loop": (lambda file: file.update({"height": h5py.SoftLink("/height")}), "found: none"),
         "virtual": (_virtual, ""),

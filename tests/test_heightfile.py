@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
+import logging
+import re
 import sys
+from functools import partial
 
 import h5py
 import numpy as np
 import pytest
 from conftest import ROOT
+from mpi4py import MPI
 
 from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.job import job
+from pgfmd.simulate import simulate
 from pgfmd.surfaces import measurement
 from pgfmd.surfaces.file import FromFile
+from pgfmd.surfaces.sinusoid import Sinusoid
 
 pytestmark = pytest.mark.mpi
 
@@ -99,11 +108,11 @@ def test_taper(comm, shared_tmp_path, tilted):
 
 
 def test_mirror_images_need_twice_the_points(comm, shared_tmp_path, tilted):
-    """Odd grids cannot be halved; the shape that the file should have is said."""
+    """Odd grids cannot be halved, by a job neither; what the file holds is said."""
     path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, tilted))
     with pytest.raises(InputError, match="11 x 24 points cannot be halved"):
         read_heights(SlabGrid(comm, SHAPE), path, periodic="mirror")
-    with pytest.raises(InputError, match="mirror images of 12 x 24"):
+    with pytest.raises(InputError, match="holds 22 x 48 points, with its mirror images, the grid has 24 x 48"):
         read_heights(SlabGrid(comm, (24, 48)), path, periodic="mirror")
 
 
@@ -114,6 +123,208 @@ def test_text_is_what_npy_is(comm, shared_tmp_path, tilted):
     path = saved(comm, shared_tmp_path, "a.txt", lambda path: np.savetxt(path, tilted))
     grid = SlabGrid(comm, SHAPE, (1.0, 2.0))
     assert np.array_equal(whole(grid, read_heights(grid, path, length_unit="length")), tilted)
+
+
+def made(path, heights, **attributes):
+    """A file of heights by its suffix; attributes for HDF5."""
+    if path.suffix == ".npy":
+        np.save(path, heights)
+    elif path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            file["other"], file["heights"] = np.ones((3, 3)), heights
+            file["heights"].attrs.update(attributes)
+    elif path.suffix == ".xyz":
+        x, y = np.indices(heights.shape)
+        points = np.stack([x, y, heights], axis=2)[~np.isnan(heights)]
+        np.savetxt(path, np.random.default_rng(1).permutation(points), delimiter=",")
+    else:
+        np.savetxt(path, heights)
+
+
+@pytest.mark.parametrize("periodic", ["as-is", "mirror"])
+@pytest.mark.parametrize("suffix", ["npy", "h5", "txt", "xyz"])
+def test_first_axis(comm, shared_tmp_path, tilted, suffix, periodic):
+    """first_axis = "y" is the transposed array, bit for bit, whatever the format; the other shape is hinted at."""
+    path = saved(comm, shared_tmp_path, f"a.{suffix}", lambda path: made(path, tilted))
+    expected = tilted.T if periodic == "as-is" else four_images(tilted.T)
+    grid = SlabGrid(comm, expected.shape)
+    assert np.array_equal(whole(grid, read_heights(grid, path, first_axis="y", periodic=periodic)), expected)
+    with pytest.raises(InputError, match=r"write n = \[.*\] under \[grid\] \(or first_axis"):
+        read_heights(grid, path, periodic=periodic)
+
+
+UNITS = [("m", "µm", 1e6), (b"nm", "nm", 1.0), ("micrometers", "m", 1e-6), ("step", "step", 1.0), ("length", "m", 1.0)]
+
+
+@pytest.mark.parametrize("name", ["units", "unit"])
+@pytest.mark.parametrize(("given", "wanted", "factor"), UNITS)
+def test_unit_of_a_dataset(comm, shared_tmp_path, tilted, name, given, wanted, factor):
+    """The attribute is honoured; "length", which results without a unit say, is none."""
+    path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, tilted, **{name: given}))
+    grid = SlabGrid(comm, SHAPE)
+    assert np.array_equal(whole(grid, read_heights(grid, path, wanted)), tilted * factor)
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "words"), [("µm", "length", 'write length_unit = "µm"'), ("V", "m", "is in 'V', which is none")]
+)
+def test_units_that_cannot_be_converted(comm, shared_tmp_path, tilted, given, wanted, words):
+    """Never taken as they are."""
+    path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, tilted, units=given))
+    with pytest.raises(InputError, match=words):
+        read_heights(SlabGrid(comm, SHAPE), path, wanted)
+
+
+def test_heights_of_results_come_back(comm, shared_tmp_path):
+    """fields.h5 of a run in nanometres, read by a job in metres: the same surface, to rounding of the unit."""
+    text = "[grid]\nn = 16\nlength = {}\n[surface]\n{}\n[load]\npressure = 1\n[output]\nlength_unit = '{}'\n"
+    wave = "kind = 'sinusoid'\namplitude = 3.0"
+    simulate(job.parse(text.format(100.0, wave, "nm") + "fields = ['height']"), comm, shared_tmp_path / "out")
+    back = f"kind = 'file'\npath = '{shared_tmp_path}/out/fields.h5:height'"
+    surface = job.parse(text.format(1e-7, back, "m")).surface
+    grid = SlabGrid(comm, (16, 16), (1e-7, 1e-7))
+    expected = Sinusoid(amplitude=3e-9).heights(grid)
+    assert np.allclose(surface.heights(grid, "m"), expected, rtol=0, atol=1e-14 * 3e-9)
+
+
+def test_packed_dataset(comm, shared_tmp_path):
+    """Integers with scale_factor, add_offset and _FillValue, as netCDF packs them."""
+    packed = np.arange(24, dtype=np.int16).reshape(4, 6)
+    attributes = {"scale_factor": 0.5, "add_offset": 100.0, "_FillValue": np.int16(7)}
+    path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, packed, **attributes))
+    grid = SlabGrid(comm, (4, 6))
+    with pytest.raises(InputError, match=r"\[1, 1\] is nan"):
+        read_heights(grid, path)
+    assert np.allclose(whole(grid, read_heights(grid, path, missing="interpolate")), 0.5 * packed + 100, rtol=1e-11)
+
+
+def filled(heights, spacing):
+    """NaN replaced by the solution of Laplace's equation with closed edges, by a dense solver."""
+    (nx, ny), weights = heights.shape, [1 / step**2 for step in spacing]
+    matrix, right = np.zeros((nx * ny, nx * ny)), np.zeros(nx * ny)
+    for i in range(nx):
+        for j in range(ny):
+            row = i * ny + j
+            if np.isfinite(heights[i, j]):
+                matrix[row, row], right[row] = 1, heights[i, j]
+                continue
+            for k, m, weight in ((i - 1, j, 0), (i + 1, j, 0), (i, j - 1, 1), (i, j + 1, 1)):
+                if 0 <= k < nx and 0 <= m < ny:
+                    matrix[row, row] += weights[weight]
+                    matrix[row, k * ny + m] -= weights[weight]
+    return np.linalg.solve(matrix, right).reshape(nx, ny)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "h5", "txt", "xyz"])
+@pytest.mark.parametrize("seed", range(3))
+def test_missing_points(comm, shared_tmp_path, suffix, seed):
+    """Points that were not measured, up to half of them, edges included: refused by default; on request filled with
+    what a dense solver of Laplace's equation gives, to 1e-10, on any number of ranks, mirrored or turned, before the
+    plane is taken out.
+    """
+    chance = np.random.default_rng(seed)
+    heights = chance.normal(size=SHAPE)
+    gone = chance.random(SHAPE) < (0.02, 0.3, 0.45)[seed]
+    gone[0], gone[:, 0], gone[-1, -1] = False, False, False
+    heights[gone] = np.nan
+    path = saved(comm, shared_tmp_path, f"a.{suffix}", lambda path: made(path, heights))
+    spacing = (1.0, 1.0) if suffix == "xyz" else (0.3, 1.7)
+    lengths = tuple(count * step for count, step in zip(SHAPE, spacing, strict=True))
+    expected = filled(heights, spacing)
+    grid = SlabGrid(comm, SHAPE, lengths)
+    with pytest.raises(InputError, match=r"is nan; .* missing = \"interpolate\""):
+        read_heights(grid, path)
+    found = whole(grid, read_heights(grid, path, missing="interpolate"))
+    assert np.allclose(found, expected, rtol=0, atol=1e-10)
+    assert np.array_equal(found[~gone], heights[~gone])
+    twice = SlabGrid(comm, (2 * SHAPE[0], 2 * SHAPE[1]), tuple(2 * length for length in lengths))
+    found = whole(twice, read_heights(twice, path, missing="interpolate", periodic="mirror", detrend="plane"))
+    assert np.allclose(found, four_images(without_plane(expected)), rtol=0, atol=1e-10)
+    turned = SlabGrid(comm, SHAPE[::-1], lengths[::-1])
+    found = whole(turned, read_heights(turned, path, missing="interpolate", first_axis="y"))
+    assert np.allclose(found, expected.T, rtol=0, atol=1e-10)
+
+
+def test_nothing_measured_or_not_finite(comm, shared_tmp_path):
+    """Infinite heights are no holes, and a file of holes is no surface."""
+    nothing = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, np.full(SHAPE, np.nan)))
+    with pytest.raises(InputError, match="no point was measured"):
+        read_heights(SlabGrid(comm, SHAPE), nothing, missing="interpolate")
+    endless = saved(comm, shared_tmp_path, "b.npy", lambda path: np.save(path, np.full(SHAPE, -np.inf)))
+    with pytest.raises(InputError, match=r"\[\d, 0\] is -inf; all must be finite$"):
+        read_heights(SlabGrid(comm, SHAPE), endless, missing="interpolate")
+
+
+def test_log_says_what_was_understood(comm, shared_tmp_path, tilted, caplog):
+    """Format, shape, orientation, size, unit, range; a slope that a wrong unit gives is warned of, on rank 0."""
+    caplog.set_level(logging.INFO, "pgfmd")
+    logging.getLogger("pgfmd").propagate = True
+    path = saved(comm, shared_tmp_path, "a.xyz", lambda path: made(path, tilted))
+    grid = SlabGrid(comm, SHAPE)
+    read_heights(grid, path, height_scale=1e-2)
+    words = (
+        r"text, coordinates and heights, 11 x 24 points, first axis x, 11 x 24, unit not said",
+        rf"heights {tilted.min() / 100:.6g} to {tilted.max() / 100:.6g} .*rms .*slope",
+    )
+    said = "\n".join(record.getMessage() for record in caplog.records)
+    assert all(re.search(each, said) for each in words) == (comm.rank == 0)
+    assert not any(record.levelno >= logging.WARNING for record in caplog.records)
+    for scale in (1e4, 1e-9):
+        caplog.clear()
+        read_heights(grid, path, height_scale=scale)
+        assert ("none of a rough surface" in caplog.text) == (comm.rank == 0)
+
+
+BAD = {
+    "nan.npy": np.full(SHAPE, np.nan),
+    "turned.npy": np.ones(SHAPE[::-1]),
+    "complex.npy": np.ones(SHAPE, complex),
+    "cube.h5": np.ones((2, *SHAPE)),
+    "unit.h5": np.ones(SHAPE),
+    "small.xyz": np.ones((3, 5)),
+    "hole.txt": np.diag([1, 2, 3, np.nan]),
+    "good.npy": np.ones(SHAPE),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_check_finds_what_a_run_finds(comm, shared_tmp_path, name):
+    """Without MPI, before the run, in the same words; nothing where the run finds nothing."""
+    path = saved(comm, shared_tmp_path, name, lambda path: made(path, BAD[name], units="V"))
+    surface, outcome = FromFile(path=str(path)), []
+    for attempt in (
+        lambda: surface.check_inputs(Cell(n=SHAPE), "m"),
+        lambda: surface.heights(SlabGrid(comm, SHAPE), "m"),
+    ):
+        try:
+            attempt()
+            outcome.append("")
+        except InputError as error:
+            outcome.append(str(error))
+    assert [bool(words) for words in outcome] == 2 * [name != "good.npy"]
+    assert outcome[0] == outcome[1] or comm.rank > 0  # which names the first of its own rows
+
+
+def test_fingerprint(comm, shared_tmp_path, tilted):
+    """It tells any other heights or unit, on any number of ranks alike; not other things in the file.  A text's is that
+    of its bytes.
+    """
+    chance = np.random.default_rng(4)
+    found = set()
+    for number in range(6):
+        heights = tilted.copy()
+        if number:
+            heights[chance.integers(11), chance.integers(24)] *= 1 + 2.2e-16 * number
+        path = saved(comm, shared_tmp_path, f"{number}.h5", partial(made, heights=heights, units="m"))
+        found.add(FromFile(path=f"{path}:heights").fingerprint(comm))
+        assert FromFile(path=f"{path}:heights").fingerprint(MPI.COMM_SELF) in found
+    assert len(found) == 6
+    other = saved(comm, shared_tmp_path, "same.h5", lambda path: made(path, tilted, units="m", note="new"))
+    assert FromFile(path=f"{other}:heights").fingerprint(comm) in found
+    other = saved(comm, shared_tmp_path, "unit.h5", lambda path: made(path, tilted, units="nm"))
+    assert FromFile(path=f"{other}:heights").fingerprint(comm) not in found
+    path = saved(comm, shared_tmp_path, "a.txt", lambda path: made(path, tilted))
+    assert FromFile(path=str(path)).fingerprint(comm) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_without_the_package_the_command_is_named(comm, monkeypatch):
@@ -178,7 +389,7 @@ def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, leng
     [
         (SDF.read_bytes()[:5000], "cannot be read by SurfaceTopography"),
         (b"neither heights nor anything else\n", "cannot be read by SurfaceTopography"),
-        (SDF.read_bytes()[:81] + b"\0\0\xc0\x7f" + SDF.read_bytes()[85:], "not measured"),
+        (SDF.read_bytes()[:81] + b"\0\0\xc0\x7f" + SDF.read_bytes()[85:], r"is nan; .* fills what was not measured"),
         ("\n".join(f"{x} {x % 3}" for x in range(20)).encode(), "line scan"),
     ],
 )
@@ -188,3 +399,18 @@ def test_files_that_hold_no_surface(comm, package, shared_tmp_path, content, wor
     with pytest.raises(InputError, match=words) as caught:
         read_heights(SlabGrid(comm, SDF_SHAPE, SDF_LENGTHS), path, length_unit="m")
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def test_text_sdf_of_either_standard(comm, package, shared_tmp_path):
+    """The BCR report's magic word and ISO's: the same heights and size, in metres, with a bad point that is missing."""
+    head = "ManufacID = x\nCreateDate = 010101000000\nModDate = 010101000000\nNumPoints = 5\nNumProfiles = 4\n"
+    head += "Xscale = 1e-7\nYscale = 2e-7\nZscale = 1e-9\nZresolution = -1\nCompression = 0\nDataType = 7\n"
+    head += "CheckType = 0\n"
+    values = np.arange(20.0).reshape(4, 5)
+    body = "\n".join(" ".join(map(str, row)) for row in values).replace("7.0", "BAD", 1)
+    grid = SlabGrid(comm, (5, 4), (5e-7, 8e-7))
+    for word in ("aISO-1.0", "aBCR-1.0"):
+        content = f"{word}\n{head}*\n{body}\n*\n"
+        path = saved(comm, shared_tmp_path, f"{word}.sdf", lambda path, content=content: path.write_text(content))
+        found = whole(grid, read_heights(grid, path, "m", missing="interpolate"))
+        assert np.allclose(found, 1e-9 * values.T, rtol=1e-9, atol=0)

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import choice, number, text
 from pgfmd.options.section import key, wrong
+from pgfmd.surfaces.measurement import named
 from pgfmd.surfaces.mirror import folded
 from pgfmd.surfaces.surface import Surface
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from pgfmd.grid.slab_grid import SlabGrid
 
+log = logging.getLogger("pgfmd")
+
+SLOPES = (1e-6, 10.0)  # rms slopes between neighbours of any surface that is pressed onto another
+CHECKED = 2**21  # heights that are read at once to be checked
 MARGIN = 10  # a taper takes the tenth part of a side at each edge
 
 
@@ -29,13 +40,23 @@ class FromFile(Surface):
     """
 
     kind = "file"
-    # .npy, HDF5 (file.h5:dataset), or any format that SurfaceTopography reads; relative to the TOML's folder.  The cell
-    # is that of [grid]; what a file says of its size must agree, and of its unit is converted to output.length_unit.
-    path: str = key(text(), needed=True)
-    dataset: str | None = key(text())  # the same as the part of the path after the colon
-    detrend: str = key(choice("none", "mean", "plane"), "none")
-    periodic: str = key(choice("as-is", "mirror", "taper"), "as-is")
-    height_scale: float = key(number(), 1.0)  # factor on the heights; negative turns them over
+    path: str = key(
+        text(),
+        None,
+        ".npy, HDF5 (file.h5:dataset), text, or what SurfaceTopography reads; relative to the job's folder",
+        needed=True,
+        example="heights.npy",
+    )
+    dataset: str | None = key(text(), None, "of an HDF5 file; the same as the part of the path after the colon")
+    first_axis: str = key(
+        choice("x", "y"), "x", "what the first index of an array, the line of a text, counts; [i, j] is at x = i a"
+    )
+    missing: str = key(
+        choice("refuse", "interpolate"), "refuse", "points that were not measured: NaN, masked, or left out of a list"
+    )
+    detrend: str = key(choice("none", "mean", "plane"), "none", "subtract the mean, or the plane that fits best")
+    periodic: str = key(choice("as-is", "mirror", "taper"), "as-is", "how the periodic cell closes")
+    height_scale: float = key(number(), 1.0, "factor on the heights; negative turns them over")
 
     def check(self) -> None:
         if self.height_scale == 0:
@@ -53,24 +74,108 @@ class FromFile(Surface):
             return self.path, self.dataset
         return path, dataset or None
 
+    @property
+    def _copies(self) -> int:
+        """Of the file along each side of the cell."""
+        return 2 if self.periodic == "mirror" else 1
+
+    def check_in(self, cell: Cell) -> None:
+        if self.periodic == "mirror" and any(count % 2 for count in cell.n):
+            allowed = f"doubles the file, the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
+            raise wrong(self, "periodic", allowed)
+
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
-        """Read, scaled, levelled and made periodic, as the keys say; see `heights_file.read_heights`.  Collective.
+        """Read, filled, scaled, levelled and made periodic, as the keys say.  Collective.
 
-        detrend takes out the mean, or the plane that fits best by least squares.
+        What was understood of the file goes into the log, with a warning if its slope is none of a surface.
         """
-        from pgfmd.surfaces.heights_file import read_heights  # needs MPI
+        from pgfmd.parallel.collectives import raise_together  # needs MPI
+        from pgfmd.surfaces.heights_file import read_heights
+        from pgfmd.surfaces.missing import count_missing, fill_missing
 
-        copies = 2 if self.periodic == "mirror" else 1
-        heights = read_heights(grid, self.source, copies, self.height_scale, length_unit)
+        self.check_in(Cell(n=grid.shape, length=grid.lengths))
+        heights, said = read_heights(grid, self.source, self.first_axis == "y", self._copies, length_unit)
+        with raise_together(grid.comm), named(self.source[0]):
+            self._check_measured(heights, grid.rows.start)
+        missing = count_missing(grid, heights)
+        if missing:
+            with named(self.source[0]):
+                fill_missing(grid, heights)
+        with raise_together(grid.comm), named(self.source[0]), np.errstate(over="ignore"):
+            heights *= self.height_scale
+            self._check_measured(heights, grid.rows.start)
+        if grid.comm.rank == 0:
+            log.info("surface: %s: %s%s", self.path, said, f"; {missing} missing points interpolated" * (missing > 0))
+        _log_range(grid, heights, length_unit)
         if self.detrend == "mean":
             heights -= grid.reduction.sum(heights) / grid.size
         elif self.detrend == "plane":
-            _subtract_plane(grid, heights, [folded(count, copies) for count in grid.shape])
+            _subtract_plane(grid, heights, [folded(count, self._copies) for count in grid.shape])
         if self.periodic == "taper":
             mean = grid.reduction.sum(heights) / grid.size
             weights = [_edge_weights(count) for count in grid.shape]
             heights[:] = mean + (heights - mean) * weights[0][grid.rows, None] * weights[1]
         return heights
+
+    def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
+        from pgfmd.surfaces.array_files import opened
+
+        with opened(*self.source) as found:
+            found = (found.turned() if self.first_axis == "y" else found).converted(length_unit)
+            found.check(cell.shape, cell.lengths, self._copies)
+            step = max(1, CHECKED // found.shape[1])
+            missing = 0
+            for first in range(0, found.shape[0], step):
+                block = found.rows(first, min(first + step, found.shape[0]))
+                self._check_measured(block, first)
+                missing += int(np.isnan(block).sum())
+            return found.described() + f"; {missing} missing points to interpolate" * (missing > 0)
+
+    def fingerprint(self, comm: MPI.Comm) -> str:
+        from pgfmd.surfaces.heights_file import digest
+
+        return digest(comm, self.source)
+
+    def _check_measured(self, heights: np.ndarray, first: int) -> None:
+        """Raise InputError at the first height that is not finite, unless it is missing and to be filled; `first`: row
+        of the surface that heights (rows, ny) begin with.
+        """
+        fine = np.isfinite(heights)
+        if self.missing == "interpolate":
+            fine |= np.isnan(heights)
+        if not fine.all():
+            row, column = np.argwhere(~fine)[0]
+            value = heights[row, column]
+            hint = '; missing = "interpolate" under [surface] fills what was not measured' * bool(np.isnan(value))
+            raise InputError(f"the height at [{row + first}, {column}] is {value}; all must be finite{hint}")
+
+
+def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> None:
+    """Range, rms value and slope of the heights as the job takes them into the log; a warning if the slope is absurd.
+    Collective.
+    """
+    lowest, highest = grid.reduction.min(heights), grid.reduction.max(heights)
+    unit = max(-lowest, highest) or 1.0  # so that squares do not overflow
+    below = grid.fetch(heights, grid.rows.stop, min(grid.rows.stop + 1, grid.shape[0]))
+    mean = grid.reduction.sum(heights / unit) / grid.size
+    steps_x, steps_y = np.diff(heights / unit, axis=0, append=below / unit), np.diff(heights / unit, axis=1)
+    variance, *squares = grid.reduction.sums(
+        np.sum((heights / unit - mean) ** 2) / grid.size,
+        np.sum(steps_x**2) / max((grid.shape[0] - 1) * grid.shape[1], 1),
+        np.sum(steps_y**2) / max(grid.shape[0] * (grid.shape[1] - 1), 1),
+    )
+    slope = math.hypot(*(unit / step * math.sqrt(each) for step, each in zip(grid.spacing, squares, strict=True)))
+    if grid.comm.rank != 0:
+        return
+    log.info(
+        "surface: heights %.6g to %.6g %s as the job takes them, rms %.4g, slope %.3g between neighbours",
+        lowest, highest, length_unit or "", unit * math.sqrt(variance), slope,
+    )  # fmt: skip
+    if not SLOPES[0] <= slope <= SLOPES[1] and lowest < highest:
+        log.warning(
+            "surface: a slope of %.3g is none of a rough surface: are heights and [grid] in the same unit of length? "
+            "(height_scale under [surface], length under [grid])", slope,
+        )  # fmt: skip
 
 
 def _subtract_plane(grid: SlabGrid, heights: np.ndarray, folds: list) -> None:

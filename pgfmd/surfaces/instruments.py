@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import warnings
-
-import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
@@ -19,8 +18,8 @@ MISSING = (
 def read(path: str) -> Measurement:
     """The default channel of the file, by SurfaceTopography, which finds out the format itself.
 
-    Raises InputError: the package is not installed, the format is not known, the file damaged, a line scan, or points
-    that were not measured.  Its text lacks the path.
+    Raises InputError, without the path: the package is not installed, the format is not known, the file damaged, or a
+    line scan.
     """
     try:
         import SurfaceTopography
@@ -29,18 +28,30 @@ def read(path: str) -> Measurement:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with SurfaceTopography.open_topography(path) as reader:
+            with SurfaceTopography.open_topography(_source(path)) as reader:
                 lengths, dim = reader.default_channel.physical_sizes, reader.default_channel.dim
                 # Without sizes there is no topography for that package.
                 surface = reader.topography(**({} if lengths else {"physical_sizes": (1.0,) * dim}))
-                format = reader.name()
-                unit, missing = surface.unit, bool(surface.has_undefined_data)
-                heights = None if dim != 2 or missing else np.array(surface.heights(), np.float64, order="C")
+                name, unit = f"{reader.name()}, by SurfaceTopography", surface.unit
+                matrix = reader.format() == "asc" and not lengths
+                heights = surface.heights() if dim == 2 else None
     except Exception as error:  # whatever a damaged file makes dozens of readers raise
         reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
         raise InputError(f"cannot be read by SurfaceTopography: {reason}") from None
-    if dim != 2:
+    if heights is None:
         raise InputError("holds a line scan, not the heights of a surface")
-    if missing:
-        raise InputError("has points that were not measured; fill them first (SurfaceTopography: fill_undefined_data)")
-    return Measurement(heights, lengths and tuple(float(value) for value in lengths), unit, format)
+    if matrix and 3 in heights.shape:
+        raise InputError("three columns are x, y and height, but with points missing or units given they are not read")
+    found = Measurement(heights, name, lengths and (float(lengths[0]), float(lengths[1])), unit)
+    # That package takes the lines of a bare matrix as lines of an image, y; here they are x, as in .npy.
+    return Measurement(heights.T, name, None, unit) if matrix else found
+
+
+def _source(path: str) -> str | io.BytesIO:
+    """The file; SDF of EUR 15178 (BCR) gets the magic word of ISO 25178-71, the one that the package knows."""
+    with open(path, "rb") as file:
+        if file.read(8) not in (b"aBCR-1.0", b"bBCR-1.0"):
+            return path
+        file.seek(0)
+        content = file.read()
+    return io.BytesIO(content[:1] + b"ISO" + content[4:])

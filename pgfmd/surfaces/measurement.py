@@ -1,8 +1,12 @@
-"""What a file says that holds more than bare numbers: heights, the size of the rectangle, and a unit.  No MPI here."""
+"""What a file of heights holds: an array, and perhaps the size of the rectangle and a unit.  No MPI here."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,39 +16,82 @@ from pgfmd.options.text import printable
 # Powers of ten of a metre.
 UNITS = {"km": 3, "m": 0, "cm": -2, "mm": -3, "µm": -6, "nm": -9, "Å": -10, "pm": -12}
 ALIASES = {"um": "µm", "\u03bcm": "µm", "A": "Å", "\u212b": "Å"}  # Greek mu, the angstrom sign
+for _prefix, _unit in {"kilo": "km", "": "m", "centi": "cm", "milli": "mm", "micro": "µm", "nano": "nm"}.items():
+    ALIASES |= {f"{_prefix}{name}": _unit for name in ("meter", "meters", "metre", "metres")}
+ALIASES |= {"micron": "µm", "microns": "µm", "angstrom": "Å", "angstroms": "Å"}
 CELL_DIGITS = 1e-3  # relative difference of a cell that is still the measured one: jobs are written with a few digits
+
+
+@contextmanager
+def named(path: str) -> Iterator[None]:
+    """What goes wrong inside the block is said with the path before it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Heights (nx, ny) in float64, NaN where nothing was measured; size (lx, ly) of the rectangle and unit of both,
-    None where the file does not say it; the format, in words.
+    """Heights (nx, ny) as a file holds them: entry [i, j] of `array`, or [j, i] if transposed, times `factor` plus
+    `offset`, at x = i aₓ, y = j a_y; NaN, masked or equal to `fill` where nothing was measured.
+
+    array: NumPy array, memory map or HDF5 dataset, of which only the rows asked for are read.  format: in words.
+    lengths (lx, ly), and unit of these and of the heights: None where the file does not say them.
     """
 
-    heights: np.ndarray
-    lengths: tuple[float, float] | None
-    unit: str | None
+    array: Any
     format: str
+    lengths: tuple[float, float] | None = None
+    unit: str | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+    fill: float | None = None
+    transposed: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(nx, ny)."""
+        nx, ny = self.array.shape
+        return (ny, nx) if self.transposed else (nx, ny)
+
+    def rows(self, first: int, stop: int) -> np.ndarray:
+        """Heights first … stop−1 (stop − first, ny) in float64, NaN where nothing was measured."""
+        block = self.array[:, first:stop].T if self.transposed else self.array[first:stop]
+        with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused later
+            heights = np.array(np.ma.getdata(block), dtype=np.float64, order="C")
+            if np.ma.isMaskedArray(block) or self.fill is not None:
+                heights[np.ma.getmaskarray(block) | (np.ma.getdata(block) == self.fill)] = np.nan
+            heights *= self.factor
+            heights += self.offset
+        return heights
+
+    def turned(self) -> Measurement:
+        """The same with x and y exchanged."""
+        return dataclasses.replace(self, lengths=self.lengths and self.lengths[::-1], transposed=not self.transposed)
 
     def converted(self, unit: str | None) -> Measurement:
         """The same in `unit`; unchanged if one of the two units is not said.
 
-        Raises InputError if `unit` or that of the file is not a length known here.
+        Raises InputError if the units differ and one of them is not a length known here.
         """
         if self.unit is None or unit is None:
             return self
-        factor = conversion(self.unit, unit)
-        lengths = self.lengths and (float(factor * self.lengths[0]), float(factor * self.lengths[1]))
-        return Measurement(self.heights * factor, lengths, unit, self.format)
+        by = conversion(self.unit, unit)
+        lengths = self.lengths and (float(by * self.lengths[0]), float(by * self.lengths[1]))
+        return dataclasses.replace(
+            self, lengths=lengths, unit=unit, factor=by * self.factor, offset=by * self.offset
+        )  # fmt: skip
 
     def check(self, shape: tuple[int, int], lengths: tuple[float, float], copies: int) -> None:
         """Whether grid and cell fit; `copies` = 2 if the cell is made of mirror images.  Raises InputError."""
-        points = [copies * count for count in self.heights.shape]
+        points = [copies * count for count in self.shape]
         mirrored = ", with its mirror images" * (copies == 2)
         if tuple(points) != tuple(shape):
+            turned = ' (or first_axis, the other of "x" and "y", under [surface])' * (points[::-1] == list(shape))
             raise InputError(
                 f"holds {points[0]} x {points[1]} points{mirrored}, the grid has {shape[0]} x {shape[1]}: "
-                f"write n = {points} under [grid]"
+                f"write n = {points} under [grid]{turned}"
             )
         if self.lengths is None:
             return
@@ -56,12 +103,24 @@ class Measurement:
                 f"{lengths[0]:.9g} x {lengths[1]:.9g}: write length = [{sides[0]:.9g}, {sides[1]:.9g}] under [grid]"
             )
 
+    def described(self) -> str:
+        """Format, points, size and unit, in words."""
+        (nx, ny), unit = self.shape, self.unit or "unit not said"
+        size = f"{self.lengths[0]:.6g} x {self.lengths[1]:.6g}, " if self.lengths else ""
+        axis = "y" if self.transposed else "x"
+        return f"{self.format}, {nx} x {ny} points, first axis {axis}, {size}{printable(unit)}"
+
 
 def conversion(given: str, wanted: str) -> float:
-    """Factor from one unit of length to another; raises InputError if one of them is not in UNITS."""
+    """Factor from one unit of length to another; raises InputError if they differ and one of them is not in UNITS."""
     given, wanted = ALIASES.get(given, given), ALIASES.get(wanted, wanted)
+    if given == wanted:
+        return 1.0
     if given not in UNITS:
-        raise InputError(f"is in {printable(given)!r}, which is none of the lengths {', '.join(UNITS)}")
+        raise InputError(
+            f"is in {printable(given)!r}, which is none of the lengths {', '.join(UNITS)} nor the job's "
+            f"length_unit = {printable(wanted)!r}"
+        )
     if wanted not in UNITS:
         raise InputError(
             f'is in {given}: write length_unit = "{given}" under [output], or another of {", ".join(UNITS)}, and all '

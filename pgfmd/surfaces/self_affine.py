@@ -31,14 +31,18 @@ class SelfAffine(Surface):
     """
 
     kind = "self-affine"
-    hurst: float = key(number(low=0, high=1), needed=True)  # H of C ∝ q^(−2(1+H))
-    # Shortest wavelength.  1 or less: every mode of the grid, the corners |q| ≤ √2 π/a included.
-    lambda_s: float = key(POSITIVE, needed=True)
-    lambda_l: float | None = key(number(above=0, infinite=True))  # longest one; the cell if not given
-    # Roll-off, from lambda_s to lambda_l: C is constant at longer wavelengths.  lambda_l, no roll-off, if not given.
-    lambda_r: float | None = key(POSITIVE)
-    rms_slope: float = key(number(low=0), needed=True)  # √⟨|∇h|²⟩ = √Σ q²|h̃|², exact, spectral
-    seed: int = key(integer(0), 1)  # one seed is one surface, on any grid
+    hurst: float = key(number(low=0, high=1), None, "H of C ∝ q^(−2(1+H))", needed=True, example=0.8)
+    lambda_s: float = key(
+        POSITIVE,
+        None,
+        "shortest wavelength; 1 or less: every mode of the grid, the corners |q| ≤ √2 π/a included",
+        needed=True,
+        example=16.0,
+    )
+    lambda_l: float | None = key(number(above=0, infinite=True), None, "longest wavelength; the cell if not given")
+    lambda_r: float | None = key(POSITIVE, None, "roll-off, from lambda_s to lambda_l; lambda_l if not given")
+    rms_slope: float = key(number(low=0), None, "√⟨|∇h|²⟩ = √Σ q²|h̃|², exact, spectral", needed=True, example=0.1)
+    seed: int = key(integer(0), 1, "one seed is one surface, on any grid")
 
     def check(self) -> None:
         longest = math.inf if self.lambda_l is None else self.lambda_l

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.text import read_table
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from pgfmd.grid.slab_grid import SlabGrid
 
 SLACK = 1e-9  # relative: a mode that lies on an end of the table belongs to it on every grid
@@ -31,9 +34,14 @@ class FromSpectrum(Surface):
     """
 
     kind = "spectrum"
-    # .npy of shape (m, 2), or text of two columns: q (radians per length), increasing, and C (length⁴), all > 0.
-    path: str = key(text(), needed=True)
-    seed: int = key(integer(0), 1)  # one seed is one surface, on any grid; its numbers are those of "self-affine"
+    path: str = key(
+        text(),
+        None,
+        "text of two columns, or .npy (m, 2): q (radians per length), increasing, and C (length⁴), all > 0",
+        needed=True,
+        example="spectrum.csv",
+    )
+    seed: int = key(integer(0), 1, 'one seed is one surface, on any grid; its numbers are those of "self-affine"')
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -52,6 +60,15 @@ class FromSpectrum(Surface):
         if not (np.isfinite(table).all() and (q > 0).all() and (np.diff(q) > 0).all() and (spectrum > 0).all()):
             raise InputError(f"{self.path}: all q and C(q) must be > 0 and finite, each q larger than the one before")
         return q, spectrum
+
+    def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
+        q, _ = self.table()
+        return f"table of {len(q)} entries, q from {q[0]:.6g} to {q[-1]:.6g}"
+
+    def fingerprint(self, comm: MPI.Comm) -> str:
+        from pgfmd.parallel.collectives import from_root  # needs MPI
+
+        return from_root(comm, lambda: hashlib.sha256(np.stack(self.table()).tobytes()).hexdigest())
 
     def shortest_wavelength(self, cell: Cell) -> float:
         shortest = 2 * math.pi / float(self.table()[0][-1])

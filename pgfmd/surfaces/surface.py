@@ -12,6 +12,8 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.section import Section
 
 if TYPE_CHECKING:
+    from mpi4py import MPI
+
     from pgfmd.grid.slab_grid import SlabGrid
 
 
@@ -41,6 +43,19 @@ class Surface(Section):
         """Wave number beyond which the spectrum is zero; None if every mode of the grid may count."""
         shortest = self.shortest_wavelength(cell)
         return 2 * math.pi / shortest if shortest else None
+
+    def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
+        """Open the files that the options name; what was understood of them, "" if there are none.  No MPI.
+
+        Raises InputError if they cannot be read or do not fit into that cell.
+        """
+        return ""
+
+    def fingerprint(self, comm: MPI.Comm) -> str:
+        """A checksum of what the files hold that the options name, whatever the rank count; "" if there are none.
+        Collective.  Raises InputError on all ranks.
+        """
+        return ""
 
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         """Heights (nx_local, ny) in units of length, float64.  Collective.

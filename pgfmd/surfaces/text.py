@@ -32,7 +32,7 @@ def read(path: str) -> Measurement | None:
         return None
     numbers = read_table(path)
     if numbers is None or numbers.shape[1] > 3:
-        return None if numbers is None or units else Measurement(numbers, None, None, "text, a matrix")
+        return None if numbers is None or units else Measurement(numbers, "text, a matrix")
     if numbers.shape[1] < 3:
         raise InputError("holds a line scan, not the heights of a surface")
     return _on_lattice(numbers, units.get("Lateral"), units.get("Value"))
@@ -114,7 +114,7 @@ def _on_lattice(points: np.ndarray, lateral: str | None, value: str | None) -> M
     if lateral is not None and value is not None:
         heights *= conversion(value, lateral)
     unit = lateral if lateral is not None else value
-    return Measurement(heights, (shape[0] * step_x, shape[1] * step_y), unit, "text, coordinates and heights")
+    return Measurement(heights, "text, coordinates and heights", (shape[0] * step_x, shape[1] * step_y), unit)
 
 
 def _lattice(values: np.ndarray) -> tuple[np.ndarray, float]:
