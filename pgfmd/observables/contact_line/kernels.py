@@ -15,10 +15,6 @@ import numpy as np
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
-FARTHEST = 5.0
-"""Most by which the ratio of two neighbouring pressures, or of two gaps, is taken to differ from that at a straight
-edge of an unbounded contact: where contacts or openings are about one pixel wide, the ratio says little.  Of 2, 3, 5,
-10 and 30 the one with the smallest error on exact waves: `tools/contact_line.py limit`."""
 _ROUNDS = 8
 
 
@@ -67,25 +63,25 @@ def _look(table, share, angle, which):
 
 
 @_jit
-def _bounded(ratio):
-    return min(max(ratio, 1 / FARTHEST), FARTHEST)
+def _bounded(ratio, farthest):
+    return min(max(ratio, 1 / farthest), farthest)
 
 
 @_jit
-def locate(around, ratio, table):
+def locate(around, ratio, table, farthest):
     """(area between the line and the middle of the pair, in pixels; |cosine| of the line's normal to the pair).
 
     Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for
     α = β = 0.  g/p at the pair is first reduced to this case: times (p₂/p)^a (g₂/g)^b, each ratio relative to its value
-    at α = β = 0, with a and b such that the terms of first and second order cancel.
+    at α = β = 0, with a and b such that the terms of first and second order cancel.  farthest: bound of these ratios.
     """
     plain, angle = describe(around, ratio)
     pressure, gap = around[1], -around[2]
     share = plain
     for _ in range(_ROUNDS):
         t = min(max(_look(table, share, angle, PLACE), -0.2), 1.0)
-        inner = _bounded(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure)
-        outer = _bounded(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300))
+        inner = _bounded(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure, farthest)
+        outer = _bounded(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300), farthest)
         first = 0.6 + 0.4 * t
         b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
         a = first + 0.6 * b
@@ -112,14 +108,17 @@ def _signed(pressure, gap, halo, i, j, scale):
 
 
 @_jit
-def line_of_pixel(fields, i, j, scales, ratios, tables, around):
+def line_of_pixel(fields, form, i, j, around):
     """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, length along the rows in
     spacings along a column, length along the columns in spacings along a row, corners).
 
+    fields: pressure, gap (nx_local, ny) and their two more rows before and after the slab (2, 4, ny)
+    form: E' over the spacing, spacing across over that along, table, each for pairs along x and y; bound of `locate`
     corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
     over a patch is the number of its outer outlines less that of its holes.
     """
     pressure, gap, halo = fields
+    scales, ratios, tables, farthest = form
     area = corners = 0.0
     length_x = length_y = 0.0
     for axis in range(2):
@@ -133,7 +132,7 @@ def line_of_pixel(fields, i, j, scales, ratios, tables, around):
             for k in range(2):
                 around[4 + 2 * k] = _signed(pressure, gap, halo, i + k * di - dj, j + k * dj - di, scale)
                 around[5 + 2 * k] = _signed(pressure, gap, halo, i + k * di + dj, j + k * dj + di, scale)
-            offset, cosine = locate(around, ratios[axis], tables[axis])
+            offset, cosine = locate(around, ratios[axis], tables[axis], farthest)
             area += offset
             if axis == 0:
                 length_x += cosine
@@ -149,7 +148,7 @@ def line_of_pixel(fields, i, j, scales, ratios, tables, around):
 
 
 @_jit
-def add_line(fields, scales, ratios, tables, first, stop):
+def add_line(fields, form, first, stop):
     """Sums of `line_of_pixel` over the contact pixels of rows first … stop−1."""
     around = np.empty(8)
     total = np.zeros(4)
@@ -157,7 +156,7 @@ def add_line(fields, scales, ratios, tables, first, stop):
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
             if pressure[i, j] > 0:
-                area, length_x, length_y, corners = line_of_pixel(fields, i, j, scales, ratios, tables, around)
+                area, length_x, length_y, corners = line_of_pixel(fields, form, i, j, around)
                 total[0] += area
                 total[1] += length_x
                 total[2] += length_y
@@ -166,14 +165,14 @@ def add_line(fields, scales, ratios, tables, first, stop):
 
 
 @_jit
-def add_lines_of_patches(fields, scales, ratios, tables, runs, first, fragment, patch, total):
-    """Add `line_of_pixel` to total[p] for the pixels of each local patch p.  Runs as in `patches.run_length`."""
+def add_lines_of_patches(fields, form, runs, first, patch, total):
+    """Add `line_of_pixel` to total[p] for the pixels of each patch p = patch[run]; runs as in `patches.run_length`."""
     around = np.empty(8)
     for i in range(1, len(first) - 1):
         for k in range(first[i], first[i + 1]):
-            p = patch[fragment[k]]
+            p = patch[k]
             for j in range(runs[k, 0], runs[k, 1]):
-                area, length_x, length_y, corners = line_of_pixel(fields, i - 1, j, scales, ratios, tables, around)
+                area, length_x, length_y, corners = line_of_pixel(fields, form, i - 1, j, around)
                 total[p, 0] += area
                 total[p, 1] += length_x
                 total[p, 2] += length_y
