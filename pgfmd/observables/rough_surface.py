@@ -12,6 +12,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
 from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings
+from pgfmd.observables.statistics.kernels import square_moments
 
 BROAD = 2.5
 """Highest wave number over √(Σ q⁴|h̃|² / Σ q²|h̃|²), which is 1 for a sinusoid, and √((4−2H)/(2−2H)) for broad
@@ -49,12 +50,11 @@ class RoughSurface:
 
     @cached_property
     def _measured(self) -> tuple[Correlations, float, float]:
-        parts, grid = {}, self.grid
+        parts, grid = dict[int, tuple[float, float]](), self.grid
+        along, across, weight = grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0].copy()
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
-            squared = grid.q_squared(first, stop)
-            weighted = grid.hermitian_weight[first:stop] * squared * power
-            parts[first] = float(np.sum(weighted)), float(np.einsum("ij,ij->", weighted, squared))
+            parts[first] = square_moments(power, along, across[first:stop], weight[first:stop])
 
         found = self.correlate(source(self.heights), watch)
         moments = grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))

@@ -21,7 +21,7 @@ from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_i
 class Correlations:
     """Second-order statistics of one field f; the same on all ranks.  f̃(q) = (1/N) Σ_r f(r) exp(−iq·r)."""
 
-    power: np.ndarray  # Σ |f̃|² over the modes of q = 0 (and below the first edge), each bin, and beyond: (m + 2,)
+    power: np.ndarray  # Σ |f̃|² over the modes of q = 0 (and below the first edge), each bin, some beyond: (m + 2,)
     acf: np.ndarray | None = None  # Σ C(Δr) over the points of each bin of lags: (k + 2,)
     acf_x: np.ndarray | None = None  # C(Δx, 0): (nx//2 + 1,)
     acf_y: np.ndarray | None = None  # C(0, Δy): (ny//2 + 1,)
@@ -87,7 +87,7 @@ def correlate(
 ) -> Correlations:
     """Spectrum, and with `lags` autocorrelation ⟨f(r) f(r + Δr)⟩, of the field whose rows `fill` makes.  Collective.
 
-    One forward transform, and one backward for the autocorrelation.
+    One forward transform (modes beyond the last bin may be left out), and one backward for the autocorrelation.
     watch(power, first, stop) sees each block N²|f̃|² (stop − first, nx), on any thread.
     """
     square_size = float(grid.size) ** 2
@@ -101,7 +101,8 @@ def correlate(
             watch(parts[..., 0], first, stop)
 
     if lags is None:
-        grid.read_spectrum(fill, square)
+        count = None if watch else int(np.searchsorted(grid.qy[:, 0], modes.edges[-1], side="right"))
+        grid.read_spectrum(fill, square, count=count)  # what lies beyond all bins need not be transformed along x
         return Correlations(modes.total(power) / square_size)
     sums: dict[int, np.ndarray] = {}
     column, row = np.empty(grid.local_shape[0]), np.empty(grid.shape[1])

@@ -47,23 +47,37 @@ def bin_rows(values, along, across, weight, edges, sums):
 
 @_jit
 def bin_geometry(along, across, weight, edges, counts, roots):
-    """`bin_rows` of the values 1, into `counts`, and √(along[i] + across[j]), into `roots`."""
+    """`bin_rows` of the values 1, into `counts`, and √(along[i] + across[j]), into `roots`; along[i] = along[n − i]."""
     n = along.size
     for j in range(across.size):
-        for side in range(2):
-            b, count, total = 0, 0.0, 0.0
-            for k in range(n // 2 + 1 if side == 0 else n - n // 2 - 1):
-                i = k if side == 0 else n - 1 - k
-                at = along[i] + across[j]
-                while b < edges.size and at > edges[b]:
-                    counts[b] += weight[j] * count
-                    roots[b] += weight[j] * total
-                    count, total = 0.0, 0.0
-                    b += 1
-                count += 1.0
-                total += math.sqrt(at)
-            counts[b] += weight[j] * count
-            roots[b] += weight[j] * total
+        b, count, total = 0, 0.0, 0.0
+        for i in range(n // 2 + 1):
+            at = along[i] + across[j]
+            while b < edges.size and at > edges[b]:
+                counts[b] += weight[j] * count
+                roots[b] += weight[j] * total
+                count, total = 0.0, 0.0
+                b += 1
+            alike = 1.0 if i == 0 or 2 * i == n else 2.0
+            count += alike
+            total += alike * math.sqrt(at)
+        counts[b] += weight[j] * count
+        roots[b] += weight[j] * total
+
+
+@_jit
+def square_moments(values, along, across, weight):
+    """Σ w q² v and Σ w q⁴ v over values[j, i], with q² = along[i] + across[j] and w = weight[j]."""
+    second = fourth = 0.0
+    for j in range(across.size):
+        sum_of_row = square_sum = 0.0
+        for i in range(along.size):
+            square = along[i] + across[j]
+            sum_of_row += square * values[j, i]
+            square_sum += square * square * values[j, i]
+        second += weight[j] * sum_of_row
+        fourth += weight[j] * square_sum
+    return second, fourth
 
 
 @_jit
