@@ -6,60 +6,69 @@ import dataclasses
 import textwrap
 from collections.abc import Iterable
 
+from pgfmd.errors import InputError
 from pgfmd.options.rules import Rule
 from pgfmd.options.section import Kinds, Section
-from pgfmd.options.text import as_toml_value
+from pgfmd.options.text import as_toml_value, guess
 
 WIDTH, COLUMN = 118, 34  # of a line; where comments begin
+Tables = Iterable[type[Section] | Kinds]
 
 
-def reference(tables: Iterable[type[Section] | Kinds]) -> str:
-    """A commented job with all tables.  Keys that may be left out are commented out and show their defaults."""
+def reference(tables: Tables) -> str:
+    """A commented job with every table of every kind.  Keys that may be left out are commented out."""
     return "\n".join(block for table in tables for block in _blocks(table))
 
 
-def job_of_kind(tables: Iterable[type[Section] | Kinds], chosen: dict[str, type[Section]]) -> str:
-    """The same with one section for each table, of the kinds `chosen` by table name, else the first or the default."""
-    blocks = []
-    for table in tables:
-        kind = chosen.get(table.where) or (table.default or table.choices[0] if isinstance(table, Kinds) else table)
-        blocks += _blocks(kind)
-    return "\n".join(blocks)
+def example(tables: Tables, *kinds: str) -> str:
+    """A commented job that is valid: each table once, of the first or the default kind, or of one of the kinds named.
+
+    Raises InputError for a kind that no table has.
+    """
+    tables = list(tables)
+    known = [choice.kind for table in tables if isinstance(table, Kinds) for choice in table.choices]
+    for kind in kinds:
+        if kind not in known:
+            raise InputError(f"kind {kind!r} is not known{guess(kind, list(dict.fromkeys(known)))}")
+    return "\n".join(block for table in tables for block in _blocks(_chosen(table, kinds)))
+
+
+def _chosen(table: type[Section] | Kinds, kinds: tuple[str, ...]) -> type[Section]:
+    if not isinstance(table, Kinds):
+        return table
+    return next((choice for choice in table.choices if choice.kind in kinds), table.default or table.choices[0])
 
 
 def _blocks(table: type[Section] | Kinds) -> list[str]:
     """Each section of a table as text, the tables inside it after it."""
     if isinstance(table, Kinds):
         return [block for choice in table.choices for block in _blocks(choice)]
-    head = (table.__doc__ or "").split("\n\n")[0]
-    lines = _commented(f"[{table.where}]", " ".join(head.split()))
+    lines = _commented(f"[{table.where}]", " ".join((table.__doc__ or "").split("\n\n")[0].split()))
     inner: list[str] = []
     if table.kind:
-        lines += [f"kind = {as_toml_value(table.kind)}"]
+        lines.append(f"kind = {as_toml_value(table.kind)}")
     for field in dataclasses.fields(table):
         rule = field.metadata["rule"]
         if isinstance(rule, Rule):
-            lines += _key(field, rule)
+            comment = "; ".join(part for part in (field.metadata["about"], rule.allowed) if part)
+            lines += _commented(_entry(field, field.name in table.shown), comment)
         else:
             inner += _blocks(rule)
     return ["\n".join(lines) + "\n", *inner]
 
 
-def _key(field: dataclasses.Field, rule: Rule) -> list[str]:
-    """The lines of one key."""
-    about, example = field.metadata["about"], field.metadata["example"]
-    if field.metadata["needed"]:
-        entry = f"{field.name} = {as_toml_value(example)}" if example is not None else f"{field.name} ="
-    elif field.default is None:
-        shown = f" {as_toml_value(example)}" if example is not None else ""
-        entry = f"# {field.name} ={shown}"
-    else:
-        entry = f"# {field.name} = {as_toml_value(field.default)}"
-    return _commented(entry, "; ".join(part for part in (about, rule.allowed) if part))
+def _entry(field: dataclasses.Field, shown: bool) -> str:
+    """The line of one key: its example if it is needed or shown, else its default, commented out."""
+    given = field.metadata["example"]
+    value = given if field.default is None else field.default
+    if field.metadata["needed"] or shown:
+        return f"{field.name} = {as_toml_value(given)}"
+    return f"# {field.name} =" + ("" if value is None else f" {as_toml_value(value)}")
 
 
 def _commented(entry: str, comment: str) -> list[str]:
     """An entry with its comment, wrapped into a column of its own."""
-    wrapped = textwrap.wrap(comment, WIDTH - COLUMN - 2) or [""]
-    lines = [f"{entry:<{COLUMN}}# {wrapped[0]}"] if len(entry) < COLUMN else [entry, f"{'':<{COLUMN}}# {wrapped[0]}"]
-    return lines + [f"{'':<{COLUMN}}# {line}" for line in wrapped[1:]]
+    wrapped = [f"{'':<{COLUMN}}# {line}" for line in textwrap.wrap(comment, WIDTH - COLUMN - 2)]
+    if not wrapped or len(entry) >= COLUMN:
+        return [entry, *wrapped]
+    return [entry + wrapped[0][len(entry) :], *wrapped[1:]]

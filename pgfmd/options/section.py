@@ -42,11 +42,12 @@ class Section:
     """A table of the TOML file.  Making one validates it; raises InputError.
 
     where: the name of the table, as in [where].  kind: the value of the key `kind` that chooses this section among
-    others, "" if it is the only one.
+    others, "" if it is the only one.  shown: optional keys that an example job gives all the same.
     """
 
     where: ClassVar[str] = ""
     kind: ClassVar[str] = ""
+    shown: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
