@@ -50,7 +50,7 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
     for field in dataclasses.fields(table):
         rule = field.metadata["rule"]
         if isinstance(rule, Rule):
-            comment = "; ".join(part for part in (field.metadata["about"], rule.allowed) if part)
+            comment = " | ".join(part for part in (field.metadata["about"], rule.allowed) if part)
             lines += _commented(_entry(field, field.name in table.shown), comment)
         else:
             inner += _blocks(rule)
