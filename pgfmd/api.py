@@ -42,11 +42,13 @@ def solve(
     zeta: range of an exponential wall, with σ_ref = contact_modulus; None: a hard wall.  thickness, base, poisson: a
     slab instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights to begin with.
     tolerance: certified relative energy error.  threads: of this process; OMP_NUM_THREADS or the free cores if None.
-    Raises InputError for heights that are not finite or wrongly split and values out of range, SolverError if the
-    tolerance cannot be reached.
+    Raises InputError for heights that are masked, not finite or wrongly split and values out of range, SolverError if
+    the tolerance cannot be reached.
     """
     comm = MPI.COMM_SELF if comm is None else comm
     with raise_together(comm):
+        if np.ma.is_masked(heights):
+            raise InputError(f"heights: {np.ma.count_masked(heights)} are masked; fill them, all must be known")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         if heights.ndim != 2 or heights.size == 0:
             raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")

@@ -20,7 +20,6 @@ from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
-from pgfmd.parallel.collectives import from_root
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.run import machine, preflight
@@ -45,9 +44,8 @@ def simulate(
     phases = _Phases()
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     output = job.output
-    origin = Origin(
-        job.text, as_toml(job), len(job.load.targets), from_root(comm, preflight.digests, job.surface.files)
-    )
+    inputs = dict.fromkeys(job.surface.files, job.surface.fingerprint(comm))
+    origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
     form = Form(
         grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT
     )

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
+import subprocess
 import sys
 from functools import partial
 
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, SIZE
 from mpi4py import MPI
 
+import pgfmd
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
@@ -305,6 +307,21 @@ def test_check_finds_what_a_run_finds(comm, shared_tmp_path, name):
     assert outcome[0] == outcome[1] or comm.rank > 0  # which names the first of its own rows
 
 
+@pytest.mark.skipif(SIZE > 1, reason="serial")
+def test_check_opens_the_file(tmp_path):
+    """`pgfmd check` refuses heights that a run would refuse, says what it understood of others, and needs no MPI."""
+    head = "[grid]\nn = [11, 24]\n[surface]\nkind='file'\nmissing = 'interpolate'\npath = 'a.npy'\n[load]\npressure = 1"
+    heights = np.random.default_rng(0).normal(size=SHAPE)
+    heights[3, 4] = np.nan
+    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
+    (tmp_path / "job.toml").write_text(head)
+    for shape, words in ((SHAPE, "11 x 24 points, first axis x, unit not said; 1 missing"), ((24, 11), "24 x 11")):
+        made(tmp_path / "a.npy", heights.reshape(shape))
+        command = [sys.executable, "-c", code, "check", str(tmp_path / "job.toml")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == (0 if shape == SHAPE else 2) and words in done.stdout + done.stderr
+
+
 def test_fingerprint(comm, shared_tmp_path, tilted):
     """It tells any other heights or unit, on any number of ranks alike; not other things in the file.  A text's is that
     of its bytes.
@@ -343,6 +360,31 @@ def test_units_are_exact_powers_of_ten():
     assert measurement.conversion("nm", "A") == 10.0
     with pytest.raises(InputError, match="is in 'V'"):
         measurement.conversion("V", "m")
+
+
+def test_fields_behind_a_link_are_part_of_the_job(comm, shared_tmp_path):
+    """fields.h5 of results holds links only: other heights behind them are another surface, which --restart refuses."""
+    pieces = [shared_tmp_path / "linked.h5", shared_tmp_path / "fields.h5"]
+
+    def link(path):
+        with h5py.File(path, "w") as file:
+            file["height"] = h5py.ExternalLink("linked.h5", "heights")
+
+    saved(comm, shared_tmp_path, "linked.h5", lambda path: made(path, np.eye(8)))
+    saved(comm, shared_tmp_path, "fields.h5", link)
+    text = f"[grid]\nn = 8\n[surface]\nkind = 'file'\npath = '{pieces[1]}:height'\n[load]\npressure = 0.01\n"
+    simulate(job.parse(text), comm, shared_tmp_path / "out")
+    saved(comm, shared_tmp_path, "linked.h5", lambda path: made(path, 2 * np.eye(8)))
+    with pytest.raises(InputError, match=r"content of .*fields\.h5 has changed"):
+        simulate(job.parse(text), comm, shared_tmp_path / "out", restart=True)
+
+
+def test_masked_heights_of_a_script(comm):
+    """A mask is not dropped."""
+    heights = np.ma.masked_greater(np.random.default_rng(0).normal(size=(8, 8)), 1)
+    with pytest.raises(InputError, match="heights: .* are masked"):
+        pgfmd.solve(heights, 0.01)
+    assert (pgfmd.solve(np.ma.array(heights.data), 0.01).pressure > 0).any()
 
 
 # ---- with the package -----------------------------------------------------------------------------------------------

@@ -95,13 +95,14 @@ def contact_areas(job: Job) -> list[float]:
 
 
 def report(job: Job, ranks: int) -> str:
-    """The estimate as text, one line per quantity."""
+    """The estimate as text, one line per quantity; raises InputError if the surface's files do not serve the job."""
+    understood = job.surface.check_inputs(job.grid, job.output.length_unit)
     found = estimate(job, ranks)
     nx, ny = job.grid.shape
     loads = len(job.load.targets)
     lines = {
         "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",
-        "surface": job.surface.kind,
+        "surface": ": ".join(filter(None, [job.surface.kind, understood])),
         "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
         f"({bytes_per_point(job):.0f} bytes per grid point)",

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections.abc import Iterable
 from pathlib import Path
 
 from pgfmd import __version__
@@ -14,19 +11,6 @@ from pgfmd.io.restart import EarlierResults
 from pgfmd.io.schema import FORMAT_VERSION
 from pgfmd.job.job import Job, differences, parse
 from pgfmd.options.text import printable
-
-
-def digests(paths: Iterable[str]) -> dict[str, str]:
-    """SHA-256 of each file that a job names, by its path; raises InputError for one that cannot be read."""
-    found = {}
-    for path in paths:
-        try:
-            with open(path, "rb") as file:
-                found[os.fspath(path)] = hashlib.file_digest(file, "sha256").hexdigest()
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise InputError(f"{printable(os.fspath(path), 400)}: cannot be read: {reason}") from None
-    return found
 
 
 def refuse_changes(job: Job, origin: Origin, earlier: EarlierResults, directory: Path) -> None:
