@@ -106,20 +106,23 @@ class Elasticity:
     def apply_compliance(self, grid: SlabGrid, dtype, factor: float) -> Columns:
         """Column action ũ ← factor · compliance(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
-            return _act_by_q(grid, dtype, kernels.divide_by_q, 2 * factor / self.contact_modulus)
+            scale = 2 * factor / self.contact_modulus * min(grid.spacing)
+            return _act_by_q(grid, dtype, kernels.divide_by_q, scale)
         return multiply(grid, dtype, lambda q: factor * self.compliance(q))
 
     def apply_stiffness(self, grid: SlabGrid, dtype, factor: float) -> Columns:
         """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
-            return _act_by_q(grid, dtype, kernels.multiply_by_q, factor * self.contact_modulus / 2)
+            scale = factor * self.contact_modulus / 2 / min(grid.spacing)
+            return _act_by_q(grid, dtype, kernels.multiply_by_q, scale)
         return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
 
 
 def _act_by_q(grid: SlabGrid, dtype, kernel, scale: float) -> Columns:
-    """Column action by a kernel that takes squares of wave numbers."""
-    real = np.dtype(dtype)
-    qx_squared, qy_squared, scale = (grid.qx[0] ** 2).astype(real), (grid.qy[:, 0] ** 2).astype(real), real.type(scale)
+    """Column action by a kernel that takes squares of wave numbers, here over those of the smaller spacing."""
+    real, step = np.dtype(dtype), min(grid.spacing)
+    qx_squared, qy_squared = (((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0]))
+    scale = real.type(scale)
 
     def act(block: np.ndarray, first: int, stop: int):
         kernel(block.view(real).reshape(*block.shape, 2), qx_squared, qy_squared[first:stop], scale)

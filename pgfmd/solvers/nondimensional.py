@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid import kernels
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
@@ -17,11 +19,18 @@ LARGEST = 1e120  # of heights over the grid spacing, of pressures over the conta
 UNIFORM = 1e15  # range of a law over the rms height from which on the pressure is uniform to a double's rounding
 
 
+UNDERFLOW = 800.0  # ranges of a law over which a pressure falls below the smallest number
+
+
 class Dimensionless:
     """A contact problem with heights about their mean and over their rms value.  Collective to make.
 
     problem: the dimensionless one, or None where `uniform`, the solution, needs no solver: without a load, without
     roughness, or under a law that hardly feels it.  Wave numbers, and so lengths in the plane, keep their unit.
+
+    Under a light load, points far below the highest one cannot touch.  How far below they lie does not matter, so that
+    the problem has them where they are just out of reach: solvers then see heights of the size of the indentation, and
+    lose no digits.
     """
 
     def __init__(self, physical: ContactProblem, by_load: bool = False, overwrite_heights: bool = False):
@@ -32,9 +41,10 @@ class Dimensionless:
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
         self._transforms = grid.transforms
-        heights, height = dimensionless(physical, overwrite_heights)
+        self._heights = made = dimensionless(physical, overwrite_heights)
+        heights, height = made.field, made.unit
         self.problem = self.uniform = None
-        if physical.mean_pressure == 0 or height * UNIFORM <= law.range:
+        if physical.mean_pressure == 0 or made.rms * UNIFORM <= law.range:
             self.uniform = self._uniform(heights, height)
             return
         unit = physical.mean_pressure if by_load else solid.contact_modulus * height / min(grid.spacing)
@@ -64,35 +74,84 @@ class Dimensionless:
             return law.finish(pressure[first:stop], gap[first:stop], level, units)
 
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
+        lowered, wrong = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
         return ContactSolution(
             pressure=pressure,
             gap=gap,
             mean_pressure=self.physical.mean_pressure,
-            mean_gap=units.offset - level * units.height,
+            mean_gap=units.offset - level * units.height + lowered,
             elastic_energy=energy * units.pressure * units.height,
-            certified_error=state.error,
-            max_violation=violation,
+            certified_error=state.error + (wrong / (2 * energy * units.pressure * units.height) if wrong else 0.0),
+            max_violation=violation * (units.height / self._heights.rms),
             iterations=state.iterations,
             transforms=grid.transforms - self._transforms + coarse_transforms,
             seconds=time.perf_counter() - self._began,
         )
 
 
-def dimensionless(problem: ContactProblem, overwrite: bool = False) -> tuple[np.ndarray, float]:
-    """(heights − ⟨heights⟩)/rms (nx_local, ny), as a new array or in the place of the heights, and their rms; zeros
-    and 0 for a plane.  Collective.
+    def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:
+        """Put the points that were raised back where they are.  Returns by how much the mean gap grows, and what energy
+        the pressure on these points loses.  Collective.
+        """
+        grid, heights, made = self.physical.grid, self.physical.heights, self._heights
+
+        def lower(first: int, stop: int) -> tuple[float, float]:
+            rows = slice(first, stop)
+            below = np.maximum(made.high - heights[rows] - made.depth, 0.0)
+            gap[rows] += below
+            return math.fsum(below.ravel()), float(np.vdot(pressure[rows], below))
+
+        parts = grid.threads.collect(lower, len(gap), grid.band)
+        lowered, lost = (grid.reduction.sum(part) / grid.size for part in zip(*parts, strict=True))
+        return lowered, lost
+
+
+def deepest(problem: ContactProblem, height: float) -> float:
+    """How far below the highest point another may lie and still touch; inf if that is more than `height`.  Collective.
+
+    A point carries pressure if it is as far below the highest one as the surface of the solid is above, u_i − u_j ≤
+    (max G − min G) Σp, and G lies between ±⟨compliance(q)⟩, the mean over all modes.  A law with a range reaches deeper.
+    """
+    grid, solid, load = problem.grid, problem.solid, problem.mean_pressure
+    beyond = UNDERFLOW * problem.law.range
+    stiffest = math.hypot(*(math.pi / step for step in grid.spacing))
+    if 2 * load * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
+        return math.inf  # the mean of the compliance is larger still
+    parts = []
+    for first in range(0, grid.spectral_shape[0], grid.band):
+        block = slice(first, first + grid.band)
+        q = np.sqrt(grid.q_squared(block.start, min(block.stop, grid.spectral_shape[0])))
+        parts.append(float(np.sum(grid.hermitian_weight[block] * solid.compliance(q))))
+    depth = 2 * load * grid.reduction.sum(parts) + beyond
+    return depth if depth < height else math.inf
+
+
+class Heights(NamedTuple):
+    """Dimensionless heights (nx_local, ny) of mean 0 and rms 1, and how they were made.
+
+    unit: their unit, 0 for a plane.  rms: of the physical heights.  high: the highest of them.  depth: below it all are
+    raised; inf if none is.
+    """
+
+    field: np.ndarray
+    unit: float
+    rms: float
+    high: float
+    depth: float
+
+
+def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
+    """The heights as solvers see them, as a new array or, if possible, in the place of the physical ones.  Collective.
 
     Raises InputError, saying what is out of range, for a surface that is not flat, or a pressure, beyond `LARGEST`.
     """
     grid, heights = problem.grid, problem.heights
     reduce, threads, rows = grid.reduction, grid.threads, grid.local_shape[0]
-    origin = grid.comm.bcast(float(heights[0, 0]) if grid.comm.rank == 0 else None)  # heights may lie far from zero
 
-    def measure(first: int, stop: int) -> tuple[float, ...]:
-        part = heights[first:stop]
-        return part.min(), part.max(), *kernels.sums_about(origin, part)
+    def measure(first: int, stop: int) -> tuple[float, float]:
+        return heights[first:stop].min(), heights[first:stop].max()
 
-    lows, highs, sums, squares = zip(*threads.collect(measure, rows, grid.band), strict=True)
+    lows, highs = zip(*threads.collect(measure, rows, grid.band), strict=True)
     low, high = reduce.min(lows), reduce.max(highs)
     limits = (
         ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing)),
@@ -102,14 +161,44 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> tuple[np.
         if value != 0 and not 1 / LARGEST <= value / unit <= LARGEST:
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / LARGEST:g} and {LARGEST:g}")
     if low == high:
-        return np.zeros(grid.local_shape), 0.0
-    above, square = reduce.sums(math.fsum(sums), math.fsum(squares)) / grid.size
-    mean, rms = np.float64(origin + above), math.sqrt(square - above**2)
-    out = heights if overwrite else np.empty(grid.local_shape)
+        return Heights(np.zeros(grid.local_shape), 0.0, 0.0, high, math.inf)
+    depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
+    out = heights if overwrite and depth == math.inf else np.empty(grid.local_shape)
 
-    def divide(_: int, first: int, stop: int):
-        part = np.subtract(heights[first:stop], mean, out=out[first:stop])
-        part /= rms
+    def lay(size: float) -> tuple[float, float]:
+        """Heights below the highest one over `size`, raised to −1; their mean and standard deviation."""
+        return _spread(grid, threads.collect(lambda a, b: lay_rows(heights[a:b], high, size, out[a:b]), rows, grid.band))
 
-    threads.share(divide, rows, grid.band)
-    return out, rms
+    size = high - low
+    mean, spread = lay(size)
+    rms = size * spread
+    if depth < math.inf:
+        size = depth
+        mean, spread = lay(size)
+
+    def centre(_: int, first: int, stop: int):
+        part = out[first:stop]
+        part -= mean
+        part /= spread
+
+    threads.share(centre, rows, grid.band)
+    return Heights(out, size * spread, rms, high, depth)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def lay_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
+    """out = max((h − high)/size, −1); returns its sum and that of its squares."""
+    total = squares = 0.0
+    for i in range(heights.shape[0]):
+        for j in range(heights.shape[1]):
+            value = max((heights[i, j] - high) / size, -1.0)
+            out[i, j] = value
+            total += value
+            squares += value * value
+    return total, squares
+
+
+def _spread(grid: SlabGrid, parts: list[tuple[float, float]]) -> tuple[float, float]:
+    """Mean and standard deviation from sums of values and of their squares over some rows.  Collective."""
+    mean, square = grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True))) / grid.size
+    return mean, math.sqrt(square - mean**2)
