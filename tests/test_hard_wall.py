@@ -119,7 +119,8 @@ def test_full_contact_is_exact(comm):
     mean = -1.01 * grid.reduction.min(response)
     found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), mean), 1e-6)
     assert grid.reduction.max(np.abs(found.pressure - mean - response)) < 1e-10 * mean
-    assert (found.iterations, found.mean_gap, found.certified_error) == (0, 0.0, 0.0)
+    assert (found.iterations, found.mean_gap) == (0, 0.0)
+    assert 0 < found.certified_error < 1e-28  # what the digits of a double may amount to
 
 
 def test_just_below_full_contact(comm):

@@ -587,6 +587,8 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
 def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
     """The true error, and the energy."""
     error = exact.error_of(answer.pressure)
+    if answer.elastic_energy > 0:  # which it counts in, as reported
+        error *= exact.work / 2 / answer.elastic_energy
     unsure = exact.bound + 2 * np.sqrt(abs(error) * exact.bound)
     if error > answer.certified_error + unsure + FLOOR:
         return f"certified {answer.certified_error:.3g}, true error {float(error):.3g}"

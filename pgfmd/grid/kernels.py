@@ -137,18 +137,6 @@ def subtract_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
 
 
 @jit
-def sums_about(origin: float, field: np.ndarray) -> tuple[float, float]:
-    """(Σ (f − origin), Σ (f − origin)²)"""
-    total = squares = 0.0
-    for i in range(field.shape[0]):
-        for j in range(field.shape[1]):
-            away = field[i, j] - origin
-            total += away
-            squares += away * away
-    return total, squares
-
-
-@jit
 def squares_of_steps(field: np.ndarray) -> float:
     """Σ (f[i, j + 1] − f[i, j])²"""
     total = 0.0

@@ -20,6 +20,7 @@ SOLVERS: dict[str, Callable[..., ContactSolution]] = {
     "newton": solve_exponential_wall,
     "gfmd": solve_gfmd,
 }
+SMALLEST = 1e-290  # sum of a start whose multiples do not overflow
 RESCUE = 4000  # steps of dynamics after another method has failed
 log = logging.getLogger("pgfmd")
 
@@ -33,11 +34,13 @@ def solve_contact(
 ) -> ContactSolution:
     """The contact by the method that the options name, to their tolerance.  Collective.
 
-    start: a pressure (nx_local, ny) that replaces coarse grids.  monitor(grid, state): called after each outer step.
+    start: a pressure (nx_local, ny) that replaces coarse grids, unless it carries nothing or is not finite.
+    monitor(grid, state): called after each outer step.
     overwrite_heights: use their memory, unless method "auto" may need them again.  Raises InputError for a method that
     the law does not take and values out of range, SolverError if the tolerance cannot be reached.
     """
     options.check_law(problem.law)
+    start = _usable(problem, start)
     method = problem.law.methods[0] if options.method == "auto" else options.method
     rescued = options.method == "auto" and "gfmd" in problem.law.methods
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
@@ -51,3 +54,13 @@ def solve_contact(
         if problem.grid.comm.rank == 0:
             log.info("%s; trying dynamics, which are slower but always converge", failure)
     return solve_gfmd(problem, options.tolerance, None, monitor, max_steps=RESCUE)
+
+
+def _usable(problem: ContactProblem, start: np.ndarray | None) -> np.ndarray | None:
+    """A start without its tensions; None if it carries no load that can be scaled.  Collective."""
+    if start is None:
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        start = np.maximum(start, 0.0)
+        total = problem.grid.reduction.sum(start)
+    return start if SMALLEST < total < np.inf else None

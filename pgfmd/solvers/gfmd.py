@@ -49,10 +49,10 @@ def solve_gfmd(
     if units.uniform is not None:
         return units.uniform
     dynamics, grid = Dynamics(units.problem), problem.grid
-    if start is not None and 0 < grid.reduction.sum(start) < math.inf:
+    if start is not None:
         dynamics.force[...] = start * (grid.size / grid.reduction.sum(start))
     state = dynamics.run(tolerance, max_steps, monitor)
-    return units.solution(state, state.work / 2)
+    return units.solution(state, state.work / 2, tolerance)
 
 
 class Dynamics:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from pgfmd.errors import InputError
+from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
@@ -19,6 +19,7 @@ LARGEST = 1e120  # of heights over the grid spacing, of pressures over the conta
 UNIFORM = 1e15  # range of a law over the rms height from which on the pressure is uniform to a double's rounding
 
 
+ROUNDING = 4 * np.finfo(np.float64).eps  # of pressures, relative: by transforms, and of the numbers themselves
 UNDERFLOW = 800.0  # ranges of a law over which a pressure falls below the smallest number
 
 
@@ -62,10 +63,11 @@ class Dimensionless:
         gap = np.subtract(top, heights, out=heights)
         return ContactSolution(np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds)
 
-    def solution(self, state, energy: float, coarse_transforms: float = 0.0) -> ContactSolution:
+    def solution(self, state, energy: float, tolerance: float, coarse_transforms: float = 0.0) -> ContactSolution:
         """The physical solution of a dimensionless state, whose fields become its own.  Collective.
 
-        state: pressure, gap, level, error and iterations of the solver; energy: ½⟨p̂ û⟩ per point.
+        state: pressure, gap, level, error and iterations of the solver; energy: ½⟨p̂ û⟩ per point.  Raises SolverError
+        if the last digits of the pressure, which its certificate does not see, take the error above the tolerance.
         """
         pressure, gap, units, grid = state.pressure, state.gap, self.units, self.physical.grid
         law, level = self.problem.law, state.level
@@ -73,6 +75,12 @@ class Dimensionless:
         def finish(first: int, stop: int) -> float:
             return law.finish(pressure[first:stop], gap[first:stop], level, units)
 
+        error = state.error + self._digits(pressure) / (2 * energy)
+        if not error <= tolerance:
+            raise SolverError(
+                f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
+                "energy is lost in the last digits of the pressure; ask for less"
+            )
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
         lowered, wrong = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
         return ContactSolution(
@@ -81,13 +89,21 @@ class Dimensionless:
             mean_pressure=self.physical.mean_pressure,
             mean_gap=units.offset - level * units.height + lowered,
             elastic_energy=energy * units.pressure * units.height,
-            certified_error=state.error + (wrong / (2 * energy * units.pressure * units.height) if wrong else 0.0),
+            certified_error=error + (wrong / (2 * energy * units.pressure * units.height) if wrong else 0.0),
             max_violation=violation * (units.height / self._heights.rms),
             iterations=state.iterations,
             transforms=grid.transforms - self._transforms + coarse_transforms,
             seconds=time.perf_counter() - self._began,
         )
 
+
+    def _digits(self, pressure: np.ndarray) -> float:
+        """What errors δ of the last digits of the pressure may cost, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point.  Collective."""
+        grid, problem = self.physical.grid, self.problem
+        longest = np.array(2 * math.pi / max(grid.lengths))
+        square = grid.reduction.dot(pressure, pressure) / grid.size
+        softness = square * float(problem.solid.compliance(longest)) + problem.mean_pressure * problem.law.range
+        return ROUNDING**2 / 2 * softness
 
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:
         """Put the points that were raised back where they are.  Returns by how much the mean gap grows, and what energy
@@ -110,7 +126,8 @@ def deepest(problem: ContactProblem, height: float) -> float:
     """How far below the highest point another may lie and still touch; inf if that is more than `height`.  Collective.
 
     A point carries pressure if it is as far below the highest one as the surface of the solid is above, u_i − u_j ≤
-    (max G − min G) Σp, and G lies between ±⟨compliance(q)⟩, the mean over all modes.  A law with a range reaches deeper.
+    (max G − min G) Σp, and G lies between ±⟨compliance(q)⟩, the mean over all modes.  A law with a range reaches
+    deeper.
     """
     grid, solid, load = problem.grid, problem.solid, problem.mean_pressure
     beyond = UNDERFLOW * problem.law.range
@@ -167,7 +184,8 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
 
     def lay(size: float) -> tuple[float, float]:
         """Heights below the highest one over `size`, raised to −1; their mean and standard deviation."""
-        return _spread(grid, threads.collect(lambda a, b: lay_rows(heights[a:b], high, size, out[a:b]), rows, grid.band))
+        parts = threads.collect(lambda a, b: lay_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
+        return _spread(grid, parts)
 
     size = high - low
     mean, spread = lay(size)

@@ -24,7 +24,7 @@ class WallState:
     gap: np.ndarray
     error: float = np.inf
     objective: float = np.inf
-    work: float = 0.0  # ⟨p̂, Gp̂⟩
+    work: float | None = None  # ⟨p̂, Gp̂⟩, if that is known better than from p̂ and g
     level: float = 0.0  # c: at the solution the law's gap at p̂ is g − c
     contact: int = 0  # points that carry more than the mean
     iterations: int = 0
@@ -41,15 +41,18 @@ class WallRelaxation:
         }
 
     def compute_gap(self, state: WallState) -> None:
-        """g = Gp̂ − h in double precision.  Collective."""
+        """g = Gp̂ − h in double precision, and ⟨p̂, Gp̂⟩, which g does not tell where h is far larger.  Collective."""
+        parts = []
 
         def fill(first: int, stop: int, rows: np.ndarray):
             rows[...] = state.pressure[first:stop]
 
         def drain(first: int, stop: int, rows: np.ndarray):
+            parts.append((first, float(np.vdot(rows, state.pressure[first:stop]))))
             kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
 
         self.grid.convolve(fill, self.compliance[np.float64], drain)
+        state.work = self.grid.reduction.sum([part for _, part in sorted(parts)]) / self.grid.size
 
     def total(self, kernel, *arguments) -> np.ndarray:
         """The sums over all rows of all ranks of what a kernel returns for some rows.  Collective."""
@@ -64,8 +67,9 @@ class WallRelaxation:
         least = self.grid.reduction.min(state.gap)
         found = self.law.certify(self.total, state.pressure, state.gap, self.heights, least)
         state.level, state.contact = found.level, found.contact
-        state.work, state.objective = found.work / count, (found.potential - found.work / 2) / count + least
-        state.error = found.bound / found.work if found.work > 0 else np.inf
+        state.work = found.work / count if state.work is None else state.work
+        state.objective = found.potential / count - state.work / 2 + least
+        state.error = found.bound / count / state.work if state.work > 0 else np.inf
 
     def respond(self, state: WallState, target: np.ndarray, compliance: float) -> None:
         """The law's answer p̂ with compliance · p̂ − gap(p̂) = target + c, with c such that its mean is 1; the search

@@ -51,11 +51,9 @@ def solve_hard_wall(
         state, extra = _cascade(scaled, tolerance, monitor)
     elif (state := _full_contact(scaled)) is None:
         contact = grid.reduction.sum(np.count_nonzero(start)) / grid.size
-        state = State(start / units.units.pressure, np.empty(grid.local_shape))
-        np.maximum(state.pressure, 0, out=state.pressure)
-        state.pressure *= scaled.load / grid.reduction.sum(state.pressure)
+        state = State(start * (scaled.load / grid.reduction.sum(start)), np.empty(grid.local_shape))
         state = _relax(scaled, state, tolerance, monitor, contact)
-    return units.solution(state, state.energy / grid.size, extra)
+    return units.solution(state, state.energy / grid.size, tolerance, extra)
 
 
 def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
@@ -84,13 +82,13 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     pressure = np.empty(grid.local_shape)
 
     def drain(first: int, stop: int, rows: np.ndarray):
-        np.add(rows, load * grid.size, out=pressure[first:stop])
+        np.divide(rows, grid.size, out=pressure[first:stop])
 
     grid.convolve(fill, action, drain)
-    pressure /= grid.size
+    energy = grid.reduction.dot(pressure, heights) / 2  # before the mean pressure, which may be far larger, is added
+    pressure += load
     if grid.reduction.min(pressure) < 0:
         return None
-    energy = grid.reduction.dot(pressure, heights) / 2
     return State(pressure, np.zeros(grid.local_shape), 0.0, energy, 0.0, grid.size)
 
 

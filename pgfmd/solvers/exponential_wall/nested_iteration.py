@@ -48,7 +48,7 @@ def solve_exponential_wall(
         state, extra = _cascade(units.problem, tolerance, monitor)
     else:
         state, extra = _relax(units.problem, _feasible(problem.grid, start), tolerance, monitor), 0.0
-    return units.solution(state, state.work / 2, extra)
+    return units.solution(state, state.work / 2, tolerance, extra)
 
 
 def _relax(problem: ContactProblem, state: WallState, tolerance: float, monitor: Monitor | None) -> WallState:
@@ -119,9 +119,4 @@ def _prolong(coarse: ContactProblem, found: WallState, problem: ContactProblem) 
 
 def _feasible(grid: SlabGrid, pressure: np.ndarray) -> WallState:
     """The state of a given pressure, scaled to the load.  Collective."""
-    start = np.maximum(pressure, 0.0)
-    total = grid.reduction.sum(start)
-    if not 0 < total < math.inf:
-        start[...], total = 1.0, grid.size
-    start *= grid.size / total
-    return WallState(start, np.empty(grid.local_shape))
+    return WallState(pressure * (grid.size / grid.reduction.sum(pressure)), np.empty(grid.local_shape))

@@ -85,6 +85,7 @@ class Newton(WallRelaxation):
             self.grid.threads.split(
                 lambda a, b: entropy.mix(old.pressure, old.gap, 0.25, state.pressure, state.gap, a, b), len(old.gap)
             )
+            state.work = None
             self.certify(state)
 
     def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
