@@ -437,7 +437,7 @@ def _by_solve(case: Case, folder: Path, comm):
     if comm.size > 1:
         from pgfmd.parallel.collectives import slab
 
-        heights, options["comm"] = heights[slab(comm, len(heights))].copy(), comm
+        heights, options["comm"] = heights[slab(len(heights), comm.size, comm.rank)].copy(), comm
     found = pgfmd.solve(heights, document["load"]["pressure"], spacing=tuple(spacing), threads=1, **options)
     fields = [np.concatenate(comm.allgather(field)) for field in (found.pressure, found.gap)]
     answer = Answer(

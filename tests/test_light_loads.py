@@ -1,0 +1,116 @@
+"""Loads from a single pixel, and from 1e-100, to full contact, against the slow reference."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import pgfmd
+
+pytest.importorskip("mpi4py")
+import reference  # noqa: E402
+
+from pgfmd.parallel.collectives import slab  # noqa: E402
+
+pytestmark = [
+    pytest.mark.mpi,
+    pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision"),
+]
+
+N = 14
+# Over the stress of full contact.
+LOADS = (1e-100, 1e-30, 1e-17, 1e-13, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1, 0.5, 2.0, 10.0, 1e3)
+SLABS = [(base, thickness) for base in ("bonded", "free", "sliding") for thickness in (0.05, 0.3, 1.0, 4.0, 20.0, 1e3)]
+
+
+def surface(kind: str) -> np.ndarray:
+    """Heights (N, N) of a paraboloid, or a rough surface."""
+    x = np.arange(N) - N / 2
+    if kind == "paraboloid":
+        return -(x[:, None] ** 2 + x**2) / 20
+    return np.random.default_rng(4).standard_normal((N, N))
+
+
+def whole(comm, heights, pressure, **options):
+    """The contact of a whole surface on all ranks, with whole fields."""
+    rows = slab(len(heights), comm.size, comm.rank)
+    found = pgfmd.solve(heights[rows].copy(), pressure, comm=comm, threads=1, **options)
+    found.pressure, found.gap = (np.concatenate(comm.allgather(field)) for field in (found.pressure, found.gap))
+    return found
+
+
+def check(comm, heights, tolerance, **solid):
+    """All LOADS certified, their true errors within the certified ones; energy and gap to the last digits."""
+    contact = reference.Contact(
+        heights, (1.0, 1.0), reference.Solid(1.0, solid.get("thickness", math.inf), solid.get("base", "bonded"), 0.25)
+    )
+    for load in LOADS:
+        pressure = float(load * contact.full_stress)
+        found, exact = whole(comm, heights, pressure, tolerance=tolerance, **solid), contact.hard(pressure)
+        error = float(exact.error_of(found.pressure))
+        assert error <= found.certified_error + 1e-30 and found.certified_error <= tolerance, (load, error, found)
+        room = 3 * math.sqrt(tolerance)
+        assert found.elastic_energy == pytest.approx(float(exact.work / 2), rel=room)
+        assert np.abs(found.gap.ravel() - exact.gap).max() <= room * exact.unit * math.sqrt(
+            exact.scaled_work
+        ) + 1e-13 * np.ptp(heights)
+
+
+@pytest.mark.parametrize("kind", ["paraboloid", "rough"])
+def test_any_load_is_certified(comm, kind):
+    """On a half-space, to 1e-10."""
+    check(comm, surface(kind), 1e-10)
+
+
+@pytest.mark.parametrize(("base", "thickness"), SLABS)
+def test_any_load_on_a_slab_is_certified(comm, base, thickness):
+    """The same for slabs from a twentieth of a pixel to 70 cells thick, to 1e-8."""
+    check(comm, surface("rough"), 1e-8, base=base, thickness=thickness)
+
+
+@pytest.mark.parametrize("method", ["auto", "gfmd"])
+@pytest.mark.parametrize("load", [1e-100, 1e-12, 1e-3])
+def test_one_pixel_carries_what_its_own_compliance_says(comm, load, method):
+    """A lone summit: p = N p̄ on it, 2 E_el = p̄² N G₀₀, by either method; gaps elsewhere are those of the undeformed
+    surfaces but for the indentation, max G − min G ≤ 2 G₀₀ per force."""
+    heights, pressure = surface("rough"), load * 1e-3
+    pixel = float(reference.Contact(heights).pixel)
+    found = whole(comm, heights, pressure, method=method)
+    assert np.count_nonzero(found.pressure) == 1
+    assert found.pressure.max() == pytest.approx(N**2 * pressure, rel=1e-14)
+    assert found.elastic_energy == pytest.approx(pressure**2 * N**2 * pixel / 2, rel=1e-13)
+    assert np.abs(found.gap - (heights.max() - heights)).max() < 2 * N**2 * pressure * pixel + 1e-14
+
+
+@pytest.mark.parametrize("zeta", [None, 0.1])
+@pytest.mark.parametrize("method", ["auto", "gfmd"])
+@pytest.mark.parametrize("bad", ["zeros", "tensions", "nan", "inf", "huge", "tiny", "one point"])
+def test_a_start_never_decides(comm, bad, method, zeta):
+    """Starts without a load, not finite, of tensions, or absurd: the same pressure as without one, to 1e-5."""
+    heights = surface("rough")
+    start = np.zeros((N, N))
+    start[3, 4] = {"nan": np.nan, "inf": np.inf, "huge": 1e308, "tiny": 1e-320, "one point": 1.0}.get(bad, 0.0)
+    if bad == "huge":
+        start[...] = 1e308
+    if bad == "tensions":
+        start[...] = -1.0
+    options = {"method": method, "zeta": zeta, "tolerance": 1e-12}
+    plain = whole(comm, heights, 0.05, **options)
+    found = whole(comm, heights, 0.05, start=start[slab(N, comm.size, comm.rank)].copy(), **options)
+    assert np.linalg.norm(found.pressure - plain.pressure) < 1e-5 * np.linalg.norm(plain.pressure)
+
+
+def test_a_heavy_load_knows_its_last_digits(comm):
+    """Far beyond full contact p = p̄ + Kh, whose digits end at p̄'s: the bound grows with p̄², until it is refused."""
+    heights = surface("rough")
+    contact = reference.Contact(heights)
+    for power in (2, 6, 9):
+        pressure = 10.0**power
+        found = whole(comm, heights, pressure)
+        error = float(contact.hard(pressure).error_of(found.pressure))
+        assert error <= found.certified_error < 1e4 * max(error, 1e-32)
+        assert found.elastic_energy == pytest.approx(float(contact.hard(pressure).work / 2), rel=1e-13)
+    with pytest.raises(pgfmd.SolverError, match="last digits"):
+        whole(comm, heights, 1e15, method="active-set")
