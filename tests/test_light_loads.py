@@ -11,6 +11,7 @@ import pgfmd
 
 pytest.importorskip("mpi4py")
 import reference  # noqa: E402
+from conftest import SIZE  # noqa: E402
 
 from pgfmd.parallel.collectives import slab  # noqa: E402
 
@@ -22,7 +23,8 @@ pytestmark = [
 N = 14
 # Over the stress of full contact.
 LOADS = (1e-100, 1e-30, 1e-17, 1e-13, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1, 0.5, 2.0, 10.0, 1e3)
-SLABS = [(base, thickness) for base in ("bonded", "free", "sliding") for thickness in (0.05, 0.3, 1.0, 4.0, 20.0, 1e3)]
+THICKNESSES = (0.05, 0.3, 1.0, 4.0, 20.0, 1e3) if SIZE == 1 else (1.0,)
+SLABS = [(base, thickness) for base in ("bonded", "free", "sliding") for thickness in THICKNESSES]
 
 
 def surface(kind: str) -> np.ndarray:
@@ -46,7 +48,7 @@ def check(comm, heights, tolerance, **solid):
     contact = reference.Contact(
         heights, (1.0, 1.0), reference.Solid(1.0, solid.get("thickness", math.inf), solid.get("base", "bonded"), 0.25)
     )
-    for load in LOADS:
+    for load in LOADS if comm.size == 1 else LOADS[::4]:
         pressure = float(load * contact.full_stress)
         found, exact = whole(comm, heights, pressure, tolerance=tolerance, **solid), contact.hard(pressure)
         error = float(exact.error_of(found.pressure))
