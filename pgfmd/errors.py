@@ -9,6 +9,10 @@ class SolverError(RuntimeError):
     """A solver could not certify its answer; the message says why.  The command line exits with 3."""
 
 
+class Unreachable(SolverError):
+    """A target that no load gives, such as an area below that of first contact; other targets may be fine."""
+
+
 class Stopped(Exception):
     """A run was asked to stop, and did, ready to be continued; the message says by whom.
 

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from mpi4py import MPI
 
+from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.provenance import Origin
@@ -60,6 +61,8 @@ def simulate(
         machine.report(comm, estimate(job, comm.size).memory)  # now: a wrong input is answered by one line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
         observer = Observer(problem, job.output.asked, job.surface.cutoff(job.grid))
+        loads = Loads(job.load, problem, job.solver.tolerance)
+        loads.refuse(job.load.targets)
         checkpoints = Checkpoints(
             comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
         )  # fmt: skip
@@ -72,24 +75,37 @@ def simulate(
             if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_field("height", heights)
         steps = _Steps(job, grid, interruptions, checkpoints)
-        loads = make_loads(job, problem, steps)
-        for index in writer.pending:
-            with phases("solve"), steps.of_load(index):
-                start = checkpoints.load(index)
-                interruptions.load_begins(resumed=start is not None)
-                loads.resume(start)
-                solution = loads.solution(job.load.targets[index])
-                steps.solved(solution)
+        loads.solver = partial(solve, job, steps)
+        pending, unreachable = writer.pending, {}
+        for index in pending:
+            target = job.load.targets[index]
+            try:
+                with phases("solve"), steps.of_load(index):
+                    start = checkpoints.load(index)
+                    interruptions.load_begins(resumed=start is not None)
+                    loads.resume(start)
+                    solution = loads.solution(target)
+                    steps.solved(solution)
+            except Unreachable as failure:
+                unreachable[index] = failure
+                continue
             with phases("observe"):
                 contact = observer.contact(solution)
-                row, groups = observer.row(contact), observer.groups(contact)
+                row = {"target": target, "displacement": loads.displacement(solution)} | observer.row(contact)
+                groups = observer.groups(contact)
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
                 checkpoints.remove()
             interruptions.load_done()
             interruptions.resumption = "--restart"
             _report(comm, index, len(job.load.targets), row)
+        if unreachable and len(unreachable) == len(pending):  # nothing was solved: earlier results stay
+            raise SolverError("; ".join(map(str, unreachable.values())))
+        for index in unreachable:
+            writer.write_load(index, {"target": job.load.targets[index]})
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
+    if unreachable:
+        raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")
 
 
 def make_elasticity(job: Job) -> Elasticity:
@@ -99,14 +115,12 @@ def make_elasticity(job: Job) -> Elasticity:
     return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 
-def make_loads(job: Job, problem: ContactProblem, steps: _Steps) -> Loads:
-    """The job's loads, solved by its method.  Collective."""
-
-    def solve(mean_pressure: float, start: np.ndarray | None, tolerance: float) -> ContactSolution:
-        options = dataclasses.replace(job.solver, tolerance=tolerance)
-        return solve_contact(problem.at(mean_pressure), options, start, partial(steps.see, mean_pressure))
-
-    return Loads(job.load.control, solve, problem, job.solver.tolerance, job.load.area_tolerance)
+def solve(
+    job: Job, steps: _Steps, problem: ContactProblem, start: np.ndarray | None, tolerance: float
+) -> ContactSolution:
+    """One contact by the job's method.  Collective."""
+    options = dataclasses.replace(job.solver, tolerance=tolerance)
+    return solve_contact(problem, options, start, partial(steps.see, problem.mean_pressure))
 
 
 class _Steps:

@@ -33,6 +33,7 @@ Groups = Mapping[str, Mapping[str, np.ndarray]]
 
 # One row per load, in group `loads` of observables.h5, in this order.
 LOADS = {
+    "target": ("", "what was asked for: the entry of the list in [load], in its unit"),
     "mean_pressure": ("{pressure}", "mean pressure p̄"),
     "contact_area": ("1", "relative contact area f_c: fraction of grid points with pressure > 0"),
     "contact_area_corrected": ("1", "relative area inside the contact line between pixels; f_c if there is no line"),
@@ -40,6 +41,7 @@ LOADS = {
     "contact_line": ("1", "1: there is a contact line; 0: none, as roughness goes down to the pixel or all is touched"),
     "kappa": ("1", "f_c E' g_rms / p̄"),
     "mean_gap": ("{length}", "mean gap"),
+    "displacement": ("{length}", "approach of the solid's far side from where the flat solid touches the summit"),
     "elastic_energy": ("{pressure}*{length}", "elastic energy per area of the cell"),
     "certified_error": ("1", "upper bound D/(2 E_el) of the relative energy error"),
     "max_violation": ("1", "largest of |gap| in contact and penetration outside, over the rms height"),

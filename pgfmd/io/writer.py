@@ -109,8 +109,7 @@ class ResultWriter:
             log.info("fields are written %s", how)
 
     def _enter(self) -> tuple[EarlierResults, bool, str]:
-        """Lock the folder; what is to be continued, whether something is to be replaced, the folder of fields.  Rank 0.
-        """
+        """Lock the folder; what is to be continued, whether something is to be replaced, the folder of fields.  Rank 0."""
         folder = atomic.OutputFolder(self.directory)
         try:
             found = [
@@ -296,21 +295,19 @@ class ResultWriter:
     def _describe(self, file: h5py.File) -> None:
         if self.earlier.job is None:
             file.attrs.update(self._provenance)
-            group = file.create_group("loads")
-            for name, (units, description) in LOADS.items():
-                fill = (
-                    {"dtype": np.int64, "fillvalue": -1}
-                    if name == "iterations"
-                    else {"dtype": float, "fillvalue": np.nan}
-                )
-                self._annotate(
-                    group.create_dataset(name, (0,), maxshape=(None,), chunks=(64,), **fill), description, units
-                )
         else:
             line = f"from load {self.completed} on: " + " ".join(
                 f"{name} {self._provenance[name]}" for name in ("date", "commit", "host", "ranks", "threads")
             )
             file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
+        group = file.require_group("loads")
+        for name, (units, description) in LOADS.items():
+            if name not in group:  # an earlier version may not have written it
+                kind, missing = (np.int64, -1) if name == "iterations" else (np.float64, np.nan)
+                column = group.create_dataset(
+                    name, (self.completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing
+                )
+                self._annotate(column, description, units)
         file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self.origin.loads)
 

@@ -14,14 +14,14 @@ from typing import Any
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.job.output import Output, Written
-from pgfmd.job.sections import CONTROLS, Load, Run, Solid
+from pgfmd.job.sections import Run, Solid
 from pgfmd.options import section as tables
-from pgfmd.options.section import Kinds, Section, build, wrong
+from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
-from pgfmd.solvers.options import Solver
+from pgfmd.solvers.options import CONTROLS, Load, Solver
 from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.table import SURFACES
 
@@ -43,8 +43,7 @@ class Job:
     def __post_init__(self) -> None:
         self.surface.check_in(self.grid)
         self.solver.check_law(self.wall)
-        if not self.wall.releases and 0.0 in (self.load.pressure or ()):
-            raise wrong(self.load, "pressure", f'must be > 0 with wall.kind = "{self.wall.kind}", which never lets go')
+        self.load.check_law(self.wall)
 
 
 SECTIONS: dict[str, type[Section] | Kinds] = {

@@ -1,4 +1,4 @@
-"""The sections of a job that belong to no door: solid, load, output, run.  No MPI here.
+"""The sections of a job that belong to no door: solid, run.  No MPI here.
 
 The fields of a class are the keys of its TOML table; the comment beside a key is its meaning.  All numbers are in one
 consistent set of units, chosen by the user.
@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from pgfmd.errors import InputError
-from pgfmd.options.rules import POSITIVE, choice, many, number
+from pgfmd.options.rules import POSITIVE, choice, number
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
@@ -83,38 +83,6 @@ def _moduli(given: dict[str, float]) -> dict[str, float | None] | None:
         "poisson": poisson,
         "contact_modulus": young / (1 - poisson**2),
     }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Load(Section):
-    """What is imposed, one solution per entry, in the order given: exactly one of the four lists."""
-
-    where = "load"
-    pressure: tuple[float, ...] | None = key(many(number(low=0), least=1))  # mean pressure
-    contact_area: tuple[float, ...] | None = key(many(number(above=0, below=1), least=1))  # relative contact area
-    mean_gap: tuple[float, ...] | None = key(many(number(), least=1))  # mean of displacement minus height
-    # Approach of the solid's far side (half-space: of its mean plane) from where the flat solid touches the summit.
-    displacement: tuple[float, ...] | None = key(many(number(), least=1))
-    area_tolerance: float = key(number(above=0, below=1), 0.005)  # relative, for contact_area
-
-    def check(self) -> None:
-        given = [name for name in CONTROLS if getattr(self, name) is not None]
-        if len(given) != 1:
-            found = f"found {' and '.join(given)}" if given else "found none"
-            raise InputError(f"load: give exactly one of {', '.join(CONTROLS)}; {found}")
-
-    @property
-    def control(self) -> str:
-        """The name of what is imposed."""
-        return next(name for name in CONTROLS if getattr(self, name) is not None)
-
-    @property
-    def targets(self) -> tuple[float, ...]:
-        """The values imposed."""
-        return getattr(self, self.control)
-
-
-CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The options of the solvers: the table [solver] of a job.  No MPI here."""
+"""What is imposed on a contact, and how it is found: the tables [load] and [solver] of a job.  No MPI here."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import TRANSFORMS
-from pgfmd.options.rules import choice, integer, number
+from pgfmd.options.rules import choice, integer, many, number
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 from pgfmd.physics.laws.law import ContactLaw
@@ -41,6 +41,63 @@ class Solver(Section):
     def check_law(self, law: ContactLaw) -> None:
         """Raises InputError for a method that cannot take that law."""
         if self.method not in ("auto", *law.methods):
-            allowed = ", ".join(("auto", *law.methods))
-            kind = show(law.kind)
+            allowed, kind = ", ".join(("auto", *law.methods)), show(law.kind)
             raise InputError(f"solver.method = {show(self.method)}: must be one of {allowed} for wall.kind = {kind}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Load(Section):
+    """What is imposed, one solution per entry, in the order given: exactly one of the four lists."""
+
+    where: ClassVar[str] = "load"
+    pressure: tuple[float, ...] | None = key(many(number(low=0), least=1), about="mean pressure", example=[0.01])
+    contact_area: tuple[float, ...] | None = key(
+        many(number(above=0, below=1), least=1), about="relative contact area", example=[0.01, 0.1]
+    )
+    mean_gap: tuple[float, ...] | None = key(many(number(), least=1), about="mean gap")
+    displacement: tuple[float, ...] | None = key(
+        many(number(), least=1),
+        about="approach of the solid's far side (half-space: of its mean plane) from where the flat solid touches the "
+        "highest point",
+    )
+    area_tolerance: float = key(
+        number(above=0, below=1),
+        0.005,
+        "relative, of contact_area: it is met to this or to one pixel; where the area jumps, on the nearer side",
+    )
+    gap_tolerance: float = key(
+        number(above=0, below=1),
+        1e-4,
+        "of mean_gap and displacement, relative to the approach from first contact or, if less, to the mean gap (or "
+        "zeta, if more)",
+    )
+
+    def check(self) -> None:
+        """Exactly one list is given, and only its tolerance."""
+        given = [name for name in CONTROLS if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = f"found {' and '.join(given)}" if given else "found none"
+            raise InputError(f"load: give exactly one of {', '.join(CONTROLS)}; {found}")
+
+    def check_law(self, law: ContactLaw) -> None:
+        """Raises InputError for targets that a law cannot have."""
+        kind = show(law.kind)
+        if not law.releases and self.contact_area:
+            raise wrong(self, "contact_area", f"cannot be imposed with wall.kind = {kind}, which touches everywhere")
+        if not law.releases and 0.0 in (self.pressure or ()):
+            raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which never lets go")
+        if self.pressure and not max(self.pressure) < law.highest:
+            raise wrong(self, "pressure", f"must be below {law.highest:g}, which the wall bears")
+
+    @property
+    def control(self) -> str:
+        """The name of what is imposed."""
+        return next(name for name in CONTROLS if getattr(self, name) is not None)
+
+    @property
+    def targets(self) -> tuple[float, ...]:
+        """The values imposed."""
+        return getattr(self, self.control)
+
+
+CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement")
