@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pgfmd.errors import InputError
+from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
@@ -148,3 +148,62 @@ def test_energy_and_gap_belong_together(rough):
     low, high = (solve_contact(problem.at(load * f), Solver(tolerance=1e-12)) for f in (1 - step, 1 + step))
     work = -load * (high.mean_gap - low.mean_gap)
     assert high.elastic_energy - low.elastic_energy == pytest.approx(work, rel=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 0.3, 0.97])
+def test_the_load_at_an_approach_is_right_to_the_tolerance(rough, scale):
+    """A displacement and the mean gap that belongs to it give one load, to the tolerance that both were given.
+
+    d ln p̄/d ln(approach) lies between 1 (few points touch) and some 5 (nearly full contact, where the tolerance is
+    relative to the gap that is left): loads agree to 10 tolerances.
+    """
+    grid, heights = rough
+    summit = grid.reduction.max(heights) - grid.reduction.sum(heights) / grid.size
+    one = Counted("displacement", grid, heights, gap_tolerance=1e-3).solution(scale * summit)
+    assert summit - one.mean_gap == pytest.approx(scale * summit, rel=1e-3)
+    two = Counted("mean_gap", grid, heights, gap_tolerance=1e-3).solution(one.mean_gap)
+    assert two.mean_pressure == pytest.approx(one.mean_pressure, rel=1e-2)
+
+
+def test_the_search_counts(rough):
+    """Transforms, iterations and seconds of a target are those of all its solutions."""
+    grid, heights = rough
+    solutions = []
+
+    def solve(problem, start, tolerance):
+        solutions.append(solve_contact(problem, Solver(tolerance=tolerance), start))
+        return solutions[-1]
+
+    problem = ContactProblem(grid, heights, SOLID, HardWall())
+    found = Loads(Load(contact_area=[0.1]), problem, 1e-6, solve).solution(0.1)
+    assert len(solutions) > 1
+    assert found.transforms == pytest.approx(sum(each.transforms for each in solutions))
+    assert found.iterations == sum(each.iterations for each in solutions)
+
+
+@pytest.mark.parametrize("control", ["displacement", "mean_gap"])
+def test_a_tolerance_beyond_rounding_is_refused_by_its_name(rough, control):
+    """What cannot be certified is refused, and the message names the key that asks for it."""
+    with pytest.raises(SolverError, match="load.gap_tolerance = 1e-16"):
+        Counted(control, *rough, gap_tolerance=1e-16).solution(0.3)
+
+
+@pytest.mark.parametrize("tolerance", [1e-15, 1e-300])
+def test_an_area_tolerance_of_nothing_means_a_pixel(rough, tolerance):
+    """Areas are met to a pixel at best, whatever is asked for: 64² points have none finer."""
+    grid, heights = rough
+    found = Counted("contact_area", grid, heights, area_tolerance=tolerance).solution(0.1)
+    assert abs(grid.reduction.sum(found.pressure > 0) / grid.size - 0.1) <= 1 / grid.size
+
+
+def test_areas_below_first_contact_are_not_reachable(comm):
+    """A plateau touches as a whole, and so do the crests of a wave: smaller areas are refused without a solution."""
+    grid = SlabGrid(comm, (32, 32))
+    x = np.arange(grid.rows.start, grid.rows.stop)[:, None] * np.ones((1, 32))
+    for heights, least in (((x < 8) * 1.0, 0.25), (np.cos(2 * np.pi * x / 32), 1 / 32)):
+        counted = Counted("contact_area", grid, heights + 1e3)
+        with pytest.raises(Unreachable, match=f"{least:g} touches first"):
+            counted.solution(least / 4)
+        assert counted.solves == 0
+        found = counted.solution(1.5 * least if least < 0.1 else 0.3)
+        assert grid.reduction.sum(found.pressure > 0) / grid.size >= least

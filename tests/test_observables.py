@@ -286,7 +286,7 @@ def test_row(comm):
     assert observer.surface.rms_slope == pytest.approx(0.07, rel=1e-12)  # that of which the surface was made
     solution = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.01), 1e-3)
     row = observer.row(observer.contact(solution))
-    assert row.keys() == schema.LOADS.keys()
+    assert schema.LOADS.keys() - row.keys() == {"target", "displacement"}  # those the load control knows
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12)
     unloaded = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0))

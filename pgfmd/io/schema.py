@@ -33,7 +33,7 @@ Groups = Mapping[str, Mapping[str, np.ndarray]]
 
 # One row per load, in group `loads` of observables.h5, in this order.
 LOADS = {
-    "target": ("", "what was asked for: the entry of the list in [load], in its unit"),
+    "target": ("as asked", "what was asked for: the entry of the list in [load], in its unit"),
     "mean_pressure": ("{pressure}", "mean pressure p̄"),
     "contact_area": ("1", "relative contact area f_c: fraction of grid points with pressure > 0"),
     "contact_area_corrected": ("1", "relative area inside the contact line between pixels; f_c if there is no line"),

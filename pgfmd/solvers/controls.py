@@ -196,7 +196,7 @@ class MeanGap(Control):
         so that |λ* − λ| ≤ min over s of (s (E + ζP/2) + B/s)/P.
         """
         energy, pressure = found.elastic_energy, found.mean_pressure
-        bound = 2 * energy * found.certified_error
+        bound = 2 * energy * max(found.certified_error, 0.0)
         return (2 * math.sqrt(bound * (energy + self.problem.law.range * pressure / 2)) + bound) / (
             pressure * self.allowed(target)
         )
