@@ -16,6 +16,7 @@ from pgfmd.solvers.solution import ContactSolution
 
 EQUAL = 4 * np.finfo(float).eps  # of the largest height: points that differ by less from the highest are as high
 TINY = 1e-300  # so that logarithms of nothing are finite
+FINEST = 1e-24  # certified error below which levels are known to rounding, a few 1e-12, and no better
 
 
 class Control:
@@ -196,7 +197,7 @@ class MeanGap(Control):
         so that |λ* − λ| ≤ min over s of (s (E + ζP/2) + B/s)/P.
         """
         energy, pressure = found.elastic_energy, found.mean_pressure
-        bound = 2 * energy * max(found.certified_error, 0.0)
+        bound = 2 * energy * max(found.certified_error, FINEST)
         return (2 * math.sqrt(bound * (energy + self.problem.law.range * pressure / 2)) + bound) / (
             pressure * self.allowed(target)
         )
