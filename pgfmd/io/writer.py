@@ -109,7 +109,7 @@ class ResultWriter:
             log.info("fields are written %s", how)
 
     def _enter(self) -> tuple[EarlierResults, bool, str]:
-        """Lock the folder; what is to be continued, whether something is to be replaced, the fields' folder.  Rank 0."""
+        """Lock the folder; what is to be continued, whether results are replaced, the folder of fields.  Rank 0."""
         folder = atomic.OutputFolder(self.directory)
         try:
             found = [

@@ -15,7 +15,7 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.controls import CONTROLS
+from pgfmd.solvers.controls import CONTROLS, FINEST
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.options import Solver as Options
@@ -105,7 +105,8 @@ class Loads:
             jumps = search.width <= (JUMP if control.jumps else ROUNDING)
             if jumps and tolerance <= self.tolerance:
                 break
-            finer = min(self.tolerance, found.certified_error * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
+            known = max(found.certified_error, FINEST)
+            finer = min(self.tolerance, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
             if finer < tolerance and (error <= max(1.0, unsure) or jumps):
                 tolerance = finer
                 search.restart(1.0 if jumps else search.slope)
