@@ -169,7 +169,7 @@ def test_random_masks(comm, request):
 
 
 def test_five_ranks(comm):
-    """The same on five ranks."""
+    """The same on five ranks, whose tree of seams is uneven: a group of four joins a single one."""
     if comm.size > 1:
         pytest.skip("starts its own ranks")
     root = Path(__file__).parents[1]
