@@ -5,7 +5,8 @@
 #   qsub -J 1-8 -v JOB=job.toml,DIR=results/seeds jobs/pbs.sh     # eight surfaces: seed and folder are those of the task
 #
 # The run watches its time itself: LIMIT, in seconds, a little less than the walltime.  Before it is over the run writes
-# a checkpoint and ends with 75.  PREPARE, PYTHON, LAUNCH: as in slurm.sh.
+# a checkpoint and ends with 75.  A run that got nowhere in its time ends with 1, one that you stop by `touch DIR/STOP`
+# with 75: neither is submitted again.  PREPARE, PYTHON, LAUNCH: as in slurm.sh.
 #PBS -N pgfmd
 #PBS -l select=1:ncpus=32:mpiprocs=4:ompthreads=8
 #PBS -l walltime=04:00:00
@@ -34,8 +35,14 @@ if [ -n "$seed" ]; then
     extra+=(--set "surface.seed=$seed")
 fi
 
+# Whether you asked the run to stop: STOP, which stays, was made or touched since.
+stop_file() { stat -c %i-%y "$folder/STOP" 2>/dev/null; }
+before=$(stop_file)
+
 # --restart also begins a run whose folder is empty.
 $launch "$python" -m mpi4py -m pgfmd run "$JOB" --output "$folder" --restart "${extra[@]}"
 code=$?
-[ "$code" != 75 ] || qsub -v "JOB=$JOB,DIR=$DIR,LIMIT=$limit,SEED=$seed" "$root/jobs/pbs.sh"
+if [ "$code" = 75 ] && [ "$(stop_file)" = "$before" ]; then
+    qsub -v "JOB=$JOB,DIR=$DIR,LIMIT=$limit,SEED=$seed" "$root/jobs/pbs.sh"
+fi
 exit "$code"

@@ -5,8 +5,10 @@
 #   sbatch --array=1-8 jobs/slurm.sh JOB.toml DIR            # eight surfaces: seed and folder are those of the task
 #
 # Two minutes before its time is over SLURM signals this script, which asks the run to stop: the run writes a checkpoint
-# and ends with 75, and the script asks for a place in the queue again.  PREPARE names a file to source first (modules, a container's wrapper, …),
-# PYTHON the interpreter, LAUNCH how ranks are started.
+# and ends with 75, and the script asks for a place in the queue again.  A run that got nowhere in its time ends with 1,
+# one that you stop by `touch DIR/STOP` with 75: neither is queued again.
+# PREPARE names a file to source first (modules, a container's wrapper, …), PYTHON the interpreter, LAUNCH how ranks are
+# started.
 #SBATCH --job-name=pgfmd
 #SBATCH --nodes=1
 #SBATCH --ntasks-per-node=4
@@ -38,15 +40,21 @@ if [ -n "${SLURM_ARRAY_TASK_ID:-}" ]; then
     extra=(--set "surface.seed=$SLURM_ARRAY_TASK_ID")
 fi
 
+# Whether you asked the run to stop: STOP, which stays, was made or touched since.
+stop_file() { stat -c %i-%y "$folder/STOP" 2>/dev/null; }
+before=$(stop_file)
+
 # --restart also begins a run whose folder is empty.  It is asked to stop by a file, which every launcher lets through.
 $launch "$python" -m mpi4py -m pgfmd run "$job" --output "$folder" --restart "${extra[@]}" "$@" &
 run=$!
-trap 'mkdir -p "$folder" && touch "$folder/STOP"' USR1 TERM
+trap 'mkdir -p "$folder" && touch "$folder/.pgfmd.stop"' USR1 TERM
 wait "$run"
 code=$?
 while kill -0 "$run" 2>/dev/null; do # the signal has ended the wait, not the run
     wait "$run"
     code=$?
 done
-[ "$code" != 75 ] || scontrol requeue "$SLURM_JOB_ID"
+if [ "$code" = 75 ] && [ "$(stop_file)" = "$before" ]; then
+    scontrol requeue "$SLURM_JOB_ID"
+fi
 exit "$code"

@@ -9,11 +9,14 @@ from __future__ import annotations
 import importlib
 
 from pgfmd.errors import InputError, SolverError
+from pgfmd.parallel.private_cache import keep_compiled_code
 
 __version__ = "0.1.0"
 __all__ = ["InputError", "Results", "SolverError", "solve"]
 
 _HOMES = {"solve": "pgfmd.api", "Results": "pgfmd.io.results"}
+
+keep_compiled_code()
 
 
 def __getattr__(name: str):

@@ -6,43 +6,59 @@
     python -m pgfmd plot FIGURE DIR… [--output FOLDER]
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 75 (EX_TEMPFAIL) if
-the run was asked to stop, and did, ready for --restart; 1 for anything else.
+the run was asked to stop, and did, ready for --restart; 130 if it was interrupted at once; 1 for anything else.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
+import io
 import logging
 import os
 import sys
 import time
 import traceback
+import warnings
 from pathlib import Path
 
 from pgfmd import __version__
-from pgfmd.errors import InputError, SolverError, Stopped
+from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
+from pgfmd.options.text import printable
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
+INTERRUPTED = 130
+MADE_AGAIN = "; --restart makes a file of fields again that is removed"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit code.  `run` is collective over COMM_WORLD, the others need no MPI."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal that does not know × shows ? instead
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         words = sys.argv[1:] if arguments is None else arguments
         if words[:1] == ["plot"]:  # each figure has options of its own
-            print(_plot(words[1:]))
+            _show(_plot(words[1:]))
             return 0
         options = _parser().parse_args(words)
-        if options.command != "run":
-            print(_check(options) if options.command == "check" else _info(options))
-            return 0
+        if options.command == "run":
+            return _run(options)
+        _show(_check(options) if options.command == "check" else _info(options))
+        return 0
+    except KeyboardInterrupt as error:
+        return _complain(error) if _launched_rank() == 0 else INTERRUPTED
     except InputError as error:
         return _complain(error) if _launched_rank() == 0 else 2
     except BrokenPipeError:  # the reader of the table has seen enough
         sys.stdout = open(os.devnull, "w")
         return 0
-    return _run(options)
+
+
+def _show(text: str) -> None:
+    """Print lines, which may hold names and texts from files, without what a terminal would obey."""
+    print("\n".join(printable(line, len(line)) for line in text.split("\n")))
 
 
 class _Parser(argparse.ArgumentParser):
@@ -59,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="run a job, under mpirun or as one process", allow_abbrev=False)
     run.add_argument("job", metavar="JOB.toml")
-    run.add_argument("--output", required=True, metavar="DIR", help="folder of the result files")
+    run.add_argument("--output", required=True, type=_folder, metavar="DIR", help="folder of the result files")
     existing = run.add_mutually_exclusive_group()
     existing.add_argument("--overwrite", action="store_true", help="replace the results in DIR")
     existing.add_argument("--restart", action="store_true", help="continue the run in DIR where it was broken off")
@@ -78,6 +94,7 @@ def _parser() -> argparse.ArgumentParser:
 
     info = commands.add_parser("info", help="what was run, and the table of loads", allow_abbrev=False)
     info.add_argument("directory", metavar="DIR")
+    info.add_argument("--verify", action="store_true", help="read every file, and say which are damaged")
     commands.add_parser("plot", help="draw a figure of result folders; without arguments: the list of figures")
     return parser
 
@@ -88,20 +105,36 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _folder(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("must name a folder")
+    return text
+
+
 def _check(options) -> str:
     from pgfmd.job.job import load
     from pgfmd.run import estimate
+    from pgfmd.run.memory import largest_memory, readable
 
     job = load(options.job, options.set)
     if options.ranks > job.grid.n[0]:
         raise InputError(f"--ranks {options.ranks}: more ranks than the {job.grid.n[0]} rows of the grid")
-    return f"{options.job}: valid\n{estimate.report(job, options.ranks)}"
+    size = estimate.estimate(job, options.ranks).memory * options.ranks
+    here = largest_memory()
+    limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
+    return f"{options.job}: valid{limit}\n{estimate.report(job, options.ranks)}"
 
 
 def _info(options) -> str:
     from pgfmd.io import results
 
-    return results.summary(results.Results(options.directory))
+    found = results.Results(options.directory)
+    if not options.verify:
+        return results.summary(found)
+    faults = results.damage(found)
+    if faults:
+        raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + MADE_AGAIN)
+    return f"{options.directory}: every byte is the one that was written"
 
 
 def _plot(words: list[str]) -> str:
@@ -130,16 +163,18 @@ def _run(options) -> int:
     try:
         from pgfmd.job.job import load
         from pgfmd.parallel.collectives import from_root
+        from pgfmd.parallel.private_cache import announce_compiling
         from pgfmd.simulate import simulate
 
+        announce_compiling()
         job = from_root(comm, load, options.job, options.set)
         simulate(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
-    except Exception as error:  # whatever it is, all ranks must end, and one of them must say why
+    except (Exception, KeyboardInterrupt) as error:  # whatever it is, all ranks must end, and one of them must say why
         return _leave(farewell, error)
     return 0
 
 
-def _leave(comm, error: Exception) -> int:
+def _leave(comm, error: BaseException) -> int:
     """End all ranks with the error's exit code; rank 0 says why.  Aborts ranks that do not come.  Collective."""
     from mpi4py import MPI
 
@@ -158,18 +193,23 @@ def _leave(comm, error: Exception) -> int:
     return _code(error)
 
 
-def _code(error: Exception) -> int:
-    codes = {InputError: 2, SolverError: 3, Stopped: 75}
+def _code(error: BaseException) -> int:
+    codes = {InputError: 2, SolverError: 3, Stopped: 75, KeyboardInterrupt: INTERRUPTED}
     return next((code for kind, code in codes.items() if isinstance(error, kind)), 1)
 
 
-def _complain(error: Exception) -> int:
+def _complain(error: BaseException) -> int:
     """Print the error, one line if it is meant for the user, else with its traceback; the exit code."""
-    if not isinstance(error, (InputError, SolverError, Stopped, OSError)):
-        traceback.print_exception(error)
     message = " ".join(str(error).split()) or type(error).__name__
-    kind = "" if isinstance(error, Stopped) else "error: "
-    print(f"pgfmd: {kind}{message}".encode("utf-8", "replace").decode(), file=sys.stderr, flush=True)
+    if isinstance(error, KeyboardInterrupt):
+        message = "interrupted"
+    elif isinstance(error, MemoryError):
+        message = f"the memory does not suffice; take more nodes, or a smaller grid ({message})"
+    elif not isinstance(error, (InputError, SolverError, Stopped, NoProgress, OSError)):
+        traceback.print_exception(error)
+    kind = "" if isinstance(error, (Stopped, KeyboardInterrupt)) else "error: "
+    with contextlib.suppress(OSError):  # the terminal may have been closed
+        print(f"pgfmd: {kind}{printable(message, 4000)}", file=sys.stderr, flush=True)
     return _code(error)
 
 
@@ -180,7 +220,8 @@ def _launched_rank() -> int:
 
 
 def _log_on_root(rank: int):
-    """Log messages of rank 0 to stderr, with the time; silence on the others."""
+    """Log messages of rank 0 to stderr, with the time, warnings of libraries among them; silence on the others."""
+    warnings.showwarning = lambda message, kind, *_: log.warning("%s: %s", kind.__name__, message)
     log = logging.getLogger("pgfmd")
     log.setLevel(logging.INFO if rank == 0 else logging.CRITICAL + 1)
     log.propagate = False

@@ -43,6 +43,8 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
+    memory = estimate(job, comm.size).memory
+    machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     output = job.output
     inputs = dict.fromkeys(job.surface.files, job.surface.fingerprint(comm))
@@ -58,7 +60,7 @@ def simulate(
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
-        machine.report(comm, estimate(job, comm.size).memory)  # now: a wrong input is answered by one line
+        machine.report(comm, memory)  # now: a wrong input is answered by one line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
         observer = Observer(problem, job.output.asked, job.surface.cutoff(job.grid))
         loads = Loads(job.load, problem, job.solver.tolerance)
@@ -130,11 +132,12 @@ class _Steps:
         self.count, self.tolerance = len(job.load.targets), job.solver.tolerance
         self.grid, self.interruptions, self.checkpoints = grid, interruptions, checkpoints
         self.index = self.progress = None
+        self.transforms = 0.0
 
     @contextmanager
     def of_load(self, index: int):
         """While load number `index` is solved.  Collective."""
-        self.index = index
+        self.index, self.transforms = index, self.grid.transforms
         self.progress = Progress(self.grid.comm.rank, f"load {index + 1}/{self.count}", self.grid.shape, self.tolerance)
         self.interruptions.between_steps()
         try:
@@ -144,7 +147,8 @@ class _Steps:
 
     def see(self, mean_pressure: float, level: SlabGrid, state) -> None:
         """The monitor of a solver at that load.  Collective, on grids that are distributed like the finest one."""
-        self.progress.step(level.shape, state.error, state.contact / level.size, level.transforms)
+        transforms = level.transforms - (self.transforms if level is self.grid else 0.0)
+        self.progress.step(level.shape, state.error, state.contact / level.size, transforms)
         if level is self.grid:
             self.interruptions.between_steps(partial(self._save, mean_pressure, state))
         elif level.comm is self.grid.comm:

@@ -44,12 +44,12 @@ def test_slurm_job_is_requeued(tmp_path):
     """SIGUSR1 to the script, as SLURM sends it: the run of an array's task ends with 75 and is queued again."""
     job = launching.write_job(tmp_path / "a job.toml", 64, lambda_s=8, pressures=LOADS)
     script = batch(tmp_path, "slurm.sh", job, tmp_path / "out", SLURM_ARRAY_TASK_ID="5")
-    folder, end = tmp_path / "out" / "seed-5", time.monotonic() + 120
+    folder, end = tmp_path / "out" / "seed-5", time.monotonic() + 300
     while not completed(folder):
         assert script.poll() is None and time.monotonic() < end
         time.sleep(0.2)
     script.send_signal(signal.SIGUSR1)
-    code, stderr = launching.wait(script)
+    code, stderr = launching.wait(script, 300)
     assert code == 75, stderr
     assert (tmp_path / "asked").read_text() == "scontrol requeue 77\n"
     assert Results(folder).status == "stopped" and Results(folder).job["surface"]["seed"] == 5
@@ -60,11 +60,38 @@ def test_pbs_job_is_submitted_again(tmp_path):
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
     folder = tmp_path / "out"
     script = batch(tmp_path, "pbs.sh", JOB=str(job), DIR=str(folder), PBS_ARRAY_INDEX="3", LIMIT="12")
-    code, stderr = launching.wait(script)
+    code, stderr = launching.wait(script, 300)
     assert code == 75, stderr
     asked = (tmp_path / "asked").read_text()
     assert asked == f"qsub -v JOB={job},DIR={folder},LIMIT=12,SEED=3 {ROOT}/jobs/pbs.sh\n"
     assert Results(folder / "seed-3").status == "stopped"
+
+
+@pytest.mark.parametrize("name", ["slurm.sh", "pbs.sh"])
+def test_a_stop_file_ends_it(tmp_path, name):
+    """STOP is the user's word: the run ends with 75, is not queued again, and the file stays."""
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
+    folder, end = tmp_path / "out", time.monotonic() + 240
+    words = (job, folder) if name == "slurm.sh" else ()
+    script = batch(tmp_path, name, *words, JOB=str(job), DIR=str(folder))
+    while not completed(folder):
+        assert script.poll() is None and time.monotonic() < end
+        time.sleep(0.2)
+    (folder / "STOP").touch()
+    code, stderr = launching.wait(script, 300)
+    assert code == 75, stderr
+    assert not (tmp_path / "asked").exists() and (folder / "STOP").exists()
+
+
+@pytest.mark.parametrize("name", ["slurm.sh", "pbs.sh"])
+def test_no_progress_no_queue(tmp_path, name):
+    """A time limit that is over before the first step is done is said, with 1, and does not go round for ever."""
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
+    folder = tmp_path / "out"
+    words = (job, folder, "--set", "run.time_limit=2") if name == "slurm.sh" else ()
+    code, stderr = launching.wait(batch(tmp_path, name, *words, JOB=str(job), DIR=str(folder), LIMIT="2"), 240)
+    assert code == 1 and "pgfmd: error: the time limit of the job is too short" in stderr
+    assert not (tmp_path / "asked").exists()
 
 
 @pytest.mark.skipif(shutil.which("shellcheck") is None, reason="needs shellcheck")

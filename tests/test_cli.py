@@ -5,10 +5,12 @@ The run itself is replaced by a stand-in that writes known fields: what is teste
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -107,9 +109,10 @@ def test_run_without_mpirun(tmp_path, job):
         (["run", "JOB", "--output", "JOB/out"], "cannot be written as an output folder"),
         (["run", "JOB", "--output", "FULL"], "holds results already"),
         (["run", "JOB"], "--output"),
+        (["run", "JOB", "--output", ""], "--output: must name a folder"),
         (["run", "JOB", "--output", "OUT", "--overwrite", "--restart"], "not allowed with"),
     ],
-    ids=range(7),
+    ids=range(8),
 )
 def test_wrong_input_on_two_ranks(mpirun, tmp_path, job, arguments, words):
     """Wrong input: exit code 2, one line from one rank, nothing written, no hang."""
@@ -167,6 +170,99 @@ def test_wrong_input_of_check_and_info(capsys, job, arguments, words):
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
     assert captured.err.startswith("pgfmd: error: ") and words in captured.err
+
+
+@pytest.mark.parametrize("when", ["importing", "running"])
+def test_interrupted_at_once(tmp_path, job, when):
+    """Ctrl-C where nothing can be saved: one line, and 130."""
+    fault = "pass"
+    if when == "running":
+        fault = "import os, signal; os.kill(os.getpid(), signal.SIGINT)"
+    script = stand_in(tmp_path, fault)
+    if when == "importing":
+        script.write_text(script.read_text().replace(
+            "sys.exit(cli.main())",
+            "import builtins, os, signal\noriginal = builtins.__import__\n"
+            "def interrupted(name, *rest):\n"
+            "    if name == 'pgfmd.simulate': os.kill(os.getpid(), signal.SIGINT)\n"
+            "    return original(name, *rest)\n"
+            "builtins.__import__ = interrupted\nsys.exit(cli.main())",
+        ))  # fmt: skip
+    command = [sys.executable, script, "run", job, "--output", tmp_path / "out"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 130, done.stderr
+    assert [line for line in done.stderr.splitlines() if not line[:2].isdigit()] == ["pgfmd: interrupted"]
+
+
+def test_out_of_memory_is_one_line(tmp_path, job):
+    """Not a traceback, and what to do."""
+    script = stand_in(tmp_path, "raise MemoryError('Unable to allocate 26.8 GiB')")
+    command = [sys.executable, script, "run", job, "--output", tmp_path / "out"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert complaints(done.stderr)[0].startswith("pgfmd: error: the memory does not suffice; take more nodes")
+
+
+def test_warnings_of_libraries_are_lines_of_the_log(mpirun, tmp_path, job):
+    """Of rank 0 only, without lines of source."""
+    script = stand_in(tmp_path, "import warnings; warnings.warn('look out', RuntimeWarning)")
+    done = mpirun(2, script, "run", job, "--output", tmp_path / "out", timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert [line[10:] for line in done.stderr.splitlines() if "look" in line] == ["RuntimeWarning: look out"]
+
+
+def test_terminals_that_know_ascii_only(tmp_path, job):
+    """What they cannot show is shown as ?."""
+    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
+    environment = dict(os.environ) | {"PYTHONIOENCODING": "ascii"}
+    for arguments in (["check", job], ["info", tmp_path / "out"], ["check", tmp_path / "ä.toml"]):
+        command = [sys.executable, "-m", "pgfmd", *arguments]
+        done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+        assert done.returncode == (2 if "ä" in str(arguments[1]) else 0)
+        assert "Traceback" not in done.stderr and ("8 ? 6" in done.stdout or "cannot be read" in done.stderr)
+
+
+def test_texts_from_files_do_not_reach_the_terminal_raw(tmp_path, capsys, job):
+    """Escape sequences in a result file, as they may come from anybody, are shown as ?."""
+    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
+    path = tmp_path / "out" / "observables.h5"
+    with h5py.File(path, "r+") as file:
+        file.attrs["command"] = "\x1b]0;owned\x07\x1b[2J\u202e\x9b31m"
+    assert cli.main(["info", str(tmp_path / "out")]) == 0
+    assert "?]0;owned??[2J??31m" in capsys.readouterr().out
+
+
+def test_verify(tmp_path, capsys, job):
+    """`info --verify` reads every byte; a damaged file is named, with 2, and how to make it again."""
+    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
+    arguments = ["info", "--verify", str(tmp_path / "out")]
+    assert cli.main(arguments) == 0 and "every byte" in capsys.readouterr().out
+    path = tmp_path / "out" / "fields" / "load_0001.h5"
+    data = bytearray(path.read_bytes())
+    (at,) = [data.index(np.full(48, 0.2).tobytes())]
+    data[at + 100] ^= 4
+    path.write_bytes(data)
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "--restart" in said
+    assert f"{path}: its bytes {at} to {at + 383} are not those" in said
+    path.unlink()
+    assert cli.main(arguments) == 2 and "it is missing" in capsys.readouterr().err
+
+
+def test_a_job_that_no_node_can_hold(tmp_path, capsys):
+    """Refused in one line before anything is allocated; `check` says so, too."""
+    path = tmp_path / "huge.toml"
+    path.write_text(JOB.replace("[8, 6]", "[600000, 600000]"))
+    done = subprocess.run(
+        [sys.executable, "-m", "pgfmd", "run", path, "--output", tmp_path / "out"],
+        check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 2 and len(complaints(done.stderr)) == 1 and "TB of memory on" in done.stderr
+    assert not (tmp_path / "out").exists()
+    assert cli.main(["check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "too large for this machine" in said and "valid\n" not in said
 
 
 def test_estimate_scales():

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 
-from pgfmd.run.machine import available_memory, describe
+from pgfmd.run.machine import describe
+from pgfmd.run.memory import available_memory
 
 
 def levels(found, per_rank):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import contextlib
 import os
-import pickle
 import platform
 import tempfile
 from collections.abc import Callable
@@ -14,12 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from pgfmd.errors import InputError
+from pgfmd.parallel.private_cache import private_folder
 
 try:
     import pyfftw
 except ImportError:
     pyfftw = None
 
+PRECISIONS = 3  # double, single and long double: FFTW's own texts of what it learnt
+BETWEEN = b"\0"
 _loaded = False
 
 
@@ -37,15 +39,14 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], 
     return pyfftw.FFTW(source, target, axes=(source.ndim - 1,), direction=direction, flags=flags, threads=1).execute
 
 
-def wisdom_file() -> Path:
-    """Where wisdom is kept: per processor model and FFTW, below the user's cache folder (or $PGFMD_CACHE)."""
-    cache = os.environ.get("PGFMD_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    model = platform.processor() or platform.machine()
+def wisdom_file() -> Path | None:
+    """Where wisdom is kept, per processor model and FFTW; None if no private folder can be had."""
+    folder, model = private_folder(), platform.processor() or platform.machine()
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         model = next((line.split(":", 1)[1] for line in lines if line.startswith("model name")), model)
     name = "".join(c if c.isalnum() else "-" for c in f"{pyfftw.__version__}-{model.strip()}")
-    return Path(cache) / "pgfmd" / f"wisdom-{name}.pickle"
+    return None if folder is None else folder / f"wisdom-{name}"
 
 
 def _load_wisdom() -> None:
@@ -54,20 +55,22 @@ def _load_wisdom() -> None:
     if not _loaded:
         _loaded = True
         atexit.register(save_wisdom)
-        with contextlib.suppress(Exception):
-            pyfftw.import_wisdom(pickle.loads(wisdom_file().read_bytes()))
+        path = wisdom_file()
+        with contextlib.suppress(OSError):
+            wisdom = () if path is None else tuple(path.read_bytes().split(BETWEEN))
+            if len(wisdom) == PRECISIONS:
+                pyfftw.import_wisdom(wisdom)
 
 
 def save_wisdom() -> None:
     """Keep what was learnt, for the next run; by a rename, so that no reader sees half a file.  Quiet where it
     cannot.
     """
-    if pyfftw is None:
+    path = wisdom_file()
+    if path is None:
         return
     with contextlib.suppress(OSError):
-        path = wisdom_file()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        new = pickle.dumps(pyfftw.export_wisdom())
+        new = BETWEEN.join(pyfftw.export_wisdom())
         if path.exists() and path.read_bytes() == new:
             return
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:

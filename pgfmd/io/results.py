@@ -11,9 +11,10 @@ import h5py
 import numpy as np
 
 from pgfmd.errors import InputError
+from pgfmd.io import checksum
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
-from pgfmd.io.schema import FIELDS, FIELDS_FOLDER, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
+from pgfmd.io.schema import FIELDS, FIELDS_FILE, FIELDS_FOLDER, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
 
 
 class Results:
@@ -139,6 +140,17 @@ class _Groups(Mapping):
 def _plain(value):
     """An HDF5 attribute as a Python value."""
     return value.item() if isinstance(value, np.generic) else value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def damage(results: Results) -> dict[Path, str]:
+    """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them."""
+    files = [results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE)]
+    folder = results.directory / results.provenance.get("fields_folder", FIELDS_FOLDER)
+    fields = [load_name(index) for index in range(len(results)) if results.fields(index)]
+    files = [path for path in (*files, folder / "height.h5") if path.exists()]
+    files += [folder / f"{name}.h5" for name in fields]
+    found = {path: checksum.damage(path) if path.exists() else "it is missing" for path in files}
+    return {path: fault for path, fault in found.items() if fault is not None}
 
 
 def table(results: Results) -> str:

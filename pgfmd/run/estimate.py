@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pgfmd.job.job import Job
 from pgfmd.observables.observable import Cost
+from pgfmd.run.memory import readable
 
 # The arrays that live at the peak of a run, in bytes per grid point, summed over ranks.
 ARRAYS = {
@@ -111,15 +112,6 @@ def report(job: Job, ranks: int) -> str:
     }
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
-
-
-def readable(size: float) -> str:
-    """A number of bytes with a decimal prefix."""
-    for unit in ("B", "kB", "MB", "GB", "TB"):
-        if size < 1000:
-            return f"{size:.3g} {unit}"
-        size /= 1000
-    return f"{size:.3g} PB"
 
 
 def duration(seconds: float) -> str:

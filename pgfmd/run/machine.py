@@ -11,11 +11,26 @@ import h5py
 from mpi4py import MPI
 
 from pgfmd import __version__
+from pgfmd.errors import InputError
 from pgfmd.io.provenance import git_commit, versions
 from pgfmd.parallel.threads import threads_per_rank
-from pgfmd.run.estimate import readable
+from pgfmd.run.memory import available_memory, largest_memory, readable
 
 log = logging.getLogger("pgfmd")
+
+SURELY = 1.2  # more than a node's memory, times this, no run gets: the estimate is within 15 %
+
+
+def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
+    """Raise InputError on all ranks if `per_rank` bytes for each are more than a node has at all.  Collective."""
+    found = comm.allgather((platform.node(), largest_memory()))
+    ranks = Counter(node for node, _ in found)
+    for node, largest in found:
+        if ranks[node] * per_rank > SURELY * largest:
+            raise InputError(
+                f"the job takes about {readable(ranks[node] * per_rank)} of memory on {node}, which has "
+                f"{readable(largest)}; take more nodes, or a smaller grid"
+            )
 
 
 def report(comm: MPI.Comm, per_rank: float) -> None:
@@ -76,28 +91,6 @@ def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> 
             )
         )
     return lines
-
-
-def available_memory() -> float:
-    """Bytes that this process can still get: what the system says is available, or its control group allows."""
-    found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
-    found += [1024 * int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith("MemAvailable")]
-    for limit, used in (
-        ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-        ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-    ):
-        numbers = [line.strip() for name in (limit, used) for line in _lines(name)]
-        if len(numbers) == 2 and all(number.isdigit() for number in numbers):
-            found.append(int(numbers[0]) - int(numbers[1]))
-    return float(min(found))
-
-
-def _lines(name: str) -> list[str]:
-    try:
-        with open(name) as file:
-            return file.readlines()
-    except OSError:
-        return []
 
 
 def _count(number: int, noun: str) -> str:

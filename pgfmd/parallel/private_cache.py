@@ -1,0 +1,93 @@
+"""A folder for what takes long to make and is loaded again by later runs: compiled kernels and plans of transforms.
+
+What is loaded from it is executed.  So it is a folder that the user owns and that nobody else can write or exchange:
+$PGFMD_CACHE, $XDG_CACHE_HOME or ~/.cache, with pgfmd/ below; where that cannot be (a container's user has no home),
+pgfmd-UID in the folder of temporary files; both are made with mode 0700.  No MPI and no numba here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import logging
+import os
+import stat
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+log = logging.getLogger("pgfmd")
+
+
+@functools.cache
+def private_folder() -> Path | None:
+    """The folder, made if it is not there; None if none can be had."""
+    for folder in _candidates():
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK | os.X_OK) and is_private(folder):
+                return folder
+        except OSError:
+            continue
+    return None
+
+
+def is_private(folder: Path) -> bool:
+    """Whether this user owns a folder and nobody else but root can write in it, or exchange it or one above it."""
+    status = os.lstat(folder)
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid() or _others_write(status):
+        return False
+    above = [os.stat(each) for each in folder.resolve().parents]
+    return all(
+        each.st_uid in (0, os.geteuid()) and (not _others_write(each) or each.st_mode & stat.S_ISVTX) for each in above
+    )
+
+
+def _others_write(status: os.stat_result) -> bool:
+    """Write permission for others, or for a group that is not the user's own (the one with the user's number)."""
+    mode = status.st_mode
+    return bool(mode & stat.S_IWOTH or mode & stat.S_IWGRP and status.st_gid != os.geteuid())
+
+
+def _candidates() -> Iterator[Path]:
+    for name in ("PGFMD_CACHE", "XDG_CACHE_HOME"):
+        if value := os.environ.get(name):
+            yield Path(value) / "pgfmd"
+    try:
+        yield Path.home() / ".cache" / "pgfmd"
+    except RuntimeError:  # no HOME, and no such user
+        pass
+    for folder in (tempfile.gettempdir(), "/dev/shm"):
+        yield Path(folder) / f"pgfmd-{os.geteuid()}"
+
+
+def keep_compiled_code() -> None:
+    """Have numba keep what it compiles in the private folder; it also looks for a folder beside the source, which may
+    be somebody else's.  To be called before kernels are imported.
+    """
+    folder = private_folder()
+    if folder is None:  # nothing is kept: each process compiles for itself
+        with contextlib.suppress(ImportError):
+            from numba.core.dispatcher import Dispatcher
+
+            Dispatcher.enable_caching = lambda _: None
+        return
+    os.environ["NUMBA_CACHE_DIR"] = str(folder / "kernels")
+    if sys.modules.get("numba"):  # imported already: it has read the variable
+        sys.modules["numba"].config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+
+
+def announce_compiling() -> None:
+    """Log it when the first kernel is compiled: a run is silent for some seconds then."""
+    from numba.core import event
+
+    class Compiling(event.Listener):
+        def on_start(self, _) -> None:
+            event.unregister("numba:compile", self)
+            log.info("compiling for this machine: some seconds, the first time only")
+
+        def on_end(self, _) -> None:
+            pass
+
+    event.register("numba:compile", Compiling())

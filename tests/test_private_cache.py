@@ -1,0 +1,141 @@
+"""What is kept for later runs lies where nobody else can put anything; and a run does not need such a place."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import ROOT, SIZE
+
+from pgfmd.parallel.private_cache import is_private, private_folder
+
+pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
+
+SOLVE = """
+import numpy as np, pgfmd, numba, sys
+x = np.cos(2 * np.pi * np.arange(16) / 16)
+print(pgfmd.solve(x[:, None] + x, 0.1).certified_error < 1e-6, numba.config.CACHE_DIR)
+"""
+
+
+@pytest.fixture
+def found(tmp_path, monkeypatch):
+    """found(**environment): the private folder with that environment instead of the user's."""
+
+    def found(**environment):
+        for name in ("PGFMD_CACHE", "XDG_CACHE_HOME", "HOME"):
+            monkeypatch.delenv(name, raising=False)
+        for name, value in ({"HOME": str(tmp_path / "home")} | environment).items():
+            monkeypatch.setenv(name, str(value))
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+        private_folder.cache_clear()
+        return private_folder()
+
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp").chmod(0o1777)
+    yield found
+    private_folder.cache_clear()
+
+
+def test_the_first_folder_that_is_private(found, tmp_path):
+    """That of the variables, then the home; made with mode 0700."""
+    for name, folder in (("PGFMD_CACHE", tmp_path / "a"), ("XDG_CACHE_HOME", tmp_path / "b")):
+        assert found(**{name: folder}) == folder / "pgfmd"
+        assert (folder / "pgfmd").stat().st_mode & 0o777 == 0o700
+    assert found() == tmp_path / "home" / ".cache" / "pgfmd"
+
+
+@pytest.mark.parametrize("how", ["writable", "parent writable", "link", "foreign", "a file", "no home"])
+def test_other_folders_are_left_alone(found, tmp_path, how):
+    """One that others can write, or exchange, that is a link, or another user's: the temporary one is taken."""
+    folder = tmp_path / "shared" / "pgfmd"
+    folder.mkdir(parents=True)
+    home = tmp_path / "home"
+    home.mkdir()
+    home.chmod(0o777)
+    if how == "writable":
+        folder.chmod(0o777)
+    if how == "parent writable":
+        folder.parent.chmod(0o777)
+    if how == "link":
+        folder.rmdir()
+        (tmp_path / "elsewhere").mkdir()
+        folder.symlink_to(tmp_path / "elsewhere")
+    if how == "foreign":
+        if os.geteuid() != 0:
+            pytest.skip("only root can give a folder away")
+        os.chown(folder, 12345, 12345)
+    if how == "a file":
+        folder.rmdir()
+        folder.write_text("")
+    if how == "no home":
+        folder.parent.chmod(0o777)
+        home.rmdir()
+        home.write_text("")
+    taken = found(PGFMD_CACHE=folder.parent)
+    assert taken == tmp_path / "tmp" / f"pgfmd-{os.geteuid()}"
+    assert taken.stat().st_mode & 0o777 == 0o700
+    if how == "link":
+        return
+    taken.rmdir()
+    taken.symlink_to(tmp_path)  # what others may have put there
+    assert found(PGFMD_CACHE=folder.parent) != taken
+
+
+def test_own_group_may_write(tmp_path):
+    """A folder made with umask 002 is private where the group is the user's own, as Debian and Fedora set it up."""
+    tmp_path.chmod(0o775)
+    assert is_private(tmp_path) == (tmp_path.stat().st_gid == os.geteuid())
+
+
+def test_a_user_without_home_can_solve(tmp_path):
+    """A container's user: no home, a checkout of root's; numba said "no locator available"."""
+    if os.geteuid() != 0 or shutil.which("setpriv") is None:
+        pytest.skip("needs root and setpriv, to become another user")
+    environment = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT), "TMPDIR": "/tmp", "HOME": "/"}
+    # Reading is allowed everywhere, as this Python and the checkout may be root's alone.
+    rights = "--inh-caps +dac_read_search --ambient-caps +dac_read_search"
+    become = f"setpriv --reuid 54321 --regid 54321 --clear-groups {rights}"
+    command = [*become.split(), sys.executable, "-c", SOLVE]
+    done = subprocess.run(command, env=environment, cwd="/", capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.startswith("True"), done.stderr
+    assert done.stdout.split()[1] == "/tmp/pgfmd-54321/kernels"
+
+
+def test_nowhere_to_keep_anything():
+    """Where no folder can be had nothing is kept, and the answer is the same."""
+    code = "import os\nos.access = lambda *_: False\n" + SOLVE
+    environment = dict(os.environ) | {"NUMBA_CACHE_DIR": "/proc/nowhere"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout.startswith("True"), done.stderr
+
+
+def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
+    """A pickle in the place of the wisdom is not executed, and what was learnt comes back as it was."""
+    from pgfmd.grid import fftw
+
+    monkeypatch.setattr(fftw, "private_folder", lambda: tmp_path)
+    mark = tmp_path / "executed"
+
+    class Evil:
+        def __reduce__(self):
+            return os.mkdir, (str(mark),)
+
+    fftw.wisdom_file().write_bytes(pickle.dumps(Evil()))
+    monkeypatch.setattr(fftw, "_loaded", False)
+    monkeypatch.setattr("atexit.register", lambda _: None)
+    a = np.empty((4, 96), complex)
+    fftw.plan(a, a, True)
+    assert not mark.exists()
+    fftw.save_wisdom()
+    before = fftw.pyfftw.export_wisdom()
+    assert len(before[0]) > 60
+    fftw.pyfftw.forget_wisdom()
+    monkeypatch.setattr(fftw, "_loaded", False)
+    fftw._load_wisdom()
+    assert set(before[0].split()) == set(fftw.pyfftw.export_wisdom()[0].split())
