@@ -12,7 +12,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.surfaces.paraboloid import paraboloid
 from pgfmd.surfaces.random_modes import RandomModes
-from pgfmd.surfaces.self_affine import SelfAffine, self_affine, self_affine_amplitude
+from pgfmd.surfaces.self_affine import SelfAffine, self_affine, self_affine_variance
 from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import surface as theory
@@ -60,8 +60,8 @@ def test_spectrum_falls_as_a_power_law(comm, hurst):
 def test_roll_off_is_flat():
     """C is constant for 2π/λ_l ≤ q < 2π/λ_r, falls from its value there on, and is zero elsewhere."""
     k = np.array([0, 0.05, 0.1, 0.3, 0.5, 1.0, 3.0, 4.0])
-    found = self_affine_amplitude(0.5, k_l=0.1, k_r=0.5, k_s=3.0)(k**2)
-    assert np.allclose(found, [0, 0, 1, 1, 1, 0.5**1.5, 6**-1.5, 0], rtol=1e-14)
+    found = self_affine_variance(0.5, k_l=0.1, k_r=0.5, k_s=3.0)(k**2)
+    assert np.allclose(found, [0, 0, 1, 1, 1, 0.5**3, 6.0**-3, 0], rtol=1e-14)
 
 
 def ones(k_squared):
@@ -108,16 +108,17 @@ def brute_mode(seed, kx, ky):
 
 @pytest.mark.parametrize("seed", [0, 1, 2**63 - 1])
 def test_modes_are_those_of_their_definition(seed):
-    """Each mode is its number times the amplitude, to rounding (4 ulp), so that a seed names the same surface in every
-    version; modes that mirror themselves are Hermitian, and real with the same variance where they stand alone.
+    """Each mode is its number times the root of its variance, to rounding (4 ulp), so that a seed names the same
+    surface in every version; modes that mirror themselves are Hermitian, and real with the same variance where
+    they stand alone.
     """
     grid = SlabGrid(MPI.COMM_SELF, (12, 10), (3.0, 4.0))
 
-    def amplitude(k_squared):
-        return np.exp(-k_squared / 50)
+    def variance(k_squared):
+        return np.exp(-k_squared / 25)
 
     block = np.empty(grid.spectral_shape, complex)
-    moment = RandomModes(grid, seed, amplitude).fill(block, 0)
+    moment = RandomModes(grid, seed, variance).fill(block, 0)
     total = 0.0
     for ky in range(6):
         for i in range(12):

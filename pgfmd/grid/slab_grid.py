@@ -11,6 +11,7 @@ DFT convention, once and for all: forward is the plain sum over points, backward
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
@@ -131,15 +132,23 @@ class SlabGrid:
         transform.rows_forward(fill)
         transform.columns(action, backward=False, count=count)
 
-    def make_field(self, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:
+    def make_field(
+        self,
+        action: Columns,
+        drain: Rows,
+        dtype: DTypeLike = np.float64,
+        between: Callable[[], None] | None = None,
+    ) -> None:
         """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.
         Collective.
 
-        No 1/N is applied.
+        between: called when all of the spectrum is written; may be collective.  No 1/N is applied.
         """
         transform = self.transform(dtype)
         self.transforms += transform.cost / 2
         transform.columns(action, forward=False)
+        if between is not None:
+            between()
         transform.rows_backward(drain)
 
     def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:

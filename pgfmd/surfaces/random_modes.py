@@ -18,8 +18,8 @@ import numpy as np
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
-Amplitude = Callable[[np.ndarray], np.ndarray]
-"""Root of the variance ⟨|h̃|²⟩ of modes, from their k² = (q L/2π)², L the longer side of the cell; 0 at k = 0."""
+Variance = Callable[[np.ndarray], np.ndarray]
+"""⟨|h̃|²⟩ of modes from their k² = (q L/2π)², L the longer side of the cell; 0 at k = 0."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _ODD = np.uint64(0xD1342543DE82EF95)
@@ -27,11 +27,11 @@ _ODD = np.uint64(0xD1342543DE82EF95)
 
 @dataclass(frozen=True)
 class RandomModes:
-    """Modes of one seed; amplitude: of the modes, not asked beyond k_max, where it must be 0."""
+    """Modes of one seed; variance: of the modes, not asked beyond k_max, where it must be 0."""
 
     grid: SlabGrid
     seed: int
-    amplitude: Amplitude
+    variance: Variance
     k_max: float = math.inf
 
     def fill(self, block: np.ndarray, first: int) -> float:
@@ -54,26 +54,31 @@ class RandomModes:
             own_mirror = ky == 0 or 2 * ky == ny
             for part in _within(nx, widest, own_mirror):
                 modes = squares_x[part] + square_y
-                power = _fill(self.seed, kx[part], ky, self.amplitude(modes), column[part])
+                power = _fill(self.seed, kx[part], ky, self.variance(modes), column[part])
                 moment += 0.0 if own_mirror else 2 * float(np.dot(modes, power))
             if own_mirror:
                 _mirror(column)
                 moment += float(np.dot(squares_x + square_y, column.real**2 + column.imag**2))
         return moment
 
-    def heights(self) -> tuple[np.ndarray, float]:
-        """Heights (nx_local, ny), and their spectral rms slope √Σ q²|h̃|² times L/2π.  Collective."""
+    def heights(self, factor: Callable[[float], float]) -> np.ndarray:
+        """Heights (nx_local, ny), times the factor that belongs to their spectral rms slope, which is given to `factor`
+        as √Σ k²|h̃|².  Collective; `factor` may raise, since all ranks give it the same number.
+        """
         moments: list[tuple[int, float]] = []
-        heights = np.empty(self.grid.local_shape)
+        heights, scale = np.empty(self.grid.local_shape), np.empty(())
 
         def spectrum(block: np.ndarray, first: int, stop: int) -> None:
             moments.append((first, self.fill(block, first)))
 
-        def keep(first: int, stop: int, rows: np.ndarray) -> None:
-            heights[first:stop] = rows
+        def know_slope() -> None:
+            scale[...] = factor(math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)])))
 
-        self.grid.make_field(spectrum, keep)
-        return heights, math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)]))
+        def keep(first: int, stop: int, rows: np.ndarray) -> None:
+            np.multiply(rows, scale, out=heights[first:stop])
+
+        self.grid.make_field(spectrum, keep, between=know_slope)
+        return heights
 
 
 def _within(nx: int, widest: float, own_mirror: bool) -> list[slice]:
@@ -84,12 +89,12 @@ def _within(nx: int, widest: float, own_mirror: bool) -> list[slice]:
     return [slice(0, nx)] if 2 * count > nx else [slice(0, count), slice(nx - count + 1, nx)]
 
 
-def _fill(seed: int, kx: np.ndarray, ky: int, scale: np.ndarray, out: np.ndarray) -> np.ndarray:
-    """Random modes of variance scale² into `out`, all of shape (count,); returns |h̃|² of each."""
+def _fill(seed: int, kx: np.ndarray, ky: int, variance: np.ndarray, out: np.ndarray) -> np.ndarray:
+    """Random modes of that variance into `out`, all of shape (count,); returns |h̃|² of each."""
     power, cosine, sine = np.empty((3, len(kx)))
     _uniform(seed, kx, ky, power, cosine, sine)
     np.log(power, out=power)
-    power *= -(scale**2)
+    power *= -variance
     modulus = np.sqrt(power)
     np.multiply(modulus, cosine, out=out.real)
     np.multiply(modulus, sine, out=out.imag)

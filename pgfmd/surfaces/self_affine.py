@@ -86,14 +86,14 @@ def self_affine(
     return _heights(grid, hurst, (lambda_s, longest, longest), rms_slope, seed)
 
 
-def self_affine_amplitude(hurst: float, k_l: float, k_r: float, k_s: float) -> Callable[[np.ndarray], np.ndarray]:
-    """√C from k², up to a factor: constant for k_l ≤ k < k_r, ∝ k^−(1+H) up to k_s, both ends included, else 0."""
+def self_affine_variance(hurst: float, k_l: float, k_r: float, k_s: float) -> Callable[[np.ndarray], np.ndarray]:
+    """C from k², up to a factor: constant for k_l ≤ k < k_r, ∝ k^(−2(1+H)) up to k_s, both ends included, else 0."""
 
-    def amplitude(k_squared: np.ndarray) -> np.ndarray:
+    def variance(k_squared: np.ndarray) -> np.ndarray:
         inside = (k_squared >= (k_l * (1 - SLACK)) ** 2) & (k_squared <= (k_s * (1 + SLACK)) ** 2)
-        return np.maximum(k_squared / k_r**2, 1.0) ** (-(1 + hurst) / 2) * inside
+        return np.maximum(k_squared / k_r**2, 1.0) ** -(1 + hurst) * inside
 
-    return amplitude
+    return variance
 
 
 def _heights(
@@ -108,13 +108,15 @@ def _heights(
     k_s, k_l, k_r = (side / length for length in wavelengths)
     if wavelengths[0] <= max(grid.spacing) * (1 + SLACK):
         k_s = math.inf
-    amplitude = self_affine_amplitude(hurst, k_l, k_r, k_s)
-    heights, slope = RandomModes(grid, seed, amplitude, k_s * (1 + SLACK)).heights()
-    if not slope > 0:
-        raise InputError(
-            f"surface: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between lambda_l = "
-            f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; lambda_l must reach the cell's longest mode and "
-            "lambda_s must not exceed it"
-        )
-    heights *= rms_slope * side / (2 * math.pi * slope)
-    return heights
+
+    def factor(slope: float) -> float:
+        if not slope > 0:
+            raise InputError(
+                f"surface: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between lambda_l = "
+                f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; lambda_l must reach the cell's longest mode "
+                "and lambda_s must not exceed it"
+            )
+        return rms_slope * side / (2 * math.pi * slope)
+
+    variance = self_affine_variance(hurst, k_l, k_r, k_s)
+    return RandomModes(grid, seed, variance, k_s * (1 + SLACK)).heights(factor)

@@ -80,17 +80,19 @@ class FromSpectrum(Surface):
 
         q, spectrum = from_root(grid.comm, self.table)
         unit = 2 * math.pi / max(grid.lengths)
-        places, roots = np.log(q / unit), np.log(spectrum / (grid.lengths[0] * grid.lengths[1])) / 2
+        places, logarithms = np.log(q / unit), np.log(spectrum / (grid.lengths[0] * grid.lengths[1]))
 
-        def amplitude(k_squared: np.ndarray) -> np.ndarray:
+        def variance(k_squared: np.ndarray) -> np.ndarray:
             place = np.log(k_squared, where=k_squared > 0, out=np.full(len(k_squared), -np.inf)) / 2
             inside = (place >= places[0] - SLACK) & (place <= places[-1] + SLACK)
-            return np.exp(np.interp(place, places, roots)) * inside
+            return np.exp(np.interp(place, places, logarithms)) * inside
 
-        heights, slope = RandomModes(grid, self.seed, amplitude, q[-1] / unit * (1 + SLACK)).heights()
-        if not slope > 0:
-            raise InputError(
-                f"{self.path}: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between q = {q[0]:g} and "
-                f"{q[-1]:g}; its lowest is {unit:g}"
-            )
-        return heights
+        def factor(slope: float) -> float:
+            if not slope > 0:
+                raise InputError(
+                    f"{self.path}: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between q = {q[0]:g} and "
+                    f"{q[-1]:g}; its lowest is {unit:g}"
+                )
+            return 1.0
+
+        return RandomModes(grid, self.seed, variance, q[-1] / unit * (1 + SLACK)).heights(factor)
