@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.options.rules import POSITIVE, Rule, integer, number, pair
+from pgfmd.options.text import show
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
@@ -28,7 +31,7 @@ def solve(
     tolerance: float = 1e-6,
     zeta: float | None = None,
     thickness: float = math.inf,
-    base: str = "bonded",
+    base: str | None = None,
     poisson: float = 0.25,
     method: str = "auto",
     start: np.ndarray | None = None,
@@ -39,11 +42,11 @@ def solve(
 
     heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
-    zeta: range of an exponential wall, with σ_ref = contact_modulus; None: a hard wall.  thickness, base, poisson: a
-    slab instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights to begin with.
-    tolerance: certified relative energy error.  threads: of this process; OMP_NUM_THREADS or the free cores if None.
-    Raises InputError for heights that are masked, not finite or wrongly split and values out of range, SolverError if
-    the tolerance cannot be reached.
+    zeta: range of an exponential wall, with σ_ref = contact_modulus; None: a hard wall.  thickness, base ("bonded" if
+    None), poisson: a slab instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights
+    to begin with.  tolerance: certified relative energy error.  threads: of this process; OMP_NUM_THREADS or the free
+    cores if None.  Raises InputError for heights that are masked, not finite or wrongly split, values out of range and
+    ranks that do not ask for the same, SolverError if the tolerance cannot be reached.
     """
     comm = MPI.COMM_SELF if comm is None else comm
     with raise_together(comm):
@@ -54,19 +57,36 @@ def solve(
             raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
         if not np.isfinite(heights).all():
             raise InputError("heights: all must be finite")
-        if not (pressure >= 0 and math.isfinite(pressure)):
-            raise InputError(f"pressure = {pressure!r}: must be finite and not negative")
+        pressure, steps = _checked("pressure", pressure, number(low=0)), _checked("spacing", spacing, pair(POSITIVE))
+        threads = None if threads is None else _checked("threads", threads, integer(1))
+        thickness = _checked("thickness", thickness, number(above=0, infinite=True))
+        if math.isinf(thickness) and base is not None:
+            raise InputError(f"base = {show(base)}: needs a thickness; a half-space has no base")
+        modulus, poisson = (
+            _checked("contact_modulus", contact_modulus, POSITIVE),
+            _checked("poisson", poisson, number()),
+        )
+        solid = Elasticity(modulus, thickness, base or "bonded", poisson)
+        law = HardWall() if zeta is None else ExponentialWall(zeta=zeta)
+        options = Solver(method=method, tolerance=tolerance)
         if start is not None and np.shape(start) != heights.shape:
             raise InputError(f"start of shape {np.shape(start)}: must be that of the heights, {heights.shape}")
-    ax, ay = (spacing, spacing) if np.isscalar(spacing) else spacing
-    rows, ny = comm.allgather(len(heights)), heights.shape[1]
+    asked = comm.allgather((pressure, steps, solid, law, options, start is None))
+    if any(other != asked[0] for other in asked):
+        raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
+    (ax, ay), rows, ny = steps, comm.allgather(len(heights)), heights.shape[1]
     grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
     if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
     try:
-        solid = Elasticity(contact_modulus, thickness, base, poisson)
-        law = HardWall() if zeta is None else ExponentialWall(zeta=zeta)
-        problem = ContactProblem(grid, heights, solid, law, float(pressure))
-        return solve_contact(problem, Solver(method=method, tolerance=tolerance), start)
+        return solve_contact(ContactProblem(grid, heights, solid, law, pressure), options, start)
     finally:
         grid.free()
+
+
+def _checked(name: str, value: object, rule: Rule) -> Any:
+    """The value of an argument as its rule converts it; raises InputError."""
+    try:
+        return rule.convert(value)
+    except ValueError:
+        raise InputError(f"{name} = {show(value)}: must be {rule.allowed}") from None

@@ -150,7 +150,7 @@ def test_energy_and_gap_belong_together(rough):
     assert high.elastic_energy - low.elastic_energy == pytest.approx(work, rel=1e-4)
 
 
-@pytest.mark.parametrize("scale", [1e-3, 0.3, 0.97])
+@pytest.mark.parametrize("scale", [1e-60, 1e-6, 1e-3, 0.3, 0.97])
 def test_the_load_at_an_approach_is_right_to_the_tolerance(rough, scale):
     """A displacement and the mean gap that belongs to it give one load, to the tolerance that both were given.
 
@@ -160,7 +160,9 @@ def test_the_load_at_an_approach_is_right_to_the_tolerance(rough, scale):
     grid, heights = rough
     summit = grid.reduction.max(heights) - grid.reduction.sum(heights) / grid.size
     one = Counted("displacement", grid, heights, gap_tolerance=1e-3).solution(scale * summit)
-    assert summit - one.mean_gap == pytest.approx(scale * summit, rel=1e-3)
+    assert one.approach == pytest.approx(scale * summit, rel=1e-3)
+    if scale < 1e-6:
+        return  # the mean gap is that of first contact, to a double's rounding
     two = Counted("mean_gap", grid, heights, gap_tolerance=1e-3).solution(one.mean_gap)
     assert two.mean_pressure == pytest.approx(one.mean_pressure, rel=1e-2)
 

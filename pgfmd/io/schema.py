@@ -35,7 +35,7 @@ Groups = Mapping[str, Mapping[str, np.ndarray]]
 LOADS = {
     "target": ("as asked", "what was asked for: the entry of the list in [load], in its unit"),
     "mean_pressure": ("{pressure}", "mean pressure p̄"),
-    "contact_area": ("1", "relative contact area f_c: fraction of grid points with pressure > 0"),
+    "contact_area": ("1", "relative contact area f_c: share of points in contact, which the law defines (hard: p > 0)"),
     "contact_area_corrected": ("1", "relative area inside the contact line between pixels; f_c if there is no line"),
     "contact_perimeter": ("1/({length})", "length of the contact line, or of the pixels' edges, per area of the cell"),
     "contact_line": ("1", "1: there is a contact line; 0: none, as roughness goes down to the pixel or all is touched"),

@@ -53,5 +53,5 @@ class Histogram(Observable):
         """Five passes over fields, no transform.  Collective."""
         from pgfmd.observables.statistics.distributions import gap_groups, pressure_groups
 
-        groups = pressure_groups(contact.grid, contact.solution.pressure, self.bins)
+        groups = pressure_groups(contact.grid, contact.pressure, self.bins)
         return groups | gap_groups(contact.grid, contact.solution.gap, self.bins)

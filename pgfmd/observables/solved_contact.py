@@ -44,9 +44,14 @@ class SolvedContact:
         return self.surface.grid
 
     @cached_property
+    def pressure(self) -> np.ndarray:
+        """The pressure of the points in contact (nx_local, ny), 0 elsewhere."""
+        return self.solution.pressure_in_contact()
+
+    @cached_property
     def area(self) -> Area:
         """Contact area, of the pixels and inside the line."""
-        return contact_area(self.grid, self.solution.pressure, self.line)
+        return contact_area(self.grid, self.pressure, self.line)
 
     @cached_property
     def line(self) -> ContactLine | None:
@@ -61,7 +66,7 @@ class SolvedContact:
     @cached_property
     def indicator(self) -> Correlations:
         """The same of the contact: 1 in contact, 0 outside."""
-        return self.surface.correlate(indicator(self.solution.pressure, 0.0))
+        return self.surface.correlate(indicator(self.pressure, 0.0))
 
     @cached_property
     def cross_power(self) -> np.ndarray:
@@ -85,7 +90,7 @@ class SolvedContact:
     def labels(self, connectivity: int) -> Labels:
         """The contact patches."""
         if connectivity not in self._labels:
-            mask = self.solution.pressure > 0
+            mask = self.pressure > 0
             self._labels[connectivity] = label_patches(self.grid.comm, mask, self.grid.starts, connectivity)
         return self._labels[connectivity]
 

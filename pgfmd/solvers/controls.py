@@ -74,7 +74,7 @@ class Control:
 
     def displacement(self, found: ContactSolution) -> float:
         """Approach of the far side from where the undeformed solid touches the highest point."""
-        return self.summit - found.mean_gap + found.mean_pressure * self.mean_compliance
+        return found.approach + found.mean_pressure * self.mean_compliance
 
     @cached_property
     def stress(self) -> float:
@@ -147,7 +147,7 @@ class MeanGap(Control):
 
     def reached(self, found: ContactSolution) -> float:
         """That of a solution."""
-        return self.summit - found.mean_gap
+        return found.approach
 
     def refuse(self, target: float) -> None:
         """At full contact the load is not determined any more, unless the law lets the surfaces overlap."""

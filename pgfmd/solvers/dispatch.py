@@ -34,10 +34,10 @@ def solve_contact(
 ) -> ContactSolution:
     """The contact by the method that the options name, to their tolerance.  Collective.
 
-    start: a pressure (nx_local, ny) that replaces coarse grids, unless it carries nothing or is not finite.
-    monitor(grid, state): called after each outer step.
-    overwrite_heights: use their memory, unless method "auto" may need them again.  Raises InputError for a method that
-    the law does not take and values out of range, SolverError if the tolerance cannot be reached.
+    start: a pressure (nx_local, ny) that replaces coarse grids, unless it carries nothing or is not finite; it is tried
+    without should that fail, and then method "auto" tries dynamics.  monitor(grid, state): called after outer steps.
+    overwrite_heights: use their memory; then nothing is tried twice.  Raises InputError for a method that the law does
+    not take and values out of range, SolverError if the tolerance cannot be reached.
     """
     options.check_law(problem.law)
     start = _usable(problem, start)
@@ -45,14 +45,15 @@ def solve_contact(
     rescued = options.method == "auto" and "gfmd" in problem.law.methods
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
     try:
-        return SOLVERS[method](
-            problem, options.tolerance, start, monitor, overwrite_heights and not rescued, **limit
-        )  # fmt: skip
+        return SOLVERS[method](problem, options.tolerance, start, monitor, overwrite_heights, **limit)
     except SolverError as failure:
-        if not rescued:
+        if overwrite_heights or start is None and not rescued:
             raise
+        again = "without the start" if start is not None else "by dynamics, slower but always convergent"
         if problem.grid.comm.rank == 0:
-            log.info("%s; trying dynamics, which are slower but always converge", failure)
+            log.info("%s; trying %s", failure, again)
+    if start is not None:
+        return solve_contact(problem, options, None, monitor)
     return solve_gfmd(problem, options.tolerance, None, monitor, max_steps=RESCUE)
 
 

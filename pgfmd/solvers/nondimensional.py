@@ -57,11 +57,14 @@ class Dimensionless:
     def _uniform(self, heights: np.ndarray, height: float) -> ContactSolution:
         """A pressure that is the same everywhere; without a load the highest point touches.  Collective."""
         mean, law = float(self.physical.mean_pressure), self.physical.law
-        top = law.gap(mean, self.physical.solid) if mean > 0 else self.physical.grid.reduction.max(heights) * height
+        top = law.gap(mean, self.physical.solid) if mean > 0 else self._heights.top * height
         heights *= height
         seconds = time.perf_counter() - self._began
         gap = np.subtract(top, heights, out=heights)
-        return ContactSolution(np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds)
+        approach = self._heights.top * height - top
+        return ContactSolution(
+            np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds, approach=approach
+        )
 
     def solution(self, state, energy: float, tolerance: float, coarse_transforms: float = 0.0) -> ContactSolution:
         """The physical solution of a dimensionless state, whose fields become its own.  Collective.
@@ -75,7 +78,8 @@ class Dimensionless:
         def finish(first: int, stop: int) -> float:
             return law.finish(pressure[first:stop], gap[first:stop], level, units)
 
-        error = state.error + self._digits(pressure) / (2 * energy)
+        mean, square = self.problem.mean_pressure, grid.reduction.dot(pressure, pressure) / grid.size
+        error = state.error + self._digits(square) / (2 * energy)
         if not error <= tolerance:
             raise SolverError(
                 f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
@@ -94,14 +98,14 @@ class Dimensionless:
             iterations=state.iterations,
             transforms=grid.transforms - self._transforms + coarse_transforms,
             seconds=time.perf_counter() - self._began,
+            threshold=self.physical.law.contact_above(mean, square) * units.pressure,
+            approach=(level + self._heights.top) * units.height - units.offset,
         )
 
-
-    def _digits(self, pressure: np.ndarray) -> float:
-        """What errors δ of the last digits of the pressure may cost, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point.  Collective."""
+    def _digits(self, square: float) -> float:
+        """What errors δ of the last digits of the pressure may cost, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point; square: ⟨p²⟩."""
         grid, problem = self.physical.grid, self.problem
         longest = np.array(2 * math.pi / max(grid.lengths))
-        square = grid.reduction.dot(pressure, pressure) / grid.size
         softness = square * float(problem.solid.compliance(longest)) + problem.mean_pressure * problem.law.range
         return ROUNDING**2 / 2 * softness
 
@@ -146,11 +150,12 @@ def deepest(problem: ContactProblem, height: float) -> float:
 class Heights(NamedTuple):
     """Dimensionless heights (nx_local, ny) of mean 0 and rms 1, and how they were made.
 
-    unit: their unit, 0 for a plane.  rms: of the physical heights.  high: the highest of them.  depth: below it all are
-    raised; inf if none is.
+    top: the highest.  unit: of heights, 0 for a plane.  rms: of the physical heights.  high: the highest of them.
+    depth: below it all are raised; inf if none is.
     """
 
     field: np.ndarray
+    top: float
     unit: float
     rms: float
     high: float
@@ -177,8 +182,10 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
     for name, value, unit in limits:
         if value != 0 and not 1 / LARGEST <= value / unit <= LARGEST:
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / LARGEST:g} and {LARGEST:g}")
+    if 0 < problem.law.range < (high / 2 - low / 2) / LARGEST:
+        raise InputError(f"zeta = {problem.law.range:g}: must exceed the range of heights times {1 / LARGEST:g}")
     if low == high:
-        return Heights(np.zeros(grid.local_shape), 0.0, 0.0, high, math.inf)
+        return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
     out = heights if overwrite and depth == math.inf else np.empty(grid.local_shape)
 
@@ -200,7 +207,7 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
         part /= spread
 
     threads.share(centre, rows, grid.band)
-    return Heights(out, size * spread, rms, high, depth)
+    return Heights(out, -mean / spread, size * spread, rms, high, depth)
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")

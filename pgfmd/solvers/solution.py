@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +12,12 @@ import numpy as np
 class ContactSolution:
     """Solved contact at one load.  Fields are slabs (nx_local, ny); numbers are the same on all ranks.
 
-    pressure ≥ 0 (exactly 0 outside contact); gap = u − h (zero in hard contact); mean_pressure p̄; mean_gap ⟨gap⟩;
+    pressure ≥ 0 (exactly 0 outside hard contact); gap = u − h (zero in hard contact); mean_pressure p̄; mean_gap ⟨gap⟩;
     elastic_energy ½⟨p u⟩ per unit area, without the q = 0 mode; certified_error, a rigorous bound on the energy error
-    relative to twice the elastic energy; max_violation, the largest violation of p (u − h) = 0, u ≥ h over the rms
-    height; iterations and transforms (pairs, in double-precision equivalents of the finest grid); seconds of wall time.
+    relative to twice the elastic energy; max_violation, the largest violation of the law over the rms height;
+    iterations and transforms (pairs, in double-precision equivalents of the finest grid); seconds of wall time;
+    threshold, the pressure above which a point counts as in contact (0 but under laws that touch everywhere); approach
+    of the solid from where the undeformed one touches the highest point.
     """
 
     pressure: np.ndarray
@@ -27,3 +30,9 @@ class ContactSolution:
     iterations: int
     transforms: float
     seconds: float
+    threshold: float = 0.0
+    approach: float = math.nan
+
+    def pressure_in_contact(self) -> np.ndarray:
+        """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none."""
+        return np.where(self.pressure > self.threshold, self.pressure, 0.0) if self.threshold > 0 else self.pressure

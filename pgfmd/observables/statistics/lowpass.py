@@ -44,7 +44,7 @@ def lowpass_areas(
         for index in indices:
             smooth = problem.on(coarse, lowpass(coarse, heights, cutoffs[index][1]))
             solution = solve(smooth, start=before)
-            area = contact_area(coarse, solution.pressure, line_of(smooth, solution, cutoffs[index][1]))
+            area = contact_area(coarse, solution.pressure_in_contact(), line_of(smooth, solution, cutoffs[index][1]))
             areas[index] = area.fraction, area.corrected
             before = solution.pressure if factor > 1 else before
     if fine is not grid:

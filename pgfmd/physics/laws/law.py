@@ -92,6 +92,10 @@ class ContactLaw(Section):
         """The duality gap of a feasible dimensionless pressure of mean 1; least: the smallest gap.  Collective."""
         raise NotImplementedError
 
+    def contact_above(self, mean: float, mean_square: float) -> float:
+        """The pressure above which a point counts as in contact; mean, mean_square: of the pressure over all points."""
+        return 0.0
+
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """Makes rows of a dimensionless solution physical, in place; returns the largest violation of the law, over the
         unit of height.

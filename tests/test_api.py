@@ -1,0 +1,51 @@
+"""`pgfmd.solve`: wrong arguments are refused in one line, on all ranks together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import pgfmd
+from pgfmd.errors import InputError
+from pgfmd.parallel.collectives import slab
+
+pytestmark = pytest.mark.mpi
+
+HEIGHTS = np.cos(2 * np.pi * np.arange(16) / 16)[:, None] * np.ones(8)
+
+
+def mine(comm):
+    """This rank's rows."""
+    return HEIGHTS[slab(len(HEIGHTS), comm.size, comm.rank)].copy()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("tolerance", math.nan), ("tolerance", 0.0), ("tolerance", 1.0),
+        ("threads", -1), ("threads", 0), ("threads", 1.5),
+        ("spacing", 0.0), ("spacing", -1.0), ("spacing", math.inf), ("spacing", (1.0, math.nan)), ("spacing", "1"),
+        ("contact_modulus", 0.0), ("contact_modulus", math.inf),
+        ("thickness", 0.0), ("thickness", math.nan), ("base", "free"), ("poisson", math.nan),
+        ("zeta", 0.0), ("zeta", -1.0), ("zeta", 1e-300), ("zeta", math.inf),
+        ("zeta", 1e-200), ("method", "newton"), ("method", "fast"),
+        ("pressure", -1.0), ("pressure", math.nan), ("pressure", math.inf), ("pressure", "1"),
+    ],
+)  # fmt: skip
+def test_a_wrong_argument_is_named_in_one_line(comm, name, value):
+    """InputError with the argument's name and value, and no line break."""
+    arguments = {"pressure": 0.01} | {name: value}
+    with pytest.raises(InputError, match=name) as caught:
+        pgfmd.solve(mine(comm), arguments.pop("pressure"), comm=comm, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_ranks_that_disagree_are_refused(comm):
+    """Pressures, or any other number, that differ between ranks: an error on all, and no hang."""
+    if comm.size == 1:
+        pytest.skip("needs ranks")
+    for arguments in ({"pressure": 0.01 * (1 + comm.rank)}, {"pressure": 0.01, "zeta": 1.0 + comm.rank}):
+        with pytest.raises(InputError, match="ranks ask for different"):
+            pgfmd.solve(mine(comm), arguments.pop("pressure"), comm=comm, **arguments)
