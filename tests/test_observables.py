@@ -213,7 +213,7 @@ def test_groups_are_in_the_schema(comm):
         for name, values in columns.items():
             axes = LAYOUT[group][name].axes
             assert np.ndim(values) == len(axes)
-            assert axes == (name,) or not axes or axes[0] not in columns or len(values) == len(columns[axes[0]])
+            assert all(len(columns[axis]) == size for axis, size in zip(axes, np.shape(values), strict=True))
 
 
 @pytest.mark.parametrize(

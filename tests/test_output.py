@@ -27,7 +27,11 @@ pytestmark = pytest.mark.mpi
 SHAPE, LENGTHS = (13, 6), (26.0, 6.0)  # 13 rows: uneven slabs on 2, 3 and 4 ranks
 FIELD = np.arange(78.0).reshape(SHAPE) ** 1.5
 JOB = '[grid]\nn = [13, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1 # µm\n[load]\npressure = [0.1, 0.2, 0.3]\n'
-HISTOGRAM = {"pressure_histogram": {"edges": np.arange(4.0), "density": np.array([0.5, 0.25, 0.25])}}
+HISTOGRAM = {
+    "pressure_histogram": {
+        "edges": np.arange(4.0), "center": np.arange(3) + 0.5, "density": np.array([0.5, 0.25, 0.25]),
+    }
+}  # fmt: skip
 
 
 def writer(comm, folder, **options):
@@ -94,17 +98,33 @@ def test_files_are_plain_hdf5(comm, shared_tmp_path):
     with h5py.File(shared_tmp_path / "out" / "fields.h5", "r") as file:
         np.testing.assert_array_equal(file["load_0000/pressure"][:], FIELD)
         attributes = dict(file["load_0000/pressure"].attrs)
-        assert (attributes["units"], attributes["unitSI"], attributes["gridUnitSI"]) == ("GPa", 1e9, 1e-6)
-        assert attributes["gridSpacing"].tolist() == [2.0, 1.0] and attributes["axisLabels"].tolist() == ["x", "y"]
-        assert attributes["dataOrder"] == "C" and attributes["description"] == schema.FIELDS["pressure"][1]
+        assert attributes["units"] == "GPa" and attributes["description"] == schema.FIELDS["pressure"][1]
         assert file["height"].attrs["units"] == "µm"
         assert file["height"].chunks is None
     with h5py.File(shared_tmp_path / "out" / "observables.h5", "r") as file:
-        assert list(file["loads"]) == sorted(schema.LOADS)
+        assert list(file["loads"]) == sorted(["load", *schema.LOADS])
         assert file["load_0000/pressure_histogram/density"].attrs["units"] == "1/(GPa)"
         assert file["loads/elastic_energy"].attrs["units"] == "GPa*µm"
         assert file.attrs["format_version"] == schema.FORMAT_VERSION and "HDF5" in file.attrs["libraries"]
         tomllib.loads(file.attrs["effective_toml"])
+
+
+def test_axes_have_names_and_coordinates(comm, shared_tmp_path):
+    """Axes are HDF5 dimension scales, as netCDF readers and xarray need them: x and y of fields, bins, loads."""
+    with writer(comm, shared_tmp_path / "out", length_unit="µm") as result:
+        for index in range(2):
+            write_load(result, index)
+    with h5py.File(shared_tmp_path / "out" / "fields" / "load_0001.h5", "r") as file:
+        for name in ("pressure", "gap"):
+            x, y = (axis[0] for axis in file[name].dims)
+            np.testing.assert_array_equal(x, np.arange(13) * 2.0)
+            np.testing.assert_array_equal(y, np.arange(6) * 1.0)
+            assert (x.name, y.name, x.attrs["units"]) == ("/x", "/y", "µm")
+        assert file.attrs["software"] == "pgfmd" and file.attrs["format_version"] == schema.FORMAT_VERSION
+    with h5py.File(shared_tmp_path / "out" / "observables.h5", "r") as file:
+        group = file["load_0001/pressure_histogram"]
+        assert group["density"].dims[0][0] == group["center"] and group["edges"].is_scale
+        assert file["loads/kappa"].dims[0][0] == file["loads/load"] and file["loads/load"][:].tolist() == [0, 1]
 
 
 def test_single_precision_and_integers(comm, shared_tmp_path, transport):

@@ -74,6 +74,7 @@ def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], cre
     """
     count = comm.allreduce(rows.stop - rows.start)
     size = count * sum(field.row_bytes for field in fields.values())
+    size += 8 * (count + max(field.local.shape[1] for field in fields.values()))  # coordinates of the points
     arrays = from_root(comm, _lay_out, path, size, list(fields), create)
     sums = {name: array.blank_sums() for name, array in arrays.items()}
     transport = _write_together if is_collective(comm) else _write_through_root

@@ -19,7 +19,7 @@ CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
 
 @dataclass(frozen=True)
 class Dataset:
-    """One dataset of a group: its unit, what it is, and the names of its axes."""
+    """One dataset of a group: its unit, what it is, and the datasets that hold the coordinates along its axes."""
 
     unit: str
     description: str
@@ -56,20 +56,6 @@ FIELDS = {
     "gap": ("{length}", "gap between solid and surface"),
     "displacement": ("{length}", "displacement of the solid's surface"),
     "labels": ("1", "number of the contact patch, counted from 1; 0: no contact"),
-}
-
-# What a unit name is in SI, for openPMD's unitSI; names not listed here are taken as arbitrary units of size 1.
-SI = {
-    "m": 1.0,
-    "mm": 1e-3,
-    "µm": 1e-6,
-    "um": 1e-6,
-    "nm": 1e-9,
-    "Å": 1e-10,
-    "Pa": 1.0,
-    "kPa": 1e3,
-    "MPa": 1e6,
-    "GPa": 1e9,
 }
 
 

@@ -2,7 +2,7 @@
 
     observables.h5          small: one row per load, groups of curves and tables, provenance
     fields.h5               links to the big fields: height, load_0000/pressure, …; open this one to read them
-    fields/height.h5, fields/load_0000.h5, …
+    fields/height.h5, fields/load_0000.h5, …        for readers of netCDF, which do not follow such links
 
 Every one of them ends in a seal (module `checksum`), so that a damaged file can be recognised.
 
@@ -30,6 +30,7 @@ from mpi4py import MPI
 
 from pgfmd.errors import InputError, Stopped
 from pgfmd.io import atomic, hdf5_slabs, provenance, restart
+from pgfmd.io.dimensions import name_axes, place_on_grid
 from pgfmd.io.provenance import Origin
 from pgfmd.io.restart import EarlierResults
 from pgfmd.io.schema import (
@@ -39,7 +40,6 @@ from pgfmd.io.schema import (
     FIELDS_FOLDER,
     LOADS,
     OBSERVABLES_FILE,
-    SI,
     Groups,
     Layout,
     load_name,
@@ -301,6 +301,9 @@ class ResultWriter:
             )
             file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
         group = file.require_group("loads")
+        if "load" not in group:
+            numbers = np.arange(self.completed)
+            group.create_dataset("load", data=numbers, maxshape=(None,), chunks=(64,)).attrs["units"] = "1"
         for name, (units, description) in LOADS.items():
             if name not in group:  # an earlier version may not have written it
                 kind, missing = (np.int64, -1) if name == "iterations" else (np.float64, np.nan)
@@ -308,6 +311,7 @@ class ResultWriter:
                     name, (self.completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing
                 )
                 self._annotate(column, description, units)
+                name_axes(group, name, ("load",))
         file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self.origin.loads)
 
@@ -326,11 +330,15 @@ class ResultWriter:
             group[name].resize((max(index + 1, len(group[name])),))
             if name in row:
                 group[name][index] = row[name]
+        group["load"].resize((len(group["mean_pressure"]),))
+        group["load"][index] = index
 
     def _add_group(self, load: h5py.Group, title: str, table: Mapping[str, np.ndarray]) -> None:
         for key, values in table.items():
             about = self.form.groups[title][key]
             self._annotate(load.create_dataset(f"{title}/{key}", data=values), about.description, about.unit)
+        for key in table:
+            name_axes(load[title], key, self.form.groups[title][key].axes)
 
     def _annotate(self, dataset: h5py.Dataset, description: str, units: str) -> None:
         dataset.attrs.update(description=description, units=units.format(**self.form.units))
@@ -352,21 +360,13 @@ class ResultWriter:
                     raise ValueError(f"field {key}: slab of shape {local.shape}, expected {expected}")
 
         def create(file: h5py.File, key: str) -> h5py.Dataset:
-            file.attrs["software"] = "pgfmd"
+            # No date: the same numbers make the same bytes.
+            known = ("software", "softwareVersion", "commit", "format_version")
+            file.attrs.update({attribute: self._provenance[attribute] for attribute in known})
             dataset = hdf5_slabs.create_dataset(file, key, form.shape, slabs[key].dtype)
             schema_units, schema_text = FIELDS.get(key, ("1", key))
             self._annotate(dataset, description or schema_text, units or schema_units)
-            unit = form.units.get((units or schema_units).strip("{}"), "")
-            dataset.attrs.update(
-                axisLabels=np.array(["x", "y"], h5py.string_dtype()),
-                dataOrder="C",
-                geometry="cartesian",
-                gridSpacing=np.divide(form.lengths, form.shape),
-                gridGlobalOffset=np.zeros(2),
-                position=np.zeros(2),
-                gridUnitSI=SI.get(form.length_unit, 1.0),
-                unitSI=SI.get(unit, 1.0),
-            )
+            place_on_grid(file, key, form.lengths, form.length_unit)
             return dataset
 
         path = self.directory / self._fields / name

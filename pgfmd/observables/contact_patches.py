@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 PATCH = ("patch",)
 SHAPES = {
+    "patch": Dataset("1", "number of the patch, as in the field labels", PATCH),
     "area": Dataset("{length}^2", "area", PATCH),
     "perimeter": Dataset("{length}", "perimeter along pixel edges", PATCH),
     "extent_x": Dataset("{length}", "extent in x, periodic", PATCH),

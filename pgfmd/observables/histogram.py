@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
 def _layout(unit: str, what: str) -> dict[str, Dataset]:
     return {
-        "edges": Dataset(unit, f"bin edges of {what}", ("edge",)),
-        "density": Dataset(f"1/({unit})", f"probability density of {what}", ("bin",)),
-        "count": Dataset("1", "points in each bin", ("bin",)),
+        "edges": Dataset(unit, f"bin edges of {what}", ("edges",)),
+        "center": Dataset(unit, "middle of each bin", ("center",)),
+        "density": Dataset(f"1/({unit})", f"probability density of {what}", ("center",)),
+        "count": Dataset("1", "points in each bin", ("center",)),
     }
 
 

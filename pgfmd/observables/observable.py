@@ -35,8 +35,7 @@ class Cost:
 class Observable(Section):
     """Something that is measured on each solved contact.  Its fields are the keys of the table [output.NAME].
 
-    name: by which the job asks for it.  layout: the groups of datasets that it may write; a dataset whose name is that
-    of an axis holds the coordinates of this axis.
+    name: by which the job asks for it.  layout: the groups of datasets that it may write.
     """
 
     name: ClassVar[str]
@@ -76,7 +75,7 @@ def spectrum_layout(unit: str, what: str) -> dict[str, Dataset]:
         "q": Dataset("1/({length})", "mean wave number of the bin, radians per length", ("q",)),
         "value": Dataset(unit, f"mean {what}", ("q",)),
         "count": Dataset("1", "modes in the bin, of all directions", ("q",)),
-        "edges": Dataset("1/({length})", "edges of all bins", ("edge",)),
+        "edges": Dataset("1/({length})", "edges of all bins", ("edges",)),
     }
 
 
@@ -86,5 +85,5 @@ def correlation_layout(unit: str, what: str) -> dict[str, Dataset]:
         "r": Dataset("{length}", "mean distance of the points in the bin", ("r",)),
         "value": Dataset(unit, what, ("r",)),
         "count": Dataset("1", "points in the bin", ("r",)),
-        "edges": Dataset("{length}", "edges of all bins", ("edge",)),
+        "edges": Dataset("{length}", "edges of all bins", ("edges",)),
     }

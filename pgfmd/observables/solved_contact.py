@@ -102,7 +102,10 @@ class SolvedContact:
         """The table of patches on rank 0, empty elsewhere."""
         line = None if pressure is None or self.line is None else self.line.of_patches(labels)
         table = patch_table(labels, self.grid.spacing, pressure, line)
-        return {} if table is None else {name: column for name, column in vars(table).items() if column is not None}
+        if table is None:
+            return {}
+        columns = {name: column for name, column in vars(table).items() if column is not None}
+        return {"patch": np.arange(1, len(table.area) + 1), **columns}
 
     def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:
         """The fields (nx_local, ny) of `schema.FIELDS` of this load that are named."""

@@ -117,8 +117,9 @@ def _totals(grid: SlabGrid, part: Callable[[int, int], tuple[np.ndarray, ...]]) 
 
 
 def _histogram(edges: np.ndarray, count: np.ndarray, points: int) -> Group:
-    """Edges, counts, and counts per bin width and point."""
-    return {"edges": edges, "count": count, "density": count / (max(points, 1) * np.diff(edges))}
+    """Edges and middles of bins, counts, and counts per bin width and point."""
+    density = count / (max(points, 1) * np.diff(edges))
+    return {"edges": edges, "center": (edges[1:] + edges[:-1]) / 2, "density": density, "count": count}
 
 
 def linear_edges(least: float, largest: float, bins: int) -> np.ndarray:
