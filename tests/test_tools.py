@@ -200,7 +200,7 @@ def test_pending_names_only_what_is_to_be_done(runs, tmp_path):
 
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
 GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
-GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale"}
+GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale", "correlation_decay"}
 KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
@@ -211,7 +211,7 @@ KINDS = {
     ("paraboloid",): GENERAL,
     ("soft1", "soft2"): {"overview", "persson_spectrum", "field_theory", "energy_by_scale"},
     ("soft file",): {"overview", "persson_spectrum", "field_theory", "energy_by_scale"},
-    ("no patches",): GENERAL - {"autocorrelations", "bearing_area", "contact_patches"},
+    ("no patches",): GENERAL - {"autocorrelations", "correlation_decay", "bearing_area", "contact_patches"},
     ("one load",): GENERAL,
     ("none to full",): GENERAL,
     ("areas",): GENERAL,

@@ -33,7 +33,7 @@ def draw(loads: list[Load], area: float = 0.08) -> Sheet:
     """f_c against p̄/(E'g), and κ against f_c, for each setting."""
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
-        name = group.label or "simulation"
+        name = group.name
         load, raw, corrected, kappa, error = columns(group)
         filled, bare = style(number), style(number, filled=False)
         sheet.curve(0, load, corrected, name, ls="none", **filled)

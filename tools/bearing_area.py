@@ -37,7 +37,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
     if len(groups) > MOST:
         sheet.notes.append(f"{len(groups)} settings and loads were given; the first {MOST} are drawn, all are fitted")
     for panel, group in enumerate(groups):
-        name = group.label or f"f_c = {group.mean('area'):.3g}"
+        name = group.name
         drawn = panel < MOST
         for kind, title, colour, marker, fill, dashes in KINDS:
             x, curves = normalised(group, kind)

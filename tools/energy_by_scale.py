@@ -29,7 +29,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """Cumulative and differential energy of each setting and load."""
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(near(loads, areas) if areas else loads), sheet)):
-        name = group.label or "simulation"
+        name, label = group.name, group.label or "simulation"
         totals = np.array([load.number("elastic_energy") for load in group])
         q, energy = common_bins([energies(load) for load in group])
         theory = np.array([persson_energies(load, q) for load in group]) / totals[:, None]
@@ -38,11 +38,11 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
         for panel, part in ((0, np.cumsum), (1, lambda values, axis, width=width: values / width)):
             measured, expected = part(shares, axis=1), part(theory, axis=1)
             look = {**style(number), "ls": "none", "ms": 2.4}
-            sheet.curve(panel, x, measured.mean(axis=0), name, error=standard_error(measured), **look)
-            line = {"color": look["color"] if number else BLACK, "lw": 0.9}
-            sheet.curve(panel, x, expected.mean(axis=0), f"Persson, {name}", label=number == 0, **line)
+            sheet.curve(panel, x, measured.mean(axis=0), label, error=standard_error(measured), **look)
+            sheet.curve(panel, x, expected.mean(axis=0), f"Persson, {name}", label=False, color=look["color"], lw=0.9)
         report(sheet, group, name, shares, theory)
-    sheet.label(0, r"$q\,/\,q_l$", "energy of waves up to $q$ / total", scale="semilogx", columns=1)
+    sheet.panels[0].plot([], [], color=BLACK, lw=0.9, label="Persson")
+    sheet.label(0, r"$q\,/\,q_l$", "energy up to $q$ / total", scale="semilogx", columns=1)
     sheet.label(1, r"$q\,/\,q_l$", r"$\mathrm{d}E\,/\,\mathrm{d}\ln q$ / total", scale="semilogx", legend=False)
     return sheet
 

@@ -16,14 +16,14 @@ import figures
 import numpy as np
 from estimators import fit_power_law, windows
 from estimators import window as within
-from plotting import BLACK, BLUE, COLOURS, GREY, RED, Sheet
+from plotting import BLACK, BLUE, COLOURS, GREY, RED, Finding, Sheet
 from reading import Ensemble, Load, common_bins, ensembles, near
 from stress_contact_spectra import ratio_of_means
 
 CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all q
 ≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that they
-span. (b) The ratio of the scaled spectra at the largest and the smallest load, with standard errors. (c) Exponents of
-the joint fit against the Hurst exponent with both errors, beside 1 + H."""
+span. (b) The ratio of the scaled spectra at the largest and the smallest load in octaves of q, with standard errors.
+(c) Exponents of the joint fit against the Hurst exponent with both errors, beside 1 + H."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -49,7 +49,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
         group = of_common_loads(group, sheet)
         x, curves = scaled(group)
         limits = tuple(window) if window else default_window(group)
-        name = group.label or "simulation"
+        name = group.name
         spread = report(sheet, group, name, (x, curves), limits)
         points.append((group, spread))
         if group in shown:
@@ -82,7 +82,7 @@ def of_common_loads(group: Ensemble, sheet: Sheet) -> Ensemble:
     left = sorted({load.folder for load in group} - {load.folder for load in kept})
     if left:
         sheet.notes.append(f"left out, as their loads are others than those of {kept[0].folder}: {', '.join(left)}")
-    return Ensemble(kept, group.label)
+    return Ensemble(kept, group.label, group.name)
 
 
 def scaled(group: Ensemble) -> tuple[np.ndarray, Curves]:
@@ -138,18 +138,31 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[
 
 
 def _compare_loads(sheet: Sheet, name: str, x: np.ndarray, curves: Curves):
-    """How far apart the scaled spectra of the largest and the smallest load lie: the farthest bins."""
+    """How far apart the scaled spectra of the largest and the smallest load lie: the farthest octaves."""
     if len(curves) < 2:
         return
     low, high = list(curves)[0], list(curves)[-1]
     for kind in ("stress", "contact"):
-        ratios = curves[high][kind] / curves[low][kind]
-        ratio = ratio_of_means(curves[high][kind], curves[low][kind])[0]
-        for title, part in (("q ≥ 4 q_l", x >= 4), ("q ≤ 2 q_l", x <= 2)):
+        middle, ratio, error = octaves(x, curves[high][kind], curves[low][kind])
+        for title, part in (("q ≥ 4 q_l", middle > 4), ("q < 4 q_l", middle < 4)):
             if np.any(part):
                 worst = np.flatnonzero(part)[int(np.argmax(np.abs(np.log(ratio[part]))))]
-                sheet.findings.add(f"{kind} spectra, largest over smallest load, farthest bin of {title}, {name}",
-                                   ratios[:, worst])  # fmt: skip
+                found = Finding(float(ratio[worst]), None if error is None else float(error[worst]))
+                sheet.findings[f"{kind} spectra, largest over smallest load, farthest octave of {title}, {name}"] = (
+                    found
+                )
+
+
+def octaves(x: np.ndarray, above: np.ndarray, below: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Middle of each octave of x, and the ratio of two spectra (seeds, m) there, bins weighed alike, with its error."""
+    octave = np.floor(np.log2(x) + 1e-9).astype(int)
+    levels = np.unique(octave)
+    # each bin over its mean, so that the first ones of a steep spectrum do not decide alone
+    norm = below.mean(axis=0)
+    sums = [
+        np.array([(values / norm)[:, octave == level].sum(axis=1) for level in levels]).T for values in (above, below)
+    ]
+    return 2.0 ** (levels + 0.4), *ratio_of_means(*sums)
 
 
 def worst_sum(group: list[Load], kind: str) -> float:
@@ -174,28 +187,16 @@ def _draw(sheet: Sheet, number: int, group: Ensemble, data: tuple, limits: tuple
     colour, marker = COLOURS[number], "os^D"[number]
     low, high = list(curves)[0], list(curves)[-1]
     shift = 10.0**-number
-    name = group.label or "simulation"
+    name = group.name
     for kind, fill in (("stress", colour), ("contact", "white")):
         mean = curves[high][kind].mean(axis=0)
         sheet.curve(0, x, shift * mean, f"{kind}, {name}" + (f" (× {shift:g})" if number else ""), color=colour,
                     marker=marker, mfc=fill, ls="none", ms=2.2)  # fmt: skip
         if low != high:
-            ratio, error = ratio_of_means(curves[high][kind], curves[low][kind])
-            spread = 1.0 + 0.02 * number
-            sheet.curve(
-                1,
-                x * spread,
-                ratio,
-                f"{kind}, {name}",
-                error=error,
-                color=colour,
-                marker=marker,
-                mfc=fill,
-                lw=0.5,
-                ms=2.2,
-                ls="none",
-                label=False,
-            )
+            middle, ratio, error = octaves(x, curves[high][kind], curves[low][kind])
+            place = middle * (1 + 0.07 * (2 * number + (kind == "contact")))
+            sheet.curve(1, place, ratio, f"{kind}, {name}", error=error, color=colour, marker=marker, mfc=fill, lw=0.5,
+                        label=False)  # fmt: skip
     inside = within(x, limits)
     if np.count_nonzero(inside) >= 3:
         lines = [curves[high][kind].mean(axis=0)[inside] for kind in ("stress", "contact")]

@@ -31,7 +31,7 @@ def draw(loads: list[Load]) -> Sheet:
     sheet = Sheet(1, 2)
     sheet.panels[1].axhspan(0.8, 1.2, color="0.92")
     for number, group in enumerate(limited(ensembles(loads), sheet)):
-        name, look = group.label or f"ζ = {group.zeta:g}", style(number)
+        name, label, look = group.name, group.label or f"ζ = {group.zeta:g}", style(number)
         q, stress = common_bins([load.spectrum("stress")[:2] for load in group])
         x, count = q / group.q_unit, group.loads[0].spectrum("stress")[2]
         full = np.array([load.full_contact() for load in group])
@@ -39,7 +39,7 @@ def draw(loads: list[Load]) -> Sheet:
         rough = (full > full.max() * 1e-12).all(axis=0)
         x, count, stress, full, model = x[rough], count[rough], stress[:, rough], full[:, rough], model[:, rough]
         sheet.curve(
-            0, x, stress.sum(axis=0) / full.sum(axis=0), name, error=standard_error(stress / full), ls="none", **look
+            0, x, stress.sum(axis=0) / full.sum(axis=0), label, error=standard_error(stress / full), ls="none", **look
         )
         sheet.curve(
             0, x, model.sum(axis=0) / full.sum(axis=0), f"field theory, {name}", color=look["color"], label=False
@@ -58,7 +58,7 @@ def draw(loads: list[Load]) -> Sheet:
             1,
             middle[seen],
             ratios.mean(axis=0)[seen],
-            name,
+            label,
             error=None if error is None else error[seen],
             lw=0.7,
             **look,

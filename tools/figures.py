@@ -34,6 +34,7 @@ FIGURES = (
     "contact_patches",
     "resolution",
     "energy_by_scale",
+    "correlation_decay",
 )
 
 

@@ -14,11 +14,12 @@ import figures
 import matplotlib
 import numpy as np
 from matplotlib.colors import LightSource, ListedColormap
-from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet, tex
+from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet
 from reading import NEEDS as TESTS
 from reading import Load
 
 from pgfmd.errors import InputError
+from pgfmd.options.text import printable
 from pgfmd.theory import persson
 
 CAPTION = """Left: the rigid surface, lit from the side, and the pressure where it touches. Middle: the distribution of
@@ -68,9 +69,10 @@ def draw_surface(sheet: Sheet, panel: int, load: Load):
     shaded = 0.6 * (height - height.min()) / span + 0.4 * light.hillshade(height, vert_exag=60 / span)
     axes.imshow(shaded, cmap="gray", vmin=-0.1, vmax=1, origin="lower", extent=(0, lx, 0, ly))
     output = load.job.get("output", {})
-    unit, pressure_unit = output.get("length_unit", "length"), output.get("pressure_unit", "pressure")
+    units = (output.get("length_unit", "length"), output.get("pressure_unit", "pressure"))
+    unit, pressure_unit = (printable(str(unit), 20).replace("$", "?") for unit in units)
     name = "grid spacings" if unit == "length" and max(load.steps) == 1 else unit
-    axes.set(xlabel=tex(f"x / {name}"), ylabel=tex(f"y / {name}"))
+    axes.set(xlabel=f"x / {name}", ylabel=f"y / {name}")
     if "pressure" not in load.fields:
         return
     pressure = thinned(load, "pressure").T
@@ -82,7 +84,7 @@ def draw_surface(sheet: Sheet, panel: int, load: Load):
     if math.isfinite(load.area):
         axes.set_title(f"contact on {100 * load.area:.2g} % of the surface")
     label = "pressure" + (f" / {pressure_unit}" if pressure_unit != "pressure" else "")
-    axes.figure.colorbar(image, ax=axes, label=tex(label), shrink=0.85, extend="max")
+    axes.figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="max")
 
 
 def draw_distribution(sheet: Sheet, panel: int, load: Load):

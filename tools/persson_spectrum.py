@@ -85,8 +85,7 @@ def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
     x, curves = q / group.q_unit, stress / full
     area = group.mean("area")
     name = f"{title}f_c = {area:.2f}" if np.isfinite(area) else f"{title}p̄ = {group.mean('mean_pressure'):.3g}"
-    control, target = group.loads[0].target
-    named = f"{title}{control} = {target:g}"
+    named = f"{title}{group.name}"
     short = f"{area:.2g}" if np.isfinite(area) else f"{group.mean('mean_pressure'):.2g}"
     error = standard_error(curves)
     sheet.curve(

@@ -20,9 +20,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from pgfmd.options.text import printable
-
 COLUMN, PAGE = 3.4, 7.0  # inches
+ROW = 0.13  # inches that a row of the legend takes above the panels
 
 # Okabe & Ito, Color Universal Design (2008): told apart by colour-blind readers, and in grey by line style and marker.
 BLACK, BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
@@ -66,8 +65,7 @@ def style(number: int, *, filled: bool = True) -> dict:
 
 
 def tex(text: str) -> str:
-    """A label for a figure: symbols in italics, and names from files taken literally."""
-    text = printable(str(text), 80).replace("$", r"\$")
+    """A label for a figure: symbols in italics."""
     for plain, math_text in SYMBOLS.items():
         text = text.replace(plain, math_text)
     return text
@@ -142,6 +140,7 @@ class Sheet:
         self.figure, axes = plt.subplots(rows, columns, figsize=(width, height * rows), squeeze=False)
         self.panels = list(axes.flat)
         self.findings, self.notes = Findings(), []
+        self._legend_rows = 0
         self._table: list[tuple] = []
         self._tables: dict[str, tuple[Sequence[str], list[tuple]]] = {}
         if len(self.panels) > 1:
@@ -177,6 +176,7 @@ class Sheet:
         if legend and labels:
             columns = 1 if max(map(len, labels)) > 34 else columns
             axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.3)
+            self._legend_rows = max(self._legend_rows, -(-len(labels) // columns))
 
     def drop(self, panel: int):
         """Leave a panel out."""
@@ -187,6 +187,8 @@ class Sheet:
         output.mkdir(parents=True, exist_ok=True)
         for axis in (axis for axes in self.panels if axes.figure for axis in (axes.xaxis, axes.yaxis)):
             _label_short_decades(axis)
+        width, height = self.figure.get_size_inches()
+        self.figure.set_size_inches(width, height + ROW * self._legend_rows)
         paths = [output / f"{name}.{kind}" for kind in ("png", "pdf", "csv", "json")]
         self.figure.savefig(paths[0])
         self.figure.savefig(paths[1], metadata={"CreationDate": None})

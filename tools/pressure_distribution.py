@@ -57,7 +57,7 @@ def averaged(group: Ensemble, edges: np.ndarray) -> np.ndarray:
 
 def report(sheet: Sheet, group: Ensemble):
     """κ, m₂ and widths beside theory, and P(σ) over the fitted and the unfitted form in bands of σ."""
-    name = f", {group.label}" if group.label else ""
+    name = f", {group.name}"
     add = sheet.findings.add
     kappa = [load.modulus * load.rms_slope * load.corrected_area / load.mean_pressure for load in group]
     add(f"contact area f_c{name}", [load.area for load in group])
@@ -81,7 +81,7 @@ def report(sheet: Sheet, group: Ensemble):
     for load in group:
         sheet.keep("loads", ("setting", "seed", "mean_pressure", "modulus", "rms_slope", "area", "area_corrected", "m2",
                              "fitted_width"),
-                   (group.label, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
+                   (group.name, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
                     load.corrected_area, load.normalised_second_moment, _fitted(load)))  # fmt: skip
 
 

@@ -19,6 +19,7 @@ import rowblocks
 from pgfmd.errors import InputError
 from pgfmd.io.results import Results
 from pgfmd.observables.statistics import spectra
+from pgfmd.options.text import printable
 
 log = logging.getLogger("pgfmd")
 
@@ -212,7 +213,8 @@ class Load:
     def weighted_spectrum(
         self, name: str, weight: Callable[[np.ndarray], np.ndarray], edges: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q, mean of weight(|q|) |f̃|², weighed mode by mode, and modes, of the bins that `spectrum` returns: (m,) each.
+        """q, mean of weight(|q|) |f̃|², weighed mode by mode, and modes, of the bins that `spectrum` returns: (m,)
+        each.
 
         From the field; raises InputError if the run did not keep it.
         """
@@ -341,10 +343,15 @@ DERIVED = ("grid.spacing", "grid.length", "solid.lame_lambda", "solid.lame_mu", 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Loads that differ by the seed alone: samples of one physical setting.  `label` says what sets it apart."""
+    """Loads that differ by the seed alone: samples of one physical setting.
+
+    label says what sets it apart, for legends (empty if nothing does); name the same for tables, with the load as it
+    was asked for, whatever area came of it.
+    """
 
     loads: tuple[Load, ...]
     label: str = ""
+    name: str = "simulation"
 
     def __iter__(self):
         return iter(self.loads)
@@ -378,10 +385,14 @@ def ensembles(found: Iterable[Load], *, by_load: bool = True) -> list[Ensemble]:
     keys = [key for key in dict.fromkeys(k for s in settings for k in s) if _differs(key, settings)]
     keys = [key for key in keys if key not in DERIVED] or keys
     several = by_load and len({target for _, target in groups}) > 1
-    return [
-        Ensemble(tuple(group), ", ".join([*(_named(k, s[k]) for k in keys if k in s), *([_loaded(group)] * several)]))
-        for group, s in zip(members, settings, strict=True)
-    ]
+    found = []
+    for group, values in zip(members, settings, strict=True):
+        apart = [_named(key, values[key]) for key in keys if key in values]
+        control, target = group[0].target
+        asked = [f"{CONTROLS[control]} = {target:g}"] * by_load
+        label = ", ".join([*apart, *[_loaded(group)] * several])
+        found.append(Ensemble(tuple(group), label, ", ".join([*apart, *asked]) or "simulation"))
+    return found
 
 
 def _differs(key: str, settings: Sequence[dict]) -> bool:
@@ -418,10 +429,12 @@ def _order(load: Load) -> tuple:
 
 def _named(key: str, value) -> str:
     if key == "surface.path":
-        return Path(str(value)).name
+        return printable(Path(str(value)).name, 30).replace("$", "?")  # no formula for the figures
     if isinstance(value, list) and len(set(map(str, value))) == 1:
         value = value[0]
-    shown = f"{value:g}" if isinstance(value, float | int) and not isinstance(value, bool) else str(value)
+    shown = (
+        f"{value:g}" if isinstance(value, float | int) and not isinstance(value, bool) else printable(str(value), 30)
+    )
     return f"{SYMBOLS.get(key, key)} = {shown}"
 
 

@@ -28,11 +28,11 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     sheet = Sheet(1, 2, height=2.9)
     groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
     for number, group in enumerate(groups):
-        name = group.label or f"f_c = {group.mean('area'):.3g}"
+        name, label = group.name, group.label or f"f_c = {group.mean('area'):.3g}"
         x, count, stress, contact = samples(group)
         ratio, error = ratio_of_means(stress, contact)
         shift = 10.0**-number
-        moved = f"{name} (× {shift:g})" if number else name
+        moved = f"{label} (× {shift:g})" if number else label
         below = contact.mean(axis=0)
         drawn = {**style(number, filled=number % 2 == 0), "ls": "none", "ms": 2.4}
         sheet.curve(0, below, shift * stress.mean(axis=0), moved, **drawn)

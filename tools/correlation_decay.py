@@ -1,0 +1,76 @@
+"""How the correlation of the contact decays with distance: C_c(Δr) − C_c(∞) ∝ Δr^−ν, beside ν = 2 − μ_c.
+
+    pgfmd plot correlation_decay DIR… [--areas 0.08] [--window 4 64]
+
+C_c(∞) is f_c².  The fit range in units of the shortest wavelength; its neighbours give the spread over choices.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import figures
+import numpy as np
+from estimators import fit_power_law, windows
+from estimators import window as within
+from plotting import BLACK, Sheet, limited, standard_error, style
+from reading import Ensemble, Load, common_bins, ensembles, near
+
+CAPTION = """Autocorrelation of the contact less its value at infinity, over its value at zero, against distance. Full
+lines: power laws fitted over the range that they span. Broken: the law Δr^(−ν) with ν = 1 − H, which follows from μ_c =
+1 + H. Bars: standard error over seeds."""
+NEEDS = ("correlations", "partial contact")
+OPTIONS = {
+    "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
+    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in Δr/λ_s (default 4 64)"},
+}
+
+
+def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] = (4, 64)) -> Sheet:
+    """(C_c − f_c²)/(f_c − f_c²) of each setting and load, and ν."""
+    sheet = Sheet()
+    for number, group in enumerate(limited(ensembles(near(loads, areas) if areas else loads), sheet)):
+        r, contact = common_bins([load.correlation("contact") for load in group])
+        f = np.array([load.area for load in group])[:, None]
+        x, decay = r / shortest(group), (contact - f**2) / (f - f**2)
+        mean, error = decay.mean(axis=0), standard_error(decay)
+        shown = (r > 0) & (mean > 0)
+        look, label = style(number), group.label or f"f_c = {group.mean('area'):.3g}"
+        sheet.curve(0, x[shown], mean[shown], label, error=None if error is None else error[shown], ls="none", **look)
+        report(sheet, group, x, decay, window)
+        inside = within(x, window) & shown
+        if np.count_nonzero(inside) >= 3:
+            slope, (offset,) = fit_power_law(x[inside], mean[inside])
+            ends = x[inside][[0, -1]]
+            sheet.curve(0, ends, np.exp(offset) * ends**slope, f"ν = {-slope:.2f}, {group.name}", color=BLACK, lw=0.9,
+                        label=False, zorder=5)  # fmt: skip
+            if group.hurst is not None:
+                law = 0.7 * mean[inside][0] * (ends / ends[0]) ** (group.hurst - 1)
+                sheet.curve(0, ends, law, f"ν = 1 − H, {group.name}", color=look["color"], ls="--", lw=0.9, label=False)
+    sheet.label(0, r"$\Delta r\,/\,\lambda_s$", r"$(C_c - f_c^2)\,/\,(f_c - f_c^2)$", scale="log")
+    return sheet
+
+
+def shortest(group: Ensemble) -> float:
+    """λ_s, or the grid spacing where every mode of the grid counts."""
+    return max(group.wavelengths[0], max(group.steps))
+
+
+def report(sheet: Sheet, group: Ensemble, x: np.ndarray, decay: np.ndarray, limits: tuple[float, float]):
+    """ν of every seed, and over neighbouring ranges, of the ranges in which no seed falls below zero."""
+    fits = []
+    for each in windows(limits):
+        inside = within(x, each)
+        good = np.count_nonzero(inside) >= 3 and bool(np.all(decay[:, inside] > 0))
+        fits.append([-fit_power_law(x[inside], row[inside])[0] for row in decay] if good else [np.nan])
+    sheet.findings.add(f"ν, {group.name}", fits[0], [float(np.mean(each)) for each in fits[1:]])
+    if group.hurst is not None and np.all(np.isfinite(fits[0])):
+        sheet.findings.add(f"ν + H, {group.name}", np.array(fits[0]) + group.hurst,
+                           [float(np.mean(each)) + group.hurst for each in fits[1:]])  # fmt: skip
+    for load, row in zip(group, decay, strict=True):
+        sheet.keep("data", ("setting", "seed", "r_over_lambda_s", "decay"),
+                   *((group.name, load.seed, *values) for values in zip(x, row, strict=True)))  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(figures.main(["correlation_decay", *sys.argv[1:]]))
