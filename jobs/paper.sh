@@ -1,69 +1,93 @@
 #!/usr/bin/env bash
-# The paper, reproduced: all runs of figures F1–F9 and table T1, the figures, and the report.
+# The paper, reproduced: all runs of figures F1–F9 and table T1, the figures, and the report with a verdict on each claim.
 #
 #   bash jobs/paper.sh [--small] [FOLDER]      # FOLDER: results/paper, or results/paper-small
 #
-# Runs that are complete are not repeated: start it again after an interruption.  --small scales every grid down by 8, for
-# a look in a coffee break; its numbers mean little.  RANKS=2 OMP_NUM_THREADS=1 changes the division of the cores.
+# Runs that are complete are not repeated: start it again after an interruption.  As many runs go on at a time as there are
+# cores (JOBS=1: one), each with one thread; those of 4096² points come first.  --small scales every grid down by 8, for a
+# look in a coffee break; its verdicts mean little.  PYTHON=… takes that interpreter, and sets nothing up.
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-small=
-if [ "${1:-}" = --small ]; then small=yes; shift; fi
-folder=${1:-results/paper${small:+-small}}
-ranks=${RANKS:-1}
-export OMP_NUM_THREADS=${OMP_NUM_THREADS:-$(($(nproc) / ranks > 0 ? $(nproc) / ranks : 1))}
-bash tools/setup.sh
+small=1
+if [ "${1:-}" = --small ]; then small=8; shift; fi
+folder=${1:-results/paper$([ "$small" = 1 ] || echo -small)}
+jobs=${JOBS:-$(nproc)}
+[ -n "${PYTHON:-}" ] || bash tools/setup.sh
 source tools/env.sh
-python=$PWD/.venv/bin/python
+export OMP_NUM_THREADS=1
+python=${PYTHON:-$PWD/.venv/bin/python}
 
-# size N LAMBDA_S: the overrides of a job at that size; scaled down, the shortest wave keeps its part of the cell where it
-# can.
+# size N LAMBDA_S: the overrides of a job at that size.  Scaled down, the shortest wave keeps its part of the cell where it
+# can: λ_s = a stays, others become 2 a or more.
 size() {
-    local n=$1 shortest=$2
-    if [ -n "$small" ]; then
-        n=$((n / 8)) shortest=$((shortest / 8 > 0 ? shortest / 8 : 1))
-    fi
-    echo "grid.n=$n surface.lambda_s=$shortest.0"
+    local n=$(($1 / small)) shortest=$2
+    if [ "$shortest" -gt 1 ]; then shortest=$((shortest / small > 2 ? shortest / small : 2)); fi
+    echo "grid.n=$n surface.lambda_s=$shortest.0 solid.thickness=$n.0"
+}
+
+# pressures H LAMBDA_S: those at which f_c is near 4 and 8 % (H = 0.3, λ_s = a: 9 % as well).
+pressures() {
+    case $1-$2 in
+        0.3-1) echo "[0.00104,0.00216,0.00245]" ;;
+        0.5-1) echo "[0.00124,0.00252]" ;;
+        0.8-1) echo "[0.00155,0.00316]" ;;
+        *) echo "[0.00147,0.003]" ;;
+    esac
 }
 
 # One line per run: name, job, overrides.
 plan() {
-    local h seed zeta points areas
-    echo "large jobs/paper/large.toml $(size 4096 64)"
-    for h in 0.3 0.8; do
-        echo "scales-h$h jobs/paper/scales.toml $(size 2048 8) surface.hurst=$h"
+    local h seed zeta points n shortest seeds
+    for seed in 1 2; do
+        for h in 0.3 0.8; do
+            echo "scales-h$h-s$seed-low jobs/paper/scales.toml $(size 4096 8) surface.hurst=$h surface.seed=$seed" \
+                'output.observables=["histogram","spectra","lowpass"]'
+            echo "scales-h$h-s$seed-high jobs/paper/scales.toml $(size 4096 8) surface.hurst=$h surface.seed=$seed" \
+                "load.pressure=[0.001,0.0224,0.0295,0.0367,0.0461,0.0626,0.079,0.09,0.256]"
+        done
     done
-    for points in 2 4 8 16 32 64; do
-        [ -n "$small" ] && [ "$points" -gt 16 ] && continue
-        echo "resolution-$points jobs/paper/resolution.toml grid.n=$((32 * points)) surface.lambda_s=$points.0"
+    for seed in 1 2 3; do
+        echo "large-s$seed jobs/paper/large.toml $(size 4096 64) surface.seed=$seed"
+    done
+    for n in 4096 2048 1024 512; do
+        case $n in 4096) seeds="1 2" ;; 512) seeds="1 2 3 4 5 6 7 8" ;; *) seeds="1 2 3 4" ;; esac
+        for h in 0.3 0.5 0.8; do
+            for seed in $seeds; do
+                echo "exponents-n$n-h$h-s$seed jobs/paper/exponents.toml $(size $n 1) surface.hurst=$h surface.seed=$seed" \
+                    "load.pressure=$(pressures $h 1)"
+            done
+        done
+    done
+    for shortest in 8 32; do
+        for h in 0.3 0.8; do
+            for seed in 1 2 3 4; do
+                echo "shortest-l$shortest-h$h-s$seed jobs/paper/exponents.toml $(size 2048 $shortest) surface.hurst=$h" \
+                    "surface.seed=$seed load.pressure=$(pressures $h $shortest)"
+            done
+        done
     done
     for seed in 1 2 3 4; do
         for h in 0.3 0.5 0.8; do
-            [ "$h" = 0.3 ] && areas="load.contact_area=[0.04,0.08,0.09]" || areas=
-            echo "exponents-h$h-s$seed jobs/paper/exponents.toml $(size 2048 1) surface.hurst=$h surface.seed=$seed $areas"
             echo "loads-h$h-s$seed jobs/paper/loads.toml $(size 1024 16) surface.hurst=$h surface.seed=$seed"
         done
-        for zeta in 0.05 0.25 1.0; do
+        for h in 0.3 0.8; do
+            echo "islands-h$h-s$seed jobs/paper/islands.toml $(size 512 1) surface.hurst=$h surface.seed=$seed" \
+                "load.pressure=$(pressures $h 1)"
+        done
+    done
+    for seed in 1 2 3 4 5 6; do
+        for zeta in 0.01 0.25 1.0; do
             echo "exponential-z$zeta-s$seed jobs/paper/exponential.toml $(size 1024 32) wall.zeta=$zeta surface.seed=$seed"
         done
+    done
+    for points in 2 4 8 16 32 64; do
+        [ "$small" = 8 ] && [ "$points" -gt 16 ] && continue
+        echo "resolution-$points jobs/paper/resolution.toml grid.n=$((32 * points)) surface.lambda_s=$points.0"
     done
 }
 
 mkdir -p "$folder"
-todo=$(plan | "$python" tools/pending.py "$folder")
-total=$(printf '%s' "$todo" | grep -c . || true)
-echo "$total of $(plan | wc -l) runs to do, $ranks rank(s) × $OMP_NUM_THREADS thread(s), into $folder"
-done=0
-while read -r name job overrides; do
-    [ -n "$name" ] || continue
-    done=$((done + 1))
-    printf '%s  run %d of %d: %s\n' "$(date +%T)" "$done" "$total" "$name"
-    settings=()
-    for setting in $overrides; do settings+=(--set "$setting"); done
-    mpirun -n "$ranks" "$python" -m mpi4py -m pgfmd run "$job" --output "$folder/$name" --overwrite "${settings[@]}" \
-        </dev/null 2>"$folder/$name.log" || { cat "$folder/$name.log" >&2; exit 1; }
-done <<<"$todo"
-
-"$python" tools/report.py "$folder" --output "$folder/report"
+plan | "$python" tools/runs.py "$folder" --jobs "$jobs"
+"$python" tools/report.py "$folder" --output "$folder/report" $([ "$small" = 1 ] || echo --small)
 echo "report: $folder/report/report.html"

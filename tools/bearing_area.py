@@ -1,9 +1,9 @@
 """Contact spectra of the elastic solid and of the bearing area: the same area, cut from the surface at one height.
 
-    pgfmd plot bearing_area DIR… [--areas 0.09] [--window 8 128]
+    pgfmd plot bearing_area DIR… [--areas 0.09] [--window FROM TO]
 
-Exponents μ of |Θ̃|² ∝ q^−μ are fitted to each run; the error over seeds, and over the choice of the fit range.  Theory
-of the bearing area: μ = 2 + H.
+Exponents μ of |Θ̃|² ∝ q^−μ are fitted to each run, over the range of the figure `exponents`; the error over seeds, and
+over the choice of the fit range.  Theory of the bearing area: μ = 2 + H.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import figures
 import numpy as np
 from estimators import fit_power_law, windows
 from estimators import window as within
+from exponents import default_window
 from plotting import BLACK, BLUE, RED, Sheet, tex
 from reading import Ensemble, Load, common_bins, ensembles, near
 
@@ -24,31 +25,31 @@ sum over all q ≠ 0 is one; lines: power laws fitted over the range that they s
 NEEDS = ("spectra", "bearing", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
-    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l (default 8 128)"},
+    "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l"},
 }
 KINDS = (("contact", "elastic contact", RED, "o", "white", "-"), ("bearing", "bearing area", BLUE, "s", BLUE, "--"))
 MOST = 3
 
 
-def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] = (8, 128)) -> Sheet:
+def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] | None = None) -> Sheet:
     """One panel for each setting and load (at most three are drawn, all are fitted)."""
     groups = ensembles(near(loads, areas, slack=0.15) if areas else loads)
     sheet = Sheet(1, min(MOST, len(groups)), height=2.5)
     if len(groups) > MOST:
         sheet.notes.append(f"{len(groups)} settings and loads were given; the first {MOST} are drawn, all are fitted")
     for panel, group in enumerate(groups):
-        name = group.name
+        name, limits = group.name, tuple(window) if window else default_window(group)
         drawn = panel < MOST
         for kind, title, colour, marker, fill, dashes in KINDS:
             x, curves = normalised(group, kind)
-            keep_exponents(sheet, group, f"μ_c {title}, {name}", x, curves, window)
+            keep_exponents(sheet, group, f"μ_c {title}, {name}", x, curves, limits)
             for load, curve in zip(group, curves, strict=True):
                 sheet.keep("data", ("setting", "kind", "seed", "q_over_q_l", "spectrum"),
                            *((name, kind, load.seed, *row) for row in zip(x, curve, strict=True)))  # fmt: skip
             if drawn:
                 mean = curves.mean(axis=0)
                 sheet.curve(panel, x, mean, title, color=colour, marker=marker, mfc=fill, ls="none", ms=2.2)
-                inside = _window(x, window, mean)
+                inside = _window(x, limits, mean)
                 slope, offset = fit_power_law(x[inside], mean[inside])
                 sheet.curve(
                     panel,

@@ -45,15 +45,16 @@ def module(figure: str) -> ModuleType:
     return importlib.import_module(figure)
 
 
-def draw(figure: str, folders: Sequence[Path | str], **options):
+def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = (), **options):
     """The figure of the loads in result folders that have what it needs: a `plotting.Sheet`.
 
-    Raises InputError if none has, or the options do not fit.
+    targets : only the loads at which the job imposed one of these values (pressure, area, …)
+    Raises InputError if none is left, or the options do not fit.
     """
     import reading
 
     drawn = module(figure)
-    found, left_out = reading.serving(reading.loads(folders), drawn.NEEDS, figure)
+    found, left_out = reading.serving(reading.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
     sheet = drawn.draw(found, **options)
     sheet.notes[:0] = left_out
     return sheet
@@ -99,6 +100,8 @@ def plot(arguments: Sequence[str]) -> str:
     parser.add_argument("results", nargs="+", type=Path, metavar="DIR", help="result folders")
     parser.add_argument("--output", type=Path, metavar="FOLDER",
                         help="folder of the pictures (default: figures/ in the first result folder)")  # fmt: skip
+    parser.add_argument("--targets", nargs="+", type=float, default=(), metavar="VALUE",
+                        help="only the loads at which the job imposed these pressures, areas, …")  # fmt: skip
     for name, keywords in getattr(drawn, "OPTIONS", {}).items():
         parser.add_argument(name, default=argparse.SUPPRESS, **keywords)
     options = vars(parser.parse_args(rest))

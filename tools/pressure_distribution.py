@@ -29,9 +29,10 @@ BANDS = ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0))
 def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """P(σ) of each setting and load, linear and logarithmic."""
     sheet = Sheet(1, 2)
-    groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
-    for number, group in enumerate(groups):
+    groups = ensembles(near(loads, areas) if areas else loads)
+    for number, group in enumerate(limited(groups, sheet)):
         _draw(sheet, group, number)
+    for group in groups:
         report(sheet, group)
     for panel, scale in enumerate(("linear", "semilogy")):
         sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", r"$P(\sigma)\;E'\bar g/2$", scale=scale, legend=panel == 0)

@@ -309,6 +309,14 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
+def imposed(found: Sequence[Load], targets: Sequence[float]) -> list[Load]:
+    """The loads whose imposed value is one of the targets (none given: all).  Raises InputError if there is none."""
+    chosen = [load for load in found if not targets or any(math.isclose(load.target[1], t) for t in targets)]
+    if not chosen:
+        raise InputError(f"no load was imposed as {', '.join(f'{t:g}' for t in targets)} in the folders given")
+    return chosen
+
+
 def near(found: Iterable[Load], areas: Iterable[float], slack: float = 0.1) -> list[Load]:
     """For each area, of each folder the load whose contact area is nearest, if it is within `slack` relatively.
 

@@ -1,8 +1,8 @@
-"""The paper beside the runs: one self-contained HTML page with every figure, number, verdict, parameter and run time.
+"""The paper beside the runs: one self-contained HTML page with a verdict on every claim, every figure, number and run.
 
     python tools/report.py results/paper [--output results/paper/report]
 
-Makes all figures anew.  What has not been run yet is left out, and said.
+Makes all figures anew.  Rules and claims stand in tools/paper.toml; what has not been run yet is said.
 """
 
 from __future__ import annotations
@@ -11,14 +11,20 @@ import argparse
 import base64
 import csv
 import html
+import math
 import sys
+import time
 import tomllib
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+import claims
 import figures
-from plotting import Findings
+from claims import Claim
+from plotting import Findings, Sheet
 
 from pgfmd.errors import InputError
 from pgfmd.io.results import Results
@@ -28,98 +34,85 @@ CLAIMS = Path(__file__).with_name("paper.toml")
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #111; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.4rem; border-top: 1px solid #bbb; padding-top: 1rem; }
-img { max-width: 100%; } table { border-collapse: collapse; margin: .6rem 0; font-size: .9rem; }
+img { max-width: 100%; } table { border-collapse: collapse; margin: .6rem 0; font-size: .88rem; width: 100%; }
 td, th { border-bottom: 1px solid #ddd; padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; }
-td.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
-.agrees { color: #005b96; font-weight: 600; } .differs { color: #b34700; font-weight: 600; }
-.small { color: #555; font-size: .85rem; }
-@media print { h2, img, tr { break-inside: avoid; } h2 { break-after: avoid; } }
+td.n { white-space: nowrap; font-variant-numeric: tabular-nums; } .v { font-weight: 600; white-space: nowrap; }
+.agrees { color: #005b96; } .differs { color: #b34700; } .identity, .cannot { color: #555; }
+.violated, .not { color: #b00020; } .small { color: #555; font-size: .85rem; }
+.scroll { overflow-x: auto; }
+@media print { body { font-size: 10pt; max-width: none; margin: 0; } h2, img, tr { break-inside: avoid; }
+  h2 { break-after: avoid; } .scroll { overflow: visible; font-size: 7pt; } }
 """
 
 
 @dataclass(frozen=True)
-class Claim:
-    """A number of the paper: it agrees if the measured one lies in `expected`, widened by two standard errors."""
-
-    what: str
-    paper: str
-    finding: str
-    expected: tuple[float, float] | None = None
-    why: str = ""  # said where it differs
-
-    def verdict(self, findings: Findings) -> str:
-        """ "agrees" or "differs"; empty if nothing was claimed."""
-        if self.expected is None:
-            return ""
-        value, error = findings[self.finding].value, findings[self.finding].error
-        low, high = self.expected
-        return "agrees" if low - 2 * (error or 0) <= value <= high + 2 * (error or 0) else "differs"
-
-
-@dataclass(frozen=True)
 class Figure:
-    """One figure of the report: the tool that makes it from which runs, and what it is held against."""
+    """One figure of the report: the tool that makes it from which runs, with which options."""
 
+    key: str
     title: str
-    text: str
     tool: str
     runs: tuple[str, ...]  # patterns of result folders
-    claims: tuple[Claim, ...]
+    text: str = ""
     options: dict = field(default_factory=dict)
-    name: str = ""  # of the picture, if it is not that of the tool
 
     @property
     def picture(self) -> str:
         """File name of the picture, without its ending."""
-        return self.name or self.tool
+        return f"{self.key}_{self.tool}"
 
-    def make(self, folders: list[Path], output: Path) -> Findings:
-        """Draw it."""
-        sheet = figures.draw(self.tool, folders, **self.options)
-        sheet.save(output, self.picture)
-        return sheet.findings
+    def folders(self, root: Path) -> list[Path]:
+        """The complete runs that it takes."""
+        return sorted({path for pattern in self.runs for path in root.glob(pattern) if _complete(path)})
 
 
 def read_figures(path: Path) -> list[Figure]:
     """The figures of a file such as tools/paper.toml."""
     with open(path, "rb") as file:
         tables = tomllib.load(file)["figure"]
-    return [Figure(**table | {"claims": tuple(Claim(**claim) for claim in table["claims"])}) for table in tables]
+    return [Figure(**table) for table in tables]
 
 
-def write_report(folder: Path, output: Path, claims: Path = CLAIMS) -> Path:
+def read_departures(path: Path) -> list[str]:
+    """How the runs depart from the paper."""
+    with open(path, "rb") as file:
+        return tomllib.load(file).get("departures", [])
+
+
+def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bool = False) -> Path:
     """Make every figure that the runs in `folder` allow, and report.html, report.csv; the path of the page."""
+    began = time.perf_counter()
     output.mkdir(parents=True, exist_ok=True)
-    parts, rows = [], []
-    for figure in read_figures(claims):
-        folders = sorted(path for pattern in figure.runs for path in folder.glob(pattern) if _complete(path))
+    plan = read_figures(source)
+    asked = claims.read(source, {figure.key for figure in plan}, small)
+    sheets: dict[str, Sheet] = {}
+    missing: dict[str, str] = {}
+    for figure in plan:
+        folders = figure.folders(folder)
         try:
-            findings = figure.make(folders, output) if folders else None
+            if not folders:
+                raise InputError("not run yet")
+            sheets[figure.key] = figures.draw(figure.tool, folders, **figure.options)
+            sheets[figure.key].save(output, figure.picture)
         except InputError as error:
-            parts.append(_missing(figure, f"Cannot be drawn: {error}."))
-            continue
-        if findings is None:
-            parts.append(_missing(figure, "Not run yet."))
-        else:
-            rows += _verdicts(figure, findings)
-            parts.append(_section(figure, folders, findings, output))
+            missing[figure.key] = str(error)
+    findings = {key: sheet.findings for key, sheet in sheets.items()}
     everything = sorted(path for path in folder.iterdir() if _complete(path))
+    _write_table(output / "report.csv", asked, findings)
     page = [
-        '<!doctype html><html lang="en"><meta charset="utf-8"><title>The paper, reproduced</title>',
-        f"<style>{STYLE}</style>",
+        '<!doctype html><html lang="en"><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>The paper, reproduced</title><style>{STYLE}</style>",
         "<h1>Elastic contact of rough surfaces: the paper, reproduced</h1>",
-        _introduction(everything, rows),
-        *parts,
-        "<h2>Parameters and run times</h2>",
-        _runs(everything),
+        _introduction(everything, asked, findings),
+        _summary(asked, findings),
+        _departures(read_departures(source)),
+        *(_section(figure, folder, sheets, missing, asked, findings, output) for figure in plan),
+        _runs(everything, time.perf_counter() - began),
         "</html>\n",
     ]
     path = output / "report.html"
     path.write_text("\n".join(page), encoding="utf-8")
-    with open(output / "report.csv", "w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["figure", "quantity", "paper", "measured", "verdict", "why"])
-        table.writerows(rows)
     return path
 
 
@@ -130,89 +123,170 @@ def _complete(path: Path) -> bool:
         return False
 
 
-def _verdicts(figure: Figure, findings: Findings) -> list[tuple[str, str, str, str, str, str]]:
-    """Figure, quantity, paper, measured, verdict and why, for each claim whose number was found."""
-    rows = []
-    for claim in figure.claims:
-        if claim.finding in findings:
+def _write_table(path: Path, asked: Iterable[Claim], findings: dict[str, Findings]):
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["claim", "verdict", "part", "paper", "measured", "seeds", "choices", "samples", "part_verdict"])
+        for claim in asked:
             verdict = claim.verdict(findings)
-            why = claim.why if verdict == "differs" else ""
-            rows.append((figure.title, claim.what, claim.paper, findings.text(claim.finding), verdict, why))
-    return rows
+            for part in claim.parts:
+                found = part.measured(findings)
+                numbers = ["", "", "", ""] if found is None else [
+                    *("" if v is None else f"{v:.10g}" for v in (found.value, found.seeds, found.choices)), found.count
+                ]  # fmt: skip
+                table.writerow([claim.number, verdict, part.what, part.expectation(), *numbers, part.verdict(found)])
 
 
-def _table(rows) -> str:
-    lines = ["<table><tr><th>quantity<th>paper<th>here<th>verdict</tr>"]
-    for _, what, paper, measured, verdict, why in rows:
-        reason = f'<br><span class="small">{html.escape(why)}</span>' if why else ""
+def _introduction(folders: list[Path], asked: list[Claim], findings: dict[str, Findings]) -> str:
+    counts = Counter(claim.verdict(findings) for claim in asked)
+    first = Results(folders[0])
+    about = {name: html.escape(str(first.provenance.get(name, "?"))) for name in ("softwareVersion", "host", "threads")}
+    worst = max(float(Results(path).loads["certified_error"].max()) for path in folders)
+    said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in claims.ORDER if counts[verdict])
+    return f"""<p>Campañá, Müser &amp; Robbins, <i>J. Phys.: Condens. Matter</i> <b>20</b>, 354013 (2008),
+<a href="https://doi.org/10.1088/0953-8984/20/35/354013">doi:10.1088/0953-8984/20/35/354013</a>, asked how an elastic
+solid touches a rigid surface that is rough on many scales: which part of it is in contact, how the pressure is
+distributed there, and how both are correlated in space. It made {len(asked)} claims that can be tested. They are tested
+here with {len(folders)} runs of pgfmd {about["softwareVersion"]}: <b>{said}</b>. Nothing was fitted to the paper; the
+rules were fixed before the runs.</p>
+<p class="small">A number agrees if it lies within the paper's own error combined with ours, and ours is the smaller
+one; it differs if it lies outside by more than twice both errors combined; otherwise it cannot be told. Our error has
+two parts: the standard error over independent surfaces (“seeds”), and the largest change by another defensible fit
+range or estimator (“choices”). “Identity”: true by construction, no agreement. E' = 8/3, rms slope 0.031, lengths in
+grid spacings a; λ_s and λ_l are the shortest and the longest wave of the surface, H its Hurst exponent, f_c the
+relative contact area. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
+
+
+def _summary(asked: list[Claim], findings: dict[str, Findings]) -> str:
+    lines = ["<h2>The claims</h2><table><tr><th>no.<th>the paper says<th>where<th>verdict<th>one number<th>paper</tr>"]
+    for claim in asked:
+        part = claim.decisive(findings)
+        found = part.measured(findings) if part else None
+        number = f"{html.escape(part.what)}: {html.escape(found.text())}" if part and found else ""
         lines.append(
-            f'<tr><td>{html.escape(what)}<td>{html.escape(paper)}<td class="n">{html.escape(measured)}'
-            f'<td><span class="{verdict}">{verdict}</span>{reason}</tr>'
+            f'<tr><td>{claim.number}<td>{html.escape(claim.says)}<td><a href="#{html.escape(claim.figure)}">'
+            f"{html.escape(claim.where)}</a><td>{_verdict(claim.verdict(findings))}<td>{number}"
+            f'<td class="n">{html.escape(part.expectation()) if part else ""}</tr>'
         )
     return "\n".join([*lines, "</table>"])
 
 
-def _missing(figure: Figure, reason: str) -> str:
-    return f"<h2>{html.escape(figure.title)}</h2><p>{html.escape(reason)}</p>"
+def _verdict(verdict: str) -> str:
+    return f'<span class="v {verdict.partition(" ")[0]}">{verdict}</span>' if verdict else ""
 
 
-def _section(figure: Figure, folders: list[Path], findings: Findings, output: Path) -> str:
+def _departures(lines: list[str]) -> str:
+    listed = "".join(f"<li>{html.escape(line)}" for line in lines)
+    return f"<h2>Where the runs depart from the paper, and by how much</h2><ul>{listed}</ul>" if lines else ""
+
+
+def _section(figure: Figure, folder, sheets, missing, asked, findings, output: Path) -> str:
+    """A figure with its caption, and the claims that stand under it."""
+    title = f'<h2 id="{html.escape(figure.key)}">{html.escape(figure.title)}</h2>'
+    mine = [claim for claim in asked if claim.figure == figure.key]
+    if figure.key in missing:
+        return f"{title}<p>Cannot be drawn: {html.escape(missing[figure.key])}.</p>{_claims(mine, findings)}"
     picture = base64.b64encode((output / f"{figure.picture}.png").read_bytes()).decode()
-    title = html.escape(figure.title)
+    runs, sheet = figure.folders(folder), sheets[figure.key]
+    caption = " ".join(figures.module(figure.tool).CAPTION.split())
+    notes = "".join(f" Note: {html.escape(note)}." for note in sheet.notes)
+    names = ", ".join(html.escape(path.name) for path in runs)
     return "\n".join(
         [
-            f"<h2>{title}</h2>",
+            title,
             f"<p>{html.escape(figure.text)}</p>",
-            f'<p><img alt="{title}" src="data:image/png;base64,{picture}"></p>',
-            _table(_verdicts(figure, findings)),
-            f'<p class="small">Drawn by tools/{figure.tool}.py; data in {figure.picture}.csv. '
-            f"Runs: {', '.join(path.name for path in folders)}; {_duration(sum(map(_seconds, folders)))} together.</p>",
+            f'<p><img alt="{html.escape(figure.title)}" src="data:image/png;base64,{picture}"></p>',
+            f'<p class="small">{html.escape(caption)}{notes}</p>',
+            _table_one(figure, findings) if figure.tool == "exponents" and figure.key == "T1" else "",
+            _claims(mine, findings),
+            f'<p class="small">tools/{html.escape(figure.tool)}.py; data in {html.escape(figure.picture)}*.csv. '
+            f"{len(runs)} runs, {_duration(sum(map(_seconds, runs)))} together: {names}.</p>",
         ]
     )
 
 
-def _introduction(folders: list[Path], rows) -> str:
-    counts = {verdict: sum(row[4] == verdict for row in rows) for verdict in ("agrees", "differs")}
-    about = Results(folders[0]).provenance
-    worst = max(float(Results(path).loads["certified_error"].max()) for path in folders)
-    return f"""<p>Campañá, Müser &amp; Robbins, <i>J. Phys.: Condens. Matter</i> <b>20</b>, 354013 (2008),
-<a href="https://doi.org/10.1088/0953-8984/20/35/354013">doi:10.1088/0953-8984/20/35/354013</a>, against {len(folders)}
-runs of pgfmd {about["softwareVersion"]}. {counts["agrees"]} statements agree, {counts["differs"]} differ; the tables
-say why. Nothing was fitted to the paper. Numbers with ± are means over seeds with their standard error; “agrees”
-allows for the paper's own uncertainty and two standard errors.</p>
-<p>λ = μ = 1, so that E' = 8/3; rms slope 0.031; lengths in grid spacings a. λ_s = a means every mode of the grid,
-corners included. Loads are those that give the contact areas named. Largest certified relative energy error of any run:
-{worst:.1e}. All runs together: {_duration(sum(map(_seconds, folders)))} on {about["ranks"]} rank(s) ×
-{about["threads"]} thread(s).</p>"""
+def _claims(mine: list[Claim], findings: dict[str, Findings]) -> str:
+    lines = []
+    for claim in mine:
+        verdict = claim.verdict(findings)
+        text = [html.escape(claim.says)]
+        if claim.conditions:
+            text.append(f'<span class="small">Here: {html.escape(claim.conditions)}</span>')
+        if claim.why and verdict in (claims.DIFFERS, claims.CANNOT_TELL):
+            text.append(f'<span class="small">Why: {html.escape(claim.why)}</span>')
+        lines.append(
+            f"<p><b>Claim {claim.number}</b> ({html.escape(claim.where)}): {_verdict(verdict)}. {' '.join(text)}</p>"
+        )
+        lines.append("<table><tr><th>number<th>paper<th>here<th>verdict</tr>")
+        for part in claim.parts:
+            found = part.measured(findings)
+            lines.append(
+                f'<tr><td>{html.escape(part.what)}<td class="n">{html.escape(part.expectation())}'
+                f'<td class="n">{html.escape(found.text()) if found else "—"}<td>{_verdict(part.verdict(found))}</tr>'
+            )
+        lines.append("</table>")
+    return "\n".join(lines)
 
 
-def _runs(folders: list[Path]) -> str:
+PAPER_TABLE = {"0.3": "1.28(7)", "0.5": "1.52(7)", "0.8": "1.86(12)"}
+
+
+def _table_one(figure: Figure, findings: dict[str, Findings]) -> str:
+    """Table I: the exponents of the joint and separate fits beside the paper's joint ones."""
+    found = findings[figure.key]
+    lines = ["<table><tr><th>H<th>1 + H<th>paper<th>size<th>joint fit<th>stress<th>contact<th>contact − stress</tr>"]
+    for name in found:
+        if name.startswith("μ joint, "):
+            setting = name.removeprefix("μ joint, ")
+            parts = dict(part.split(" = ") for part in setting.split(", ") if " = " in part)
+            hurst = parts.get("H", "")
+            cells = [
+                hurst, f"{1 + float(hurst):g}" if hurst else "", PAPER_TABLE.get(hurst, ""), parts.get("n", ""),
+                *(found.text(f"μ {kind}, {setting}") if f"μ {kind}, {setting}" in found else "—"
+                  for kind in ("joint", "stress", "contact", "difference")),
+            ]  # fmt: skip
+            lines.append("<tr>" + "".join(f'<td class="n">{html.escape(cell)}' for cell in cells) + "</tr>")
+    return "\n".join(["<p>Table I.</p>", *lines, "</table>"])
+
+
+def _runs(folders: list[Path], seconds: float) -> str:
+    total = sum(map(_seconds, folders))
     lines = [
-        "<table><tr><th>run<th>grid<th>H<th>λ_s / a<th>seed<th>wall<th>contact areas<th>pressures"
-        "<th>certified<th>transforms<th>solve / s<th>whole run / s</tr>"
+        "<h2>Runs</h2>",
+        f"<p>{len(folders)} runs, {_duration(total)} together (as many at a time as there are cores); figures and this "
+        f"page: {_duration(seconds)}.</p>",
+        '<div class="scroll"><table><tr><th>run<th>grid<th>H<th>λ_s / a<th>seed<th>wall<th>contact areas<th>pressures'
+        "<th>certified<th>transforms<th>solve / s<th>run / s</tr>",
     ]
     for path in folders:
         results = Results(path)
         surface, wall, loads = results.job["surface"], results.job["wall"], results.loads
         kind = f"ζ = {wall['zeta']:g}" if "zeta" in wall else wall["kind"]
+        areas = loads["contact_area"] if "zeta" not in wall else []
         cells = [
-            path.name, " × ".join(map(str, results.shape)), f"{surface['hurst']:g}", f"{surface['lambda_s']:g}",
-            surface["seed"], kind, ", ".join(f"{value:.3f}" for value in loads["contact_area"]),
+            path.name, " × ".join(map(str, results.shape)), *map(_short, (surface.get("hurst"), surface.get("lambda_s"))),
+            surface.get("seed", ""), kind, ", ".join(f"{value:.3f}" for value in areas),
             ", ".join(f"{value:.4g}" for value in loads["mean_pressure"]), f"{loads['certified_error'].max():.0e}",
             f"{loads['transforms'].sum():.0f}", f"{loads['seconds'].sum():.1f}", f"{_seconds(path):.0f}",
         ]  # fmt: skip
         lines.append("<tr>" + "".join(f"<td>{html.escape(str(cell))}" for cell in cells) + "</tr>")
-    return "\n".join([*lines, "</table>"])
+    return "\n".join([*lines, "</table></div>"])
+
+
+def _short(value: float | None) -> str:
+    return "" if value is None else f"{value:g}"
 
 
 def _seconds(path: Path) -> float:
-    """Wall time of a run, from its first to its last entry."""
+    """Wall time of a run, from its first to its last entry; NaN-free for runs whose end is not known."""
     about = Results(path).provenance
+    if "finished" not in about:
+        return 0.0
     return (datetime.fromisoformat(about["finished"]) - datetime.fromisoformat(about["date"])).total_seconds()
 
 
 def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
+    return f"{math.ceil(seconds)} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -222,11 +296,16 @@ def main(arguments: list[str] | None = None) -> int:
         "runs", type=Path, metavar="DIR", help="folder of the result folders, as jobs/paper.sh makes it"
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of the report (default: DIR/report)")
+    parser.add_argument("--small", action="store_true", help="the runs are those of jobs/paper.sh --small")
     options = parser.parse_args(arguments)
     if not options.runs.is_dir() or not any(map(_complete, options.runs.iterdir())):
         print(f"report.py: error: {options.runs}: holds no complete run", file=sys.stderr)
         return 2
-    print(write_report(options.runs, options.output or options.runs / "report"))
+    try:
+        print(write_report(options.runs, options.output or options.runs / "report", small=options.small))
+    except InputError as error:
+        print(f"report.py: error: {error}", file=sys.stderr)
+        return 2
     return 0
 
 

@@ -1,0 +1,83 @@
+"""Many runs, as many at a time as there are cores, each in a process that takes one after the other.
+
+    printf '%s\\n' "NAME JOB.toml section.key=value …" … | python tools/runs.py RESULTS [--jobs 2]
+
+Reads one run per line; those whose folder RESULTS/NAME holds a complete run of that very job are not repeated.  Each
+run has one thread per OMP_NUM_THREADS, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its
+message.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import multiprocessing
+import sys
+import time
+from pathlib import Path
+
+from pending import is_done
+
+from pgfmd.errors import InputError, SolverError
+
+
+def run(line: str, folder: Path) -> str:
+    """Do one run in this process; its name and seconds.  Raises what the run raises."""
+    from mpi4py import MPI
+
+    from pgfmd.job import job
+    from pgfmd.simulate import simulate
+
+    name, path, *overrides = line.split()
+    began, log = time.perf_counter(), logging.getLogger("pgfmd")
+    handler = logging.FileHandler(folder / f"{name}.log", "w", encoding="utf-8")
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    log.addHandler(handler)
+    try:
+        simulate(job.load(path, overrides), MPI.COMM_SELF, folder / name, overwrite=True)
+    except (InputError, SolverError) as error:
+        raise RuntimeError(f"{name}: {error}") from None  # one that travels between processes
+    finally:
+        log.removeHandler(handler)
+        handler.close()
+    return f"{name}: {time.perf_counter() - began:.1f} s"
+
+
+def _run(task: tuple[str, Path]) -> str:
+    return run(*task)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; exit code 0, 2 if a job is not valid, 1 if a run failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("results", type=Path, metavar="RESULTS", help="folder of the result folders")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="runs at a time (default 1)")
+    options = parser.parse_args(arguments)
+    options.results.mkdir(parents=True, exist_ok=True)
+    lines = [line for line in map(str.strip, sys.stdin) if line]
+    try:
+        todo = [line for line in lines if not is_done(options.results / line.split()[0], *_parts(line))]
+    except InputError as error:
+        print(f"runs.py: error: {error}", file=sys.stderr)
+        return 2
+    print(f"{len(todo)} of {len(lines)} runs to do, {options.jobs} at a time, into {options.results}", flush=True)
+    began = time.perf_counter()
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        tasks = [(line, options.results) for line in todo]
+        try:
+            for number, done in enumerate(pool.imap_unordered(_run, tasks), 1):
+                print(f"{time.perf_counter() - began:6.0f} s  {number} of {len(todo)}: {done}", flush=True)
+        except RuntimeError as error:
+            print(f"runs.py: error: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def _parts(line: str) -> tuple[str, list[str]]:
+    _, path, *overrides = line.split()
+    return path, overrides
+
+
+if __name__ == "__main__":
+    sys.exit(main())
