@@ -41,8 +41,10 @@ def draw(loads: list[Load], area: float = 0.08) -> Sheet:
         sheet.curve(1, raw, raw / load, f"{name}, raw", label=False, ls="none", **bare)
         report(sheet, group, area, name)
     _draw_theory(sheet, loads)
-    sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area $f_c$", scale="log")
-    sheet.label(1, "contact area $f_c$", r"$\kappa = f_c E'\bar g\,/\,\bar p$", scale="semilogx", legend=False)
+    sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area $f_c$", scale="log", legend=False)
+    sheet.label(
+        1, "contact area $f_c$", r"$\kappa = f_c E'\bar g\,/\,\bar p$", scale="semilogx", columns=4, legend="figure"
+    )
     return sheet
 
 

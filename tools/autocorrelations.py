@@ -49,14 +49,14 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
         sheet.curve(1, x[near_by][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
     sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx", columns=4)
     report(sheet, list(group), x, ratio, m2)
+    second = np.array([load.normalised_second_moment for load in group])
+    areas = np.array([load.area for load in group])
+    sheet.findings.add("C_c(0)/f_c − 1", contact[:, 0] / areas - 1)
+    sheet.findings.add("C_σ(0)/(f_c ⟨σ²⟩_c) − 1", stress[:, 0] / (areas * second) - 1)
+    sheet.findings.add("C_σ(0)/⟨σ²⟩_c", stress[:, 0] / second)
     for load, row, lower in zip(group, stress, contact, strict=True):
-        residual = lower[0] / load.area - 1
-        sheet.findings.add("C_c(0)/f_c − 1", residual)
-        second = load.normalised_second_moment
-        sheet.findings.add("C_σ(0)/(f_c ⟨σ²⟩_c) − 1", row[0] / (load.area * second) - 1)
-        sheet.findings.add("C_σ(0)/⟨σ²⟩_c", row[0] / second)
-        sheet.keep("data", ("seed", "r_over_lambda_s", "stress", "contact"),
-                   *((load.seed, *values) for values in zip(x, row, lower, strict=True)))  # fmt: skip
+        columns = ("seed", "r_over_lambda_s", "stress", "contact")
+        sheet.keep("data", columns, *((load.seed, *values) for values in zip(x, row, lower, strict=True)))
     return sheet
 
 

@@ -3,10 +3,12 @@ tools/paper.toml.
 
 A claim has parts, each of which holds one number found by a figure against what the paper says of it:
 
-    number = [v, e]     the paper's number and its own error.  Agrees if |x − v| ≤ √(e² + s²) and s ≤ e, where x is the
-                        measured number and s its error (seeds and choices together); differs if |x − v| > 2 √(e² + s²)
-    range = [low, high] a statement: agrees if x lies between, widened by s, and s is below half its width (for a bound
-                        on one side: below a fifth of the bound, or of x); differs if x lies outside by more than 2 s
+    number = [v, e]     the paper's number and its own error; x is the measured one, s its error (seeds, choices).
+                        Agrees if |x − v| ≤ √(e² + s²) and s ≤ e; differs if |x − v| > 2 √(e² + s²)
+    range = [low, high] a statement: agrees if x lies between, widened by s, and s is below half its width; with a bound
+                        on one side only (the other inf), if x lies inside by s or more; differs if it lies outside by
+                        more than 2 s
+    beyond = [low, high] the opposite: agrees if x lies outside by s or more; differs if it lies inside by more than 2 s
     identity = [v, t]   true by construction: |x − v| ≤ t, or the program is wrong; never counted as agreement
     nothing             a number given for information
 Otherwise: cannot tell, also where no error is known (unless `exact`).  A claim differs if any part differs, else it
@@ -32,12 +34,13 @@ ORDER = (VIOLATED, DIFFERS, NOT_RUN, CANNOT_TELL, AGREES, IDENTITY)  # a claim i
 
 @dataclass(frozen=True)
 class Part:
-    """One number of a claim.  finding: "KEY: name" of a figure's finding; over, minus: another one it is put against."""
+    """One number of a claim.  finding: "KEY: name" of a figure's finding; over, minus: another to put it against."""
 
     what: str
     finding: str
     number: tuple[float, float] | None = None
     range: tuple[float, float] | None = None
+    beyond: tuple[float, float] | None = None
     identity: tuple[float, float] | None = None
     over: str = ""
     minus: str = ""
@@ -53,7 +56,7 @@ class Part:
 
     def verdict(self, found: Finding | None) -> str:
         """By the rules of this module."""
-        if self.number is self.range is self.identity is None:
+        if self.number is self.range is self.beyond is self.identity is None:
             return GIVEN
         if found is None:
             return NOT_RUN
@@ -61,28 +64,30 @@ class Part:
             return IDENTITY if abs(found.value - self.identity[0]) <= self.identity[1] else VIOLATED
         if found.error is None:
             return CANNOT_TELL
-        outside, window = self._outside(found)
+        outside, small_enough = self._outside(found)
         if outside > 2:
             return DIFFERS
-        return AGREES if outside <= 1 and found.error <= window else CANNOT_TELL
+        return AGREES if outside <= 1 and small_enough else CANNOT_TELL
 
     def outside(self, found: Finding | None) -> float:
         """How far the number lies out, in combined errors: what makes one part of a claim the most telling."""
-        decided = found is not None and (self.number is not None or self.range is not None)
-        return self._outside(found)[0] if decided else -1.0
+        decided = self.number is not None or self.range is not None or self.beyond is not None
+        return self._outside(found)[0] if found is not None and decided else -1.0
 
-    def _outside(self, found: Finding) -> tuple[float, float]:
-        """Distance from what the paper says in combined errors, and the error that is small enough to decide."""
-        error = found.error or 0.0
+    def _outside(self, found: Finding) -> tuple[float, bool]:
+        """Distance from what the paper says in combined errors, and whether the error is small enough to decide."""
+        value, error = found.value, found.error or 0.0
         if self.number is not None:
-            value, own = self.number
-            return _over(abs(found.value - value), math.hypot(own, error)), own
+            expected, own = self.number
+            return _over(abs(value - expected), math.hypot(own, error)), error <= own
+        if self.beyond is not None:
+            low, high = self.beyond
+            inside = min(value - low, high - value)
+            return _over(max(inside, 0.0), error), -inside >= error
         low, high = self.range
-        beyond = max(low - found.value, found.value - high, 0.0)
-        width = (high - low) / 2
-        if math.isinf(width):
-            width = max(abs(low if math.isinf(high) else high), abs(found.value)) / 5
-        return _over(beyond, error), width
+        outside = max(low - value, value - high)
+        small_enough = -outside >= error if math.isinf(high - low) else error <= (high - low) / 2
+        return _over(max(outside, 0.0), error), small_enough
 
     def expectation(self) -> str:
         """What the paper says of the number."""
@@ -91,6 +96,8 @@ class Part:
         if self.range is not None:
             low, high = self.range
             return f"≤ {high:g}" if math.isinf(low) else f"≥ {low:g}" if math.isinf(high) else f"{low:g} … {high:g}"
+        if self.beyond is not None:
+            return f"not {self.beyond[0]:g} … {self.beyond[1]:g}"
         return "" if self.identity is None else f"{self.identity[0]:g}, exactly"
 
 

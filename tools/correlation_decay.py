@@ -13,7 +13,7 @@ import figures
 import numpy as np
 from estimators import fit_power_law, windows
 from estimators import window as within
-from plotting import BLACK, Sheet, limited, standard_error, style
+from plotting import BLACK, Finding, Sheet, limited, standard_error, style
 from reading import Ensemble, Load, common_bins, ensembles, near
 
 CAPTION = """Autocorrelation of the contact less its value at infinity, over its value at zero, against distance. Full
@@ -57,16 +57,25 @@ def shortest(group: Ensemble) -> float:
 
 
 def report(sheet: Sheet, group: Ensemble, x: np.ndarray, decay: np.ndarray, limits: tuple[float, float]):
-    """ν of every seed, and over neighbouring ranges, of the ranges in which no seed falls below zero."""
-    fits = []
-    for each in windows(limits):
-        inside = within(x, each)
-        good = np.count_nonzero(inside) >= 3 and bool(np.all(decay[:, inside] > 0))
-        fits.append([-fit_power_law(x[inside], row[inside])[0] for row in decay] if good else [np.nan])
-    sheet.findings.add(f"ν, {group.name}", fits[0], [float(np.mean(each)) for each in fits[1:]])
-    if group.hurst is not None and np.all(np.isfinite(fits[0])):
-        sheet.findings.add(f"ν + H, {group.name}", np.array(fits[0]) + group.hurst,
-                           [float(np.mean(each)) + group.hurst for each in fits[1:]])  # fmt: skip
+    """ν of the mean over seeds, with the error of leaving one out at a time; neighbouring ranges as choices."""
+
+    def fit(rows: np.ndarray, each: tuple[float, float]) -> float:
+        mean = rows.mean(axis=0)
+        inside = within(x, each) & (x > 0)
+        good = np.count_nonzero(inside) >= 3 and bool(np.all(mean[inside] > 0))
+        return -fit_power_law(x[inside], mean[inside])[0] if good else float("nan")
+
+    value, count = fit(decay, limits), len(decay)
+    choices = [fit(decay, each) for each in windows(limits)[1:]]
+    left = np.array([fit(np.delete(decay, i, axis=0), limits) for i in range(count)]) if count > 1 else np.empty(0)
+    error = (
+        float(np.sqrt((count - 1) / count * np.sum((left - left.mean()) ** 2))) if np.all(np.isfinite(left)) else None
+    )
+    for name, shift in ((f"ν, {group.name}", 0.0), (f"ν + H, {group.name}", group.hurst)):
+        if shift is not None and np.isfinite(value):
+            sheet.findings.add(name, value + shift, [other + shift for other in choices])
+            found = sheet.findings[name]
+            sheet.findings[name] = Finding(found.value, error if count > 1 else None, found.choices, count)
     for load, row in zip(group, decay, strict=True):
         sheet.keep("data", ("setting", "seed", "r_over_lambda_s", "decay"),
                    *((group.name, load.seed, *values) for values in zip(x, row, strict=True)))  # fmt: skip

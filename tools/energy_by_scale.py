@@ -42,7 +42,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
             sheet.curve(panel, x, expected.mean(axis=0), f"Persson, {name}", label=False, color=look["color"], lw=0.9)
         report(sheet, group, name, shares, theory)
     sheet.panels[0].plot([], [], color=BLACK, lw=0.9, label="Persson")
-    sheet.label(0, r"$q\,/\,q_l$", "energy up to $q$ / total", scale="semilogx", columns=1)
+    sheet.label(0, r"$q\,/\,q_l$", "energy up to $q$ / total", scale="semilogx", columns=4, legend="figure")
     sheet.label(1, r"$q\,/\,q_l$", r"$\mathrm{d}E\,/\,\mathrm{d}\ln q$ / total", scale="semilogx", legend=False)
     return sheet
 

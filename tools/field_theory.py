@@ -68,7 +68,7 @@ def draw(loads: list[Load]) -> Sheet:
                        *((name, load.seed, *row) for row in zip(x, count, s, f, m, strict=True)))  # fmt: skip
     _draw_persson(sheet, ensembles(loads)[0])
     sheet.panels[1].axhline(1, color=BLACK, lw=0.7)
-    sheet.label(0, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact", scale="log")
+    sheet.label(0, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact", scale="log", columns=4, legend="figure")
     sheet.label(1, r"$q\,/\,q_l$", "ratio to field theory", scale="semilogx", legend=False)
     return sheet
 

@@ -44,7 +44,9 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
         colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(groups)))
         for number, group in enumerate(groups):
             title = setting.label + (", " if setting.label else "")
-            _draw(sheet, panel, group, title, (colours[number], "os^DvPX"[number % 7], number == 0))
+            _draw(sheet, panel, group, title, (colours[number], "os^DvPX"[number % 7]))
+        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="Persson")
+        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="solved")
         sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=4)
         if setting.label:
             sheet.panels[panel].set_xlabel(rf"$q\,/\,q_l$   ({tex(setting.label)})")
@@ -78,7 +80,7 @@ def solved(load: Load, q: np.ndarray) -> np.ndarray | None:
 
 
 def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
-    colour, marker, first = look
+    colour, marker = look
     parts = [ratio(load) for load in group]
     q, stress = common_bins([(q, stress) for q, stress, _, _ in parts])
     full, count = np.array([full for _, _, full, _ in parts]), parts[0][3]
@@ -100,7 +102,14 @@ def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
         ms=2,
         label=False,
     )
-    sheet.panels[panel].plot([], [], color=colour, marker=marker, ls="none", label=short)
+    sheet.panels[panel].plot(
+        [],
+        [],
+        color=colour,
+        marker=marker,
+        ls="none",
+        label=f"$f_c$ = {short}" if np.isfinite(area) else rf"$\bar p$ = {short}",
+    )
     f = np.array([theory(load, q) for load in group])
     sheet.curve(panel, x, f.mean(axis=0), f"{name}, f(q) of Persson", color=colour, label=False, lw=0.9)
     known = [solved(load, q) for load in group]
@@ -111,9 +120,6 @@ def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
         )
     else:
         numeric = None
-    if first:
-        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="Persson")
-        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="f(q) solved")
     report(sheet, group, named, (x, count, stress, full, f, numeric))
 
 
@@ -159,6 +165,9 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
             crossings[LEVELS[0]],
             [float(np.nanmean(crossings[level])) for level in LEVELS[1:] if np.any(np.isfinite(crossings[level]))],
         )
+        logarithms = {level: np.log(values) for level, values in crossings.items()}
+        others = [float(np.nanmean(each)) for each in list(logarithms.values())[1:] if np.any(np.isfinite(each))]
+        add(f"ln(q*/q_l), {name}", logarithms[LEVELS[0]], others)
         for title, values in (("f_Persson", f), ("f_solved", numeric)):
             if values is not None:
                 add(f"q*/q_l of {title}, {name}", [crossing(x, row, LEVELS[0]) for row in values])

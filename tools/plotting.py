@@ -74,7 +74,7 @@ def tex(text: str) -> str:
 SYMBOLS = {
     "f_c = ": "$f_c$ = ", "H = ": "$H$ = ", "ζ = ": r"$\zeta$ = ", "λ_s = ": r"$\lambda_s$ = ", "n = ": "$n$ = ",
     "λ_l = ": r"$\lambda_l$ = ", "λ_r = ": r"$\lambda_r$ = ", "p̄ = ": r"$\bar p$ = ", "ḡ = ": r"$\bar g$ = ",
-    "d = ": "$d$ = ", "σ_Y = ": r"$\sigma_Y$ = ", "E' = ": "$E'$ = ",
+    "d/L = ": "$d/L$ = ", "σ_Y = ": r"$\sigma_Y$ = ", "E' = ": "$E'$ = ",
 }  # fmt: skip
 
 
@@ -156,7 +156,9 @@ class Sheet:
         if error is None:
             axes.plot(x, y, label=shown, **style)
         else:
-            axes.errorbar(x, y, error, label=shown, capsize=1.5, elinewidth=0.6, capthick=0.6, **style)
+            upper = np.broadcast_to(error, x.shape)
+            lower = np.where(y > 0, np.minimum(upper, 0.95 * y), upper)  # a logarithmic axis has no zero
+            axes.errorbar(x, y, [lower, upper], label=shown, capsize=1.5, elinewidth=0.6, capthick=0.6, **style)
         errors = np.full(len(x), np.nan) if error is None else np.broadcast_to(error, x.shape)
         self._table += [(panel + 1, name, *row) for row in zip(x, y, errors, strict=True)]
 
@@ -164,8 +166,13 @@ class Sheet:
         """Rows of a table that is saved beside the figure as NAME_TABLE.csv: what the numbers are computed from."""
         self._tables.setdefault(table, (columns, []))[1].extend(tuple(row) for row in rows)
 
-    def label(self, panel: int, x: str, y: str, *, scale: str = "linear", columns: int = 2, legend: bool = True):
-        """Axis labels, and the scale of both axes: "linear", "log", "semilogx" or "semilogy"; the legend above."""
+    def label(
+        self, panel: int, x: str, y: str, *, scale: str = "linear", columns: int = 2, legend: bool | str = True
+    ) -> None:
+        """Axis labels, and the scale of both axes: "linear", "log", "semilogx" or "semilogy"; the legend above.
+
+        legend : "figure" puts the legend of this panel above all
+        """
         axes = self.panels[panel]
         axes.set(xlabel=x, ylabel=y)
         if scale in ("log", "semilogx"):
@@ -174,8 +181,11 @@ class Sheet:
             axes.set_yscale("log")
         labels = axes.get_legend_handles_labels()[1]
         if legend and labels:
-            columns = 1 if max(map(len, labels)) > 34 else columns
-            axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.3)
+            columns = 1 if max(map(len, labels)) > 44 and legend != "figure" else columns
+            if legend == "figure":
+                self.figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=columns)
+            else:
+                axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.3)
             self._legend_rows = max(self._legend_rows, -(-len(labels) // columns))
 
     def drop(self, panel: int):
@@ -240,9 +250,9 @@ def guide(axes, x, y0: float, exponent: float, text: str, **style):
     x = np.asarray(x, float)
     y = y0 * (x / x[0]) ** exponent
     axes.plot(x, y, **({"color": GREY, "lw": 0.9, "ls": "--"} | style))
-    third = x[0] ** (2 / 3) * x[-1] ** (1 / 3), y[0] ** (2 / 3) * y[-1] ** (1 / 3)
-    side = {"xytext": (-3, 4), "ha": "right"} if y[-1] > y[0] else {"xytext": (5, 3)}
-    axes.annotate(text, third, textcoords="offset points", color="0.35", fontsize=7, **side)
+    axes.annotate(
+        text, (x[-1], y[-1]), textcoords="offset points", color="0.35", fontsize=7, xytext=(3, 0), va="center"
+    )
 
 
 def _label_short_decades(axis):

@@ -12,6 +12,7 @@ import sys
 
 import figures
 import numpy as np
+from area_load import LATTICE
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
 from reading import Ensemble, Load, ensembles, near
 
@@ -35,7 +36,14 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     for group in groups:
         report(sheet, group)
     for panel, scale in enumerate(("linear", "semilogy")):
-        sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", r"$P(\sigma)\;E'\bar g/2$", scale=scale, legend=panel == 0)
+        sheet.label(
+            panel,
+            r"$\sigma\,/\,(E'\bar g/2)$",
+            r"$P(\sigma)\;E'\bar g/2$",
+            scale=scale,
+            columns=3,
+            legend="figure" if panel == 0 else False,
+        )
     return sheet
 
 
@@ -63,7 +71,10 @@ def report(sheet: Sheet, group: Ensemble):
     kappa = [load.modulus * load.rms_slope * load.corrected_area / load.mean_pressure for load in group]
     add(f"contact area f_c{name}", [load.area for load in group])
     add(f"κ, raw area{name}", [load.number("kappa") for load in group])
-    add(f"κ, corrected area{name}", kappa, [_mean(load.number("kappa") for load in group)])
+    lattice = [
+        load.number("kappa") + LATTICE * (k - load.number("kappa")) for k, load in zip(kappa, group, strict=True)
+    ]
+    add(f"κ, corrected area{name}", kappa, [float(np.mean(lattice))])
     add(f"κ, Persson at this load{name}", [persson.kappa(load.mean_pressure, load.full_contact_std) for load in group])
     add(f"m₂ = ⟨σ²⟩_c/σ_c²{name}", [load.normalised_second_moment for load in group])
     add(f"m₂, Persson at this load{name}",
@@ -110,10 +121,6 @@ def _fitted(load: Load) -> float:
     if "persson_fit" in load.kept:
         return float(np.ravel(load.groups["persson_fit"]["width"])[0])
     return persson.fit_std(*distribution(load), load.mean_pressure)
-
-
-def _mean(values) -> float:
-    return float(np.mean(list(values)))
 
 
 if __name__ == "__main__":

@@ -342,7 +342,7 @@ def near(found: Iterable[Load], areas: Iterable[float], slack: float = 0.1) -> l
 ACCIDENTAL = ("surface.seed", "load.", "solver.", "output.", "run.")
 SYMBOLS = {
     "surface.hurst": "H", "surface.lambda_s": "λ_s", "surface.lambda_l": "λ_l", "surface.lambda_r": "λ_r",
-    "surface.rms_slope": "ḡ", "wall.zeta": "ζ", "grid.n": "n", "solid.thickness": "d", "solid.contact_modulus": "E'",
+    "surface.rms_slope": "ḡ", "wall.zeta": "ζ", "grid.n": "n", "solid.thickness": "d/L", "solid.contact_modulus": "E'",
     "wall.hardness": "σ_Y", "surface.kind": "surface", "wall.kind": "wall", "solid.base": "base",
 }  # fmt: skip
 # Keys that follow from others: said only if nothing else differs.
@@ -418,6 +418,9 @@ def setting(load: Load) -> dict[str, object]:
             tables |= {f"{name}.{key}": entry for key, entry in value.items()}
         elif not name.startswith(ACCIDENTAL):
             flat[name] = value
+    thickness = flat.get("solid.thickness", math.inf)
+    if isinstance(thickness, float | int) and math.isfinite(thickness):
+        flat["solid.thickness"] = float(thickness) / max(load.results.lengths)  # cells of any size compare
     return dict(sorted(flat.items()))
 
 

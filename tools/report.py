@@ -264,7 +264,8 @@ def _runs(folders: list[Path], seconds: float) -> str:
         kind = f"ζ = {wall['zeta']:g}" if "zeta" in wall else wall["kind"]
         areas = loads["contact_area"] if "zeta" not in wall else []
         cells = [
-            path.name, " × ".join(map(str, results.shape)), *map(_short, (surface.get("hurst"), surface.get("lambda_s"))),
+            path.name, " × ".join(map(str, results.shape)), _short(surface.get("hurst")),
+            _short(surface.get("lambda_s")),
             surface.get("seed", ""), kind, ", ".join(f"{value:.3f}" for value in areas),
             ", ".join(f"{value:.4g}" for value in loads["mean_pressure"]), f"{loads['certified_error'].max():.0e}",
             f"{loads['transforms'].sum():.0f}", f"{loads['seconds'].sum():.1f}", f"{_seconds(path):.0f}",

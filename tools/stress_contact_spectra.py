@@ -52,7 +52,9 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
         report(sheet, group, name, (x, count, stress, contact, ratio))
     for value, dashes in ((1, "-"), (2, "--")):
         sheet.panels[1].axhline(value, color=BLACK, lw=0.7, ls=dashes)
-    sheet.label(0, r"$|\tilde\Theta(q)|^2$", r"$|\tilde\sigma(q)|^2\,/\,\sigma_c^2$", scale="log", columns=1)
+    sheet.label(
+        0, r"$|\tilde\Theta(q)|^2$", r"$|\tilde\sigma(q)|^2\,/\,\sigma_c^2$", scale="log", columns=3, legend="figure"
+    )
     sheet.label(
         1, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2\,/\,(\sigma_c^2\,|\tilde\Theta|^2)$", scale="semilogx", legend=False
     )
