@@ -242,11 +242,13 @@ class Solved:
         cancellation, by Bregman's distance."""
         other = np.asarray(pressure, np.float64).astype(Real).ravel() / self.pressure
         d = other - 1 - self.deviation
+        if self.zeta is not None:  # far from the wall the logarithm knows more digits
+            d = np.where(self.x < 0.5, other - np.exp(self.logarithms), d)
         error = d @ (self.contact.compliance @ d) / 2
         if self.zeta is None:
             error += d @ self.scaled_gap
         else:
-            error += self.zeta * np.sum(_entropy_distance(other, self.x, self.logarithms))
+            error += self.zeta * np.sum(_entropy_distance(other, np.exp(self.logarithms), self.logarithms))
             residual = self.contact.compliance @ self.deviation + self.zeta * self.logarithms
             residual -= self.contact.heights / self.unit
             error += d @ (residual - residual.mean())
