@@ -10,10 +10,10 @@ from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.options.rules import POSITIVE, Rule, integer, number, pair
-from pgfmd.options.text import show
+from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
+from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import raise_together
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.elasticity import BASES, Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -50,16 +50,15 @@ def solve(
     """
     comm = MPI.COMM_SELF if comm is None else comm
     with raise_together(comm):
-        if np.ma.is_masked(heights):
-            raise InputError(f"heights: {np.ma.count_masked(heights)} are masked; fill them, all must be known")
-        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        heights = _real("heights", heights)
         if heights.ndim != 2 or heights.size == 0:
             raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
         if not np.isfinite(heights).all():
             raise InputError("heights: all must be finite")
-        pressure, steps = _checked("pressure", pressure, number(low=0)), _checked("spacing", spacing, pair(POSITIVE))
+        pressure, steps = _checked("pressure", pressure, number(low=0)), _checked("spacing", spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
         thickness = _checked("thickness", thickness, number(above=0, infinite=True))
+        base = None if base is None else _checked("base", base, choice(*BASES))
         if math.isinf(thickness) and base is not None:
             raise InputError(f"base = {show(base)}: needs a thickness; a half-space has no base")
         modulus, poisson = (
@@ -68,9 +67,9 @@ def solve(
         )
         solid = Elasticity(modulus, thickness, base or "bonded", poisson)
         law = HardWall() if zeta is None else ExponentialWall(zeta=zeta)
-        options = Solver(method=method, tolerance=tolerance)
-        if start is not None and np.shape(start) != heights.shape:
-            raise InputError(f"start of shape {np.shape(start)}: must be that of the heights, {heights.shape}")
+        options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
+        if start is not None and (start := _real("start", start)).shape != heights.shape:
+            raise InputError(f"start of shape {start.shape}: must be that of the heights, {heights.shape}")
     asked = comm.allgather((pressure, steps, solid, law, options, start is None))
     if any(other != asked[0] for other in asked):
         raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
@@ -82,6 +81,22 @@ def solve(
         return solve_contact(ContactProblem(grid, heights, solid, law, pressure), options, start)
     finally:
         grid.free()
+
+
+SPACING = pair(number(low=1e-150, high=1e150))  # whose squares are numbers, too
+
+
+def _real(name: str, values: Any) -> np.ndarray:
+    """An array of real numbers in float64, row by row; raises InputError for anything else."""
+    if np.ma.is_masked(values):
+        raise InputError(f"{name}: {np.ma.count_masked(values)} are masked; fill them, all must be known")
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "fiu":
+            raise ValueError(f"not {array.dtype}")
+        return np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: must be an array of real numbers: {printable(str(error), 100)}") from None
 
 
 def _checked(name: str, value: object, rule: Rule) -> Any:

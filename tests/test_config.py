@@ -194,7 +194,9 @@ def test_unreadable_files(tmp_path):
 def test_override_values():
     """--set takes TOML values; a bare word is a text; the last one wins."""
     job = config.parse(
-        ROUGH, overrides=["load.pressure=[1e-3, 2]", "surface.seed=3", "surface.seed=4", "solid.base=free"]
+        ROUGH,
+        overrides=["load.pressure=[1e-3, 2]", "surface.seed=3", "surface.seed=4"]
+        + ["solid.base=free", "solid.thickness=9"],
     )
     assert job.load.pressure == (1e-3, 2.0) and job.surface.seed == 4 and job.solid.base == "free"
     with pytest.raises(InputError, match="load.pressure"):

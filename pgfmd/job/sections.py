@@ -51,6 +51,8 @@ class Solid(Section):
             if name in given and not math.isclose(given[name], value, rel_tol=1e-9, abs_tol=1e-9 * abs(value)):
                 raise wrong(self, name, f"the other moduli give {value:g}")
             object.__setattr__(self, name, given.get(name, value))
+        if math.isinf(self.thickness) and self.base != "bonded":
+            raise wrong(self, "base", "belongs to a slab; a half-space has none: give thickness as well")
         if math.isfinite(self.thickness) and self.poisson is None and self.base != "free":
             raise wrong(self, "thickness", f"a slab with a {self.base} base needs poisson as well")
 

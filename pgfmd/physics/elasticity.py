@@ -51,11 +51,11 @@ class Elasticity:
 
         Written with e = exp(−2t) and (1 − e), so that nothing overflows, and with series where terms of order 1 cancel.
         """
-        t = np.asarray(t, dtype=np.float64)
+        t = np.minimum(np.asarray(t, dtype=np.float64), 50.0)  # where F is 1, and nothing overflows
         small = t < 0.05
         e = np.exp(-2 * t)
         rise = -np.expm1(-2 * t)  # 1 − e
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             if self.base == "bonded":
                 k = 3 - 4 * self.poisson
                 # k sinh 2t − 2t = 2t (k − 1) + k (2t)³/6 + …: no cancellation but for ν → ½, where k − 1 → 0 is exact.

@@ -16,10 +16,12 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
+STIFFEST = 1e25  # that single precision holds powers of it
 UNIFORM = 1e15  # range of a law over the rms height from which on the pressure is uniform to a double's rounding
 
 
 ROUNDING = 4 * np.finfo(np.float64).eps  # of pressures, relative: by transforms, and of the numbers themselves
+SHORTEST = 1e-11  # range of a law over the rms height: a hundred thousand units of the last digit of a gap
 UNDERFLOW = 800.0  # ranges of a law over which a pressure falls below the smallest number
 
 
@@ -48,6 +50,11 @@ class Dimensionless:
         if physical.mean_pressure == 0 or made.rms * UNIFORM <= law.range:
             self.uniform = self._uniform(heights, height)
             return
+        if 0 < law.range < SHORTEST * height:
+            raise InputError(
+                f"wall.zeta = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can touch, here "
+                f'{height:g}; shorter walls are hard: wall.kind = "hard"'
+            )
         unit = physical.mean_pressure if by_load else solid.contact_modulus * height / min(grid.spacing)
         self.units = Units(height, unit, law.gap(unit, solid))
         self.problem = ContactProblem(
@@ -175,15 +182,16 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
 
     lows, highs = zip(*threads.collect(measure, rows, grid.band), strict=True)
     low, high = reduce.min(lows), reduce.max(highs)
+    solid, across = problem.solid, 2 * math.pi / max(grid.lengths) * problem.solid.thickness
+    stiffer = float(solid.slab_factor(np.array(across))) if math.isfinite(across) else 1.0
     limits = (
-        ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing)),
-        ("mean pressure / contact modulus", problem.mean_pressure, problem.solid.contact_modulus),
+        ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing), LARGEST),
+        ("mean pressure / contact modulus", problem.mean_pressure, solid.contact_modulus, LARGEST),
+        ("thickness: the slab's stiffness to the longest wave / that of a half-space", stiffer, 1.0, STIFFEST),
     )
-    for name, value, unit in limits:
-        if value != 0 and not 1 / LARGEST <= value / unit <= LARGEST:
-            raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / LARGEST:g} and {LARGEST:g}")
-    if 0 < problem.law.range < (high / 2 - low / 2) / LARGEST:
-        raise InputError(f"zeta = {problem.law.range:g}: must exceed the range of heights times {1 / LARGEST:g}")
+    for name, value, unit, limit in limits:
+        if value != 0 and not 1 / limit <= value / unit <= limit:
+            raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / limit:g} and {limit:g}")
     if low == high:
         return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf

@@ -1,0 +1,105 @@
+"""Calls of `pgfmd.solve` with anything for anything: an answer, or one line."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mpi4py")
+
+import pgfmd  # noqa: E402
+from pgfmd.parallel.collectives import slab  # noqa: E402
+
+pytestmark = pytest.mark.mpi
+
+HEIGHTS = np.random.default_rng(1).standard_normal((6, 5))
+ODD = (
+    0, -1, math.nan, math.inf, -math.inf, 1e-300, 1e300, 5e-324, "x", "", None, True, 1j, [], [1, 2], (1, 2, 3), {},
+    np.ones(3),
+)  # fmt: skip
+ALLOWED = {
+    "pressure": (0,),
+    "contact_modulus": (),
+    "spacing": ([1, 2],),
+    "tolerance": (),
+    "zeta": (1e300, None),
+    "thickness": (math.inf, 1e300),
+    "poisson": (0, 1e-300, 5e-324),
+    "threads": (None,),
+    "start": (None,),
+    "method": (),
+    "base": (None,),
+}
+
+
+def solve(comm, heights=HEIGHTS, pressure=0.05, **options):
+    """With this rank's rows of the heights, and of a start like them."""
+    rows = slab(len(HEIGHTS), comm.size, comm.rank)
+    heights = heights[rows] if isinstance(heights, np.ndarray) and np.shape(heights) == HEIGHTS.shape else heights
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return pgfmd.solve(heights, pressure, comm=comm, **({"threads": 1} | options))
+
+
+def same(value, other) -> bool:
+    return type(value) is type(other) and repr(value) == repr(other)
+
+
+@pytest.mark.parametrize("name", ALLOWED)
+def test_odd_values_are_refused_in_one_line(comm, name):
+    """Numbers out of range, texts, lists, nothing: InputError on one line, but for the few that mean something."""
+    for value in ODD:
+        if any(same(value, allowed) for allowed in ALLOWED[name]):
+            found = solve(comm, **{name: value})
+            assert np.isfinite(found.pressure).all() and found.certified_error <= 1e-6
+            continue
+        beyond_rounding = pgfmd.SolverError if name == "tolerance" else pgfmd.InputError
+        with pytest.raises((pgfmd.InputError, beyond_rounding)) as caught:
+            solve(comm, **{name: value})
+        assert str(caught.value).isprintable() and len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    "heights",
+    ["x", None, [[1, 2], [3]], HEIGHTS * 1j, HEIGHTS > 0, HEIGHTS.astype("U8"), HEIGHTS * np.nan,
+     np.array([[object()] * 5] * 6), np.ma.masked_greater(HEIGHTS, 0), np.ones(3), np.ones((2, 3, 4))],
+    ids=lambda value: str(type(value).__name__) + str(np.shape(value) if isinstance(value, np.ndarray) else ""),
+)  # fmt: skip
+def test_odd_heights_are_refused_in_one_line(comm, heights):
+    """Not real numbers, masked, not a surface."""
+    with pytest.raises(pgfmd.InputError) as caught:
+        solve(comm, heights)
+    assert str(caught.value).isprintable() and len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("base", ["free", "sliding"])
+def test_a_half_space_has_no_base(comm, base):
+    """A base without thickness is refused, in a call and in a job."""
+    from pgfmd.job.job import parse
+
+    with pytest.raises(pgfmd.InputError, match="thickness"):
+        solve(comm, base=base)
+    with pytest.raises(pgfmd.InputError, match="thickness"):
+        parse(f'grid.n = 4\nsurface = {{kind = "paraboloid", radius = 1}}\nload.pressure = 1\nsolid.base = "{base}"')
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("pressure", (0.1, 0.2)), ("zeta", (None, 0.1)), ("tolerance", (1e-6, 1e-5)), ("spacing", (1, 2))],
+)
+def test_ranks_that_disagree_are_refused(comm, name, values):
+    """What must be the same on all ranks is compared."""
+    if comm.size == 1:
+        pytest.skip("needs several ranks")
+    with pytest.raises(pgfmd.InputError, match="different"):
+        solve(comm, **{name: values[comm.rank == comm.size - 1]})
+
+
+def test_a_wall_too_short_for_doubles_is_refused(comm):
+    """ζ = 1e-300 of the height: one line that says so; ζ = 1e-10 is solved."""
+    with pytest.raises(pgfmd.InputError, match="zeta"):
+        solve(comm, zeta=1e-300)
+    assert solve(comm, zeta=1e-10).certified_error <= 1e-6
