@@ -1,8 +1,9 @@
-"""`pgfmd.solve`: one surface, one load, from a script or notebook."""
+"""`pgfmd.solve`: one surface, one load, from a script or notebook; `pgfmd.surface`: the surface of a job."""
 
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.job.job import Job, load
 from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
 from pgfmd.options.text import printable, show
-from pgfmd.parallel.collectives import raise_together
+from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.physics.elasticity import BASES, Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
@@ -79,6 +81,21 @@ def solve(
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
     try:
         return solve_contact(ContactProblem(grid, heights, solid, law, pressure), options, start)
+    finally:
+        grid.free()
+
+
+def surface(job: Job | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:
+    """The heights that a run of the job has, a `Job` or the path of a TOML file.  Collective over `comm`.
+
+    Without `comm` all of them (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny), the same
+    surface.  In units of the job.  Raises InputError on all ranks.
+    """
+    comm = MPI.COMM_SELF if comm is None else comm
+    job = job if isinstance(job, Job) else from_root(comm, load, job)
+    grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
+    try:
+        return job.surface.heights(grid, job.output.length_unit)
     finally:
         grid.free()
 

@@ -456,3 +456,74 @@ def test_text_sdf_of_either_standard(comm, package, shared_tmp_path):
         path = saved(comm, shared_tmp_path, f"{word}.sdf", lambda path, content=content: path.write_text(content))
         found = whole(grid, read_heights(grid, path, "m", missing="interpolate"))
         assert np.allclose(found, 1e-9 * values.T, rtol=1e-9, atol=0)
+
+
+def random_file(chance, folder, heights):
+    """A file of these heights in a random format, number type and layout; path, what it really holds (rounded), and
+    the unit that it says.
+    """
+    kind = chance.choice(["npy", "h5", "txt", "xyz"])
+    path, holes = folder / f"a.{kind}", np.isnan(heights).any()
+    if kind in ("npy", "h5"):
+        kinds = ["<f8", ">f8", "<f4", ">f4", "<f2"] + ["<i2", ">i4", "i1", "u1"] * (not holes)
+        dtype = np.dtype(chance.choice(kinds))
+        heights = np.abs(np.round(heights)) if dtype.kind in "iu" else heights
+        array = np.array(heights, dtype, order=chance.choice(["C", "F"]))
+        heights = array.astype(float)
+    if kind == "npy":
+        np.save(path, array)
+        return path, heights, None
+    if kind == "h5":
+        packing = {"scale_factor": 0.25, "add_offset": -3.0} if chance.random() < 0.3 else {}
+        unit = {"units": str(chance.choice(["m", "µm", "nm"]))} if chance.random() < 0.5 else {}
+        with h5py.File(path, "w") as file:
+            how = {"chunks": (2, 3), "compression": "gzip"} if chance.random() < 0.5 and min(array.shape) > 2 else {}
+            file.create_dataset("a/b", data=array, **how).attrs.update(packing | unit)
+        return path, heights * packing.get("scale_factor", 1) + packing.get("add_offset", 0), unit.get("units")
+    delimiter = str(chance.choice([" ", "\t", ",", ";"]))
+    if kind == "xyz":
+        points = np.stack([*np.indices(heights.shape), heights], axis=2)[~np.isnan(heights)]
+        np.savetxt(path, chance.permutation(points), fmt="%.17g", delimiter=delimiter)
+    else:
+        np.savetxt(path, heights, fmt="%.17g", delimiter=delimiter)
+    return path, heights, None
+
+
+@pytest.mark.skipif(SIZE > 1, reason="once is enough; what ranks read is tested above")
+def test_random_files_and_options(tmp_path, request):
+    """Files of every format, number type and layout, with and without holes, read with random options of every key:
+    what plain NumPy makes of the same heights, to 1e-9 of their range, or refused just where a hole is.
+    """
+    for seed in range(5000 if request.config.getoption("--long") else 150):
+        chance = np.random.default_rng(seed)
+        shape = tuple(int(count) for count in chance.integers([4, 4], [9, 10]))
+        heights = 100 * chance.normal(size=shape)
+        if chance.random() < 0.4:
+            gone = chance.random(shape) < 0.3
+            gone[:2, :2] = gone[-1, -1] = False
+            heights[gone] = np.nan
+        path, expected, unit = random_file(chance, tmp_path, heights)
+        options = {
+            "first_axis": str(chance.choice(["x", "y"])),
+            "missing": str(chance.choice(["refuse", "interpolate"])),
+            "detrend": str(chance.choice(["none", "mean", "plane"])),
+            "periodic": str(chance.choice(["as-is", "mirror"])),
+            "height_scale": float(chance.choice([-2.0, 1.0, 1e-3])),
+        }
+        expected = expected.T if options["first_axis"] == "y" else expected
+        spacing = (1.0, 1.0) if path.suffix == ".xyz" else tuple(chance.uniform(1, 3, 2))
+        copies = 2 if options["periodic"] == "mirror" else 1
+        points = tuple(copies * count for count in expected.shape)
+        grid = SlabGrid(MPI.COMM_SELF, points, tuple(n * step for n, step in zip(points, spacing, strict=True)))
+        if np.isnan(expected).any() and options["missing"] == "refuse":
+            with pytest.raises(InputError, match="is nan"):
+                read_heights(grid, path, "nm", **options)
+            continue
+        found = read_heights(grid, path, "nm", **options)
+        expected = filled(expected, spacing) * {None: 1, "nm": 1, "µm": 1e3, "m": 1e9}[unit] * options["height_scale"]
+        if options["detrend"] == "mean":
+            expected = expected - expected.mean()
+        elif options["detrend"] == "plane":
+            expected = without_plane(expected)
+        expected = four_images(expected) if copies == 2 else expected
+        assert np.allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max()), f"seed {seed}"

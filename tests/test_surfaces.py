@@ -9,6 +9,7 @@ import pytest
 from conftest import ROOT
 from mpi4py import MPI
 
+import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.results import Results
 from pgfmd.job import job
@@ -126,6 +127,33 @@ def test_roll_off_end_to_end(comm, shared_tmp_path):
     error = math.sqrt(2 / low.size + 2 / high.size)  # each mode and its conjugate are one
     assert low.mean() / high.mean() == pytest.approx(1, abs=4 * error)
     assert math.sqrt(np.sum(q**2 * power)) == pytest.approx(0.05, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        "kind = 'self-affine'\nhurst = 0.6\nlambda_s = 4\nrms_slope = 0.1",
+        "kind = 'sinusoid'\namplitude = 1.0",
+        "kind = 'paraboloid'\nradius = 30.0",
+        f"kind = 'file'\npath = '{ROOT}/jobs/data/measured.npy'\ndetrend = 'plane'",
+    ],
+)
+def test_surface_of_a_job_in_a_script(comm, shared_tmp_path, surface):
+    """`pgfmd.surface` gives each rank its rows of the heights that the job writes, and one process all of them, with
+    either transform; to 1e-14 of their range.
+    """
+    text = f"[grid]\nn = [128, 96]\n[surface]\n{surface}\n[load]\npressure = 1e-4\n[output]\nfields = ['height']\n"
+    text += "[solver]\ntolerance = 0.1\n"
+    if comm.rank == 0:
+        (shared_tmp_path / "job.toml").write_text(text)
+    comm.Barrier()
+    simulate(job.parse(text), comm, shared_tmp_path / "out")
+    expected = Results(shared_tmp_path / "out").field("height")
+    rows = SlabGrid(comm, (128, 96)).rows
+    atol = 1e-14 * np.ptp(expected)
+    assert np.allclose(pgfmd.surface(shared_tmp_path / "job.toml", comm), expected[rows], rtol=0, atol=atol)
+    other = job.parse(text, overrides=["solver.transform=mpi4py-fft"])
+    assert np.allclose(pgfmd.surface(other), expected, rtol=0, atol=atol)
 
 
 def run_measured(comm, folder, *overrides):

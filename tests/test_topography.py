@@ -8,6 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.surfaces.paraboloid import paraboloid
@@ -202,3 +203,34 @@ def test_any_unit_of_length(comm, exponent):
     expected = self_affine(SlabGrid(comm, (16, 12), (2.0, 1.0)), 0.8, 0.5, 0.1, 3)
     found = self_affine(SlabGrid(comm, (16, 12), (2.0 * unit, unit)), 0.8, 0.5 * unit, 0.1, 3)
     assert np.allclose(found / unit, expected, rtol=1e-12, atol=1e-14 * np.abs(expected).max(initial=0))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_any_options_on_any_grid(comm, seed):
+    """Options drawn from all that a job accepts, on grids of any shape, cell and rank count: the slope is exact, modes
+    are zero outside the band of wavelengths, and it is refused just where no mode lies inside; to rounding.
+    """
+    chance = np.random.default_rng(seed)
+    shape = tuple(int(count) for count in chance.choice([1, 2, 3, 8, 15, 16, 31], 2))
+    shape = max(shape[0], comm.size), shape[1] if shape[0] > 1 else max(shape[1], 2)
+    cell = Cell(n=shape, length=tuple(10.0 ** chance.uniform(-9, 9) * chance.uniform(1, 3, 2)))
+    longest = max(cell.lengths) / min(cell.steps)
+    lengths = np.sort(longest ** chance.uniform(-0.1, 1, 3))
+    options = {"hurst": chance.choice([0, 1, chance.uniform()]), "lambda_s": lengths[0], "rms_slope": chance.uniform()}
+    options |= {"lambda_r": lengths[1]} if chance.random() < 0.5 else {}
+    options |= {"lambda_l": chance.choice([lengths[2], np.inf])} if chance.random() < 0.5 else {}
+    surface = SelfAffine(seed=int(chance.integers(2**63)), **options)
+    surface.check_in(cell)
+    grid = SlabGrid(comm, shape, cell.lengths)
+    shortest, widest, _ = surface.wavelengths(cell)
+    q = np.sqrt(grid.q_squared())
+    upper = 2 * np.pi / shortest if shortest > max(cell.steps) else np.inf
+    outside = (q < 2 * np.pi / widest * (1 - 1e-6)) | (q > upper * (1 + 1e-6))
+    if not grid.reduction.any(not outside.all()):
+        with pytest.raises(InputError, match="no mode"):
+            surface.heights(grid)
+        return
+    power, _ = modes(grid, surface.heights(grid))
+    slope = np.sqrt(grid.reduction.sum(grid.hermitian_weight * q**2 * power))
+    assert slope == pytest.approx(options["rms_slope"], rel=1e-11)
+    assert grid.reduction.max(power[outside]) <= 1e-25 * grid.reduction.max(power)
