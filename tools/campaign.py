@@ -41,7 +41,6 @@ import reference  # noqa: E402
 HANG = 120.0  # seconds that a job of at most 24² points may take
 LARGEST_SIDE = 24
 AREA_PIXEL = 1.0  # pixels by which an area may miss, whatever area_tolerance says: README
-GAP_TOLERANCE = 1e-5  # rms heights by which a mean gap or displacement may miss its target: gap_tolerance's default
 JUMP = 1e-4  # relative width of the loads across which an area jumps
 ROUNDING = 1e-12  # of sums over the grid, relative to their largest terms
 FLOOR = 1e-30  # relative energy error of a double's last digit
@@ -636,7 +635,10 @@ def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answ
             return ""
         return f"area {answer.contact_area:.6g}; {low:.6g} and {high:.6g} at neighbouring loads"
     measure = contact.measure(control, exact)
-    room = job["load"].get("gap_tolerance", GAP_TOLERANCE) * contact.rms * (1 + 1e-9) + 1e-13 * np.ptp(contact.heights)
+    # load.gap_tolerance is relative to the approach from first contact or, if less, to the mean gap (or ζ, if more).
+    approach = -contact.heights.mean() - (answer.target if control == "mean_gap" else exact.mean_gap)
+    size = min(abs(approach), max(abs(exact.mean_gap), job["wall"].get("zeta", 0)))
+    room = job["load"]["gap_tolerance"] * size * (1 + 1e-6) + 1e-13 * np.ptp(contact.heights)
     if abs(measure - answer.target) > room:
         return f"reached {float(measure):.9g}, {float((measure - answer.target) / contact.rms):.1e} rms heights off"
     return ""
