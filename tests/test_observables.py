@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io import schema
@@ -18,15 +19,17 @@ from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics import kernels, spectra
-from pgfmd.observables.statistics.correlations import correlate, mode_rings
+from pgfmd.observables.statistics.correlations import correlate, indicator, mode_rings
 from pgfmd.observables.statistics.distributions import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.statistics.lowpass import lowpass
 from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.solution import ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -142,19 +145,24 @@ def test_zero_lag_of_the_autocorrelations(comm, shape, lengths):
 
 
 def sum_rule_residuals(grid, pressure):
-    """`spectra.sum_rules` of a distributed pressure from two forward transforms."""
+    """How far spectra and real-space means of a distributed pressure are from obeying the exact rules, relatively.
+
+    |Θ̃(0)|² = f_c², |σ̃(0)|² = ⟨σ⟩², Σ |Θ̃|² = f_c, Σ |σ̃|² = ⟨σ²⟩, and with m₂ = ⟨σ²⟩ f_c/⟨σ⟩² f_c Σ_{q≠0} |f̃|²/|f̃(0)|² is
+    1 − f_c for the contact and m₂ − f_c for the stress.
+    """
     modes = mode_rings(grid, spectra.wave_number_bins(grid.shape, grid.lengths))
-
-    def contact(first, stop, rows):
-        rows[...] = pressure[first:stop] > 0
-
-    def stress(first, stop, rows):
-        rows[...] = pressure[first:stop]
-
-    c, s = (correlate(grid, fill, modes).power for fill in (contact, stress))
-    sums = grid.reduction.sum
-    means = sums(pressure > 0), sums(pressure), grid.reduction.dot(pressure, pressure)
-    return spectra.sum_rules(*(mean / grid.size for mean in means), c[0], s[0], c.sum(), s.sum())
+    c, s = (correlate(grid, fill, modes).power for fill in (indicator(pressure, 0.0), source(pressure)))
+    sums = pressure > 0, pressure, pressure**2
+    fraction, mean, square = (grid.reduction.sum(each) / grid.size for each in sums)
+    m2 = square * fraction / mean**2
+    return {
+        "contact_zero": c[0] / fraction**2 - 1,
+        "stress_zero": s[0] / mean**2 - 1,
+        "contact_sum": c.sum() / fraction - 1,
+        "stress_sum": s.sum() / square - 1,
+        "contact_rest": fraction * c[1:].sum() / c[0] - (1 - fraction),
+        "stress_rest": (fraction * s[1:].sum() / s[0] - (m2 - fraction)) / m2,
+    }
 
 
 @pytest.mark.parametrize("n", [96, pytest.param(4096, marks=pytest.mark.long)])
@@ -369,9 +377,10 @@ def test_histogram_loops():
         counts = np.zeros(len(even) - 1, np.int64)
         kernels.histogram(values, even, 0, 1, counts)
         np.testing.assert_array_equal(counts, np.histogram(values[values != 0], even)[0])
-        both, powers = [np.zeros(len(each) - 1, np.int64) for each in (even, logarithmic)], np.zeros(2)
-        kernels.contact_sums(values, 0.5, 0, 1, (even, logarithmic), tuple(both), powers)
-        for each, found in zip((even, logarithmic), both, strict=True):
+        both = tuple((each, np.zeros(len(each) - 1, np.int64)) for each in (even, logarithmic))
+        powers = np.zeros(2)
+        kernels.contact_sums(values, 0.5, 0, 1, both, powers)
+        for each, found in both:
             np.testing.assert_array_equal(found, np.histogram(values[values > 0], each)[0])
         np.testing.assert_allclose(powers, [np.sum((values[values > 0] / 0.5) ** n) for n in (1, 2)], rtol=1e-14)
 
@@ -478,3 +487,24 @@ def test_area_of_the_whole_surface(comm):
     assert np.all(found["area_corrected"][:-1] > contact.area.corrected)
     for was, now in zip(before, (solution.pressure, solution.gap, heights), strict=True):
         np.testing.assert_array_equal(was, now)
+
+
+# ---- walls that touch everywhere -------------------------------------------------------------------------------------
+
+
+def test_one_contact_for_all_observables(comm):
+    """Under an exponential wall too, area, histogram, patches, spectrum and autocorrelation are of the same points."""
+    grid = SlabGrid(comm, (48, 40))
+    heights = self_affine(grid, 0.5, 4, 0.1, 5)
+    problem = ContactProblem(grid, heights, Elasticity(MODULUS), ExponentialWall(zeta=0.02), 0.01)
+    observer = Observer(problem, asked(NAMES[:5], spectra={"all_modes": True}))
+    contact = observer.contact(solve_contact(problem))
+    found = comm.bcast(observer.groups(contact))
+    assert 0 < contact.area.pixels < grid.reduction.sum(contact.solution.pressure > 0)
+    area = contact.area.fraction
+    assert found["pressure_histogram"]["count"].sum() == contact.area.pixels
+    assert found["patches"]["area"].sum() == pytest.approx(contact.area.pixels * grid.pixel_area, rel=1e-13)
+    assert found["contact_acf"]["value"][0] == pytest.approx(area, rel=1e-12)
+    spectrum = found["contact_spectrum"]
+    assert np.sum(spectrum["count"] * spectrum["value"]) == pytest.approx(area - area**2, rel=1e-11)
+    assert found["bearing_acf"]["value"][0] == pytest.approx(area, rel=1e-12)

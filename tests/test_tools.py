@@ -29,6 +29,7 @@ import plotting  # noqa: E402
 import reading  # noqa: E402
 import report  # noqa: E402
 import rowblocks  # noqa: E402
+import whole_fields  # noqa: E402
 
 JOB = """
 [grid]
@@ -95,7 +96,7 @@ def test_spectrum_in_blocks_is_that_of_the_field(shape):
     field = np.random.default_rng(1).normal(size=shape)
     lengths = (3.0, 3.0 * shape[1] / shape[0])
     found = rowblocks.radial_spectrum(_blocks(field, 4), shape, lengths, memory=16 * shape[0] * 3)
-    expected = spectra.radial_average(spectra.power_spectrum(field), shape, lengths)
+    expected = whole_fields.radial_average(whole_fields.power_spectrum(field), shape, lengths)
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
@@ -106,7 +107,7 @@ def test_autocorrelation_in_blocks_is_that_of_the_field(shape):
     field = np.random.default_rng(2).normal(size=shape)
     lengths = (3.0, 3.0 * shape[1] / shape[0])
     found = rowblocks.radial_autocorrelation(_blocks(field, 5), shape, lengths, memory=16 * shape[1] * 2)
-    expected = spectra.radial_autocorrelation(spectra.autocorrelation(field), lengths)
+    expected = whole_fields.radial_autocorrelation(whole_fields.autocorrelation(field), lengths)
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-13)
 
@@ -392,7 +393,7 @@ def test_an_exact_field_theory_reads_one(runs):
     qx, qy = spectra.wave_numbers(height.shape, load.results.lengths)
     q = np.hypot(qx, qy)
     g1 = 1 / (1 + load.zeta * q * load.modulus / (2 * load.mean_pressure))
-    exact = (g1 * load.modulus * q / 2) ** 2 * spectra.power_spectrum(height)
+    exact = (g1 * load.modulus * q / 2) ** 2 * whole_fields.power_spectrum(height)
     sums = spectra.accumulate(load.edges, q, spectra.hermitian_weight(height.shape[1]), exact)
     obeyed = spectra.radial_mean(sums)[1]
     ratios = estimators.band_ratio(field_theory.BANDS, np.round(x), count, obeyed, field_theory.summed(load))

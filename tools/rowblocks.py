@@ -18,7 +18,7 @@ MEMORY = 2**27  # bytes of one block
 
 
 def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: int = MEMORY, scratch=None):
-    """|f̃|² averaged over direction: q, value, count, each (m,), as `spectra.radial_average` of the whole field.
+    """|f̃|² averaged over direction: q, value, count, each (m,), those of the whole field.
 
     blocks : iterable of (rows, values), `rows` a slice of the nx rows, values of shape (rows, ny)
     shape (nx, ny), lengths (lx, ly); edges : of the bins (default: `spectra.bin_edges`); weight : function of |q| by
@@ -37,7 +37,7 @@ def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: 
 
 
 def radial_autocorrelation(blocks, shape, lengths, *, memory: int = MEMORY, scratch=None, width=None):
-    """⟨f(r) f(r + Δr)⟩ averaged over direction: r, value, count, as `spectra.radial_autocorrelation`."""
+    """⟨f(r) f(r + Δr)⟩ averaged over direction: r, value, count."""
     edges = spectra.lag_edges(shape, lengths, width)
     sums = np.zeros((3, len(edges) - 1))
     with tempfile.TemporaryFile(dir=scratch) as file:

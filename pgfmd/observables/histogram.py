@@ -51,7 +51,7 @@ class Histogram(Observable):
     )
 
     def measure(self, contact: SolvedContact) -> Groups:
-        """Five passes over fields, no transform.  Collective."""
+        """Two passes over each field, no transform.  Collective."""
         from pgfmd.observables.statistics.distributions import gap_groups, pressure_groups
 
         groups = pressure_groups(contact.grid, contact.pressure, self.bins)

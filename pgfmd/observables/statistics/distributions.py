@@ -37,10 +37,10 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
     mean = seen.total / seen.positive if seen.positive else math.nan  # over the contact
 
     def part(first: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        counts = np.zeros(len(linear) - 1, np.int64), np.zeros(len(logarithmic) - 1, np.int64)
+        count, log_count = (np.zeros(len(edges) - 1, np.int64) for edges in (linear, logarithmic))
         powers = np.zeros(ORDERS)
-        contact_sums(pressure, mean, first, stop, (linear, logarithmic), counts, powers)
-        return *counts, powers
+        contact_sums(pressure, mean, first, stop, ((linear, count), (logarithmic, log_count)), powers)
+        return count, log_count, powers
 
     count, log_count, powers = _totals(grid, part)
     return {

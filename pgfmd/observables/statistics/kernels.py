@@ -144,11 +144,13 @@ def histogram(field, edges, first, stop, counts):
 
 
 @_jit
-def contact_sums(field, mean, first, stop, edges, counts, powers):
-    """Over the points p > 0 of rows first … stop−1: counts[0] and counts[1] are increased by their histograms over
-    edges[0], evenly spaced, and edges[1], evenly spaced in the logarithm; powers[n] by Σ (p/mean)^(n+1).
+def contact_sums(field, mean, first, stop, bins, powers):
+    """Over the points p > 0 of rows first … stop−1: histograms, added to the counts in `bins`, and Σ (p/mean)^(n+1),
+    added to powers[n].
+
+    bins: (edges, counts), evenly spaced, and the same again evenly spaced in the logarithm.
     """
-    (even, logarithmic), (count, log_count) = edges, counts
+    (even, count), (logarithmic, log_count) = bins
     scale = count.size / (even[count.size] - even[0])
     origin = math.log10(logarithmic[0])
     log_scale = log_count.size / (math.log10(logarithmic[log_count.size]) - origin)

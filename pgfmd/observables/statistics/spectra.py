@@ -1,18 +1,15 @@
-"""Spectra and autocorrelations of doubly periodic fields, and their averages over direction.  NumPy and SciPy only.
+"""Bins of wave numbers and distances on doubly periodic grids, and sums over them.  NumPy only.
 
 A field has shape (nx, ny) on a cell of lengths (lx, ly).  Its Fourier coefficients are f̃(q) = (1/N) Σ f(r) exp(−iq·r),
 N = nx·ny, so that Σ_q |f̃|² is the mean square of the field: this is the normalisation of every spectrum in this
-package and in the result files (N² times smaller than the square of an unnormalised transform).  Half spectra have
-shape (nx, ny//2+1), ky ≥ 0.
+package and in the result files.  Half spectra have shape (nx, ny//2+1), ky ≥ 0.
 
-The averages take blocks of modes or of points, in any layout, and return sums that may be added up over blocks and over
-ranks.
+Sums take blocks of modes or of points, in any layout, and may be added up over blocks and over ranks.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy import fft
 
 from pgfmd.errors import InputError
 
@@ -26,7 +23,7 @@ BLOCK = 1 << 18
 def wave_numbers(shape, lengths) -> tuple[np.ndarray, np.ndarray]:
     """qx (nx, 1) in FFT order and qy (1, ny//2+1), ky ≥ 0, of a half spectrum; radians per length."""
     (nx, ny), (lx, ly) = shape, lengths
-    return 2 * np.pi / lx * (fft.fftfreq(nx) * nx)[:, None], 2 * np.pi / ly * np.arange(ny // 2 + 1)[None, :]
+    return 2 * np.pi / lx * (np.fft.fftfreq(nx) * nx)[:, None], 2 * np.pi / ly * np.arange(ny // 2 + 1)[None, :]
 
 
 def hermitian_weight(ny: int) -> np.ndarray:
@@ -36,22 +33,6 @@ def hermitian_weight(ny: int) -> np.ndarray:
     if ny % 2 == 0:
         weight[-1] = 1
     return weight
-
-
-def power_spectrum(field) -> np.ndarray:
-    """|f̃|² of a real field (nx, ny): half spectrum (nx, ny//2+1), squared unit of the field."""
-    return np.abs(fft.rfft2(field, norm="forward")) ** 2
-
-
-def cross_spectrum(first, second) -> np.ndarray:
-    """Re(f̃ g̃*) of two real fields (nx, ny): half spectrum (nx, ny//2+1)."""
-    transformed = fft.rfft2(first, norm="forward")
-    return (transformed * np.conj(fft.rfft2(second, norm="forward"))).real
-
-
-def autocorrelation(field) -> np.ndarray:
-    """C(Δr) = ⟨f(r) f(r + Δr)⟩ over all r of the periodic field (nx, ny), same shape; C[0, 0] is the mean square."""
-    return fft.irfft2(power_spectrum(field), s=np.shape(field), norm="forward")
 
 
 def bin_edges(shape, lengths, spacing="log", *, per_decade=20, width=None, q_max=None) -> np.ndarray:
@@ -166,62 +147,6 @@ def radial_mean(sums) -> tuple[np.ndarray, ...]:
     """
     sums = sums[:, sums[0] > 0]
     return (*(sums[1:] / sums[0]), sums[0])
-
-
-def radial_average(power, shape, lengths, **bins) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of a half spectrum (nx, ny//2+1) over direction in the bins of `bin_edges(shape, lengths, **bins)`.
-
-    Returns q, value and the count of modes, each of shape (m,), empty bins left out.
-    """
-    edges, q = bin_edges(shape, lengths, **bins), np.hypot(*wave_numbers(shape, lengths))
-    return radial_mean(accumulate(edges, q, hermitian_weight(shape[1]), power))
-
-
-def radial_autocorrelation(correlation, lengths, width=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean of an autocorrelation (nx, ny) over direction in the bins of `lag_edges`: r, value, count, each (m,)."""
-    shape = np.shape(correlation)
-    edges = lag_edges(shape, lengths, width)
-    return radial_mean(accumulate(edges, distances(shape, lengths), 1.0, correlation))
-
-
-def axis_autocorrelation(correlation, lengths, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """An autocorrelation (nx, ny) along one axis, from lag 0 to half the cell: lags (n//2+1,) and values (n//2+1,)."""
-    n = np.shape(correlation)[axis]
-    lags = np.arange(n // 2 + 1)
-    return lags * (lengths[axis] / n), np.take(correlation, 0, axis=1 - axis)[lags]
-
-
-def sum_rules(
-    fraction, mean_pressure, mean_square, contact_zero, stress_zero, contact_sum, stress_sum
-) -> dict[str, float]:
-    """Relative residuals of the exact sum rules that tie the spectra of contact and stress to real-space means.
-
-    From the contact area f_c, ⟨σ⟩ and ⟨σ²⟩ over the whole surface, the q = 0 entries of both spectra and their sums
-    over all modes.  The rules: C̃_c(0) = f_c², C̃_σ(0) = ⟨σ⟩², Σ C̃_c = f_c, Σ C̃_σ = ⟨σ²⟩, and, with m₂ = ⟨σ²⟩
-    f_c/⟨σ⟩², f_c Σ_{q≠0} C̃/C̃(0) = 1 − f_c for contact and m₂ − f_c for stress.  Without contact all residuals are
-    zero.
-    """
-    if fraction == 0 or mean_pressure == 0:
-        return {f"{field}_{rule}": 0.0 for field in ("contact", "stress") for rule in ("zero", "sum", "rest")}
-    m2 = mean_square * fraction / mean_pressure**2
-    return {
-        "contact_zero": contact_zero / fraction**2 - 1,
-        "stress_zero": stress_zero / mean_pressure**2 - 1,
-        "contact_sum": contact_sum / fraction - 1,
-        "stress_sum": stress_sum / mean_square - 1,
-        "contact_rest": fraction * (contact_sum - contact_zero) / contact_zero - (1 - fraction),
-        "stress_rest": (fraction * (stress_sum - stress_zero) / stress_zero - (m2 - fraction)) / m2,
-    }
-
-
-def field_sum_rules(pressure) -> dict[str, float]:
-    """`sum_rules` of a pressure field (nx, ny) with exact zeros outside contact."""
-    pressure = np.asarray(pressure, float)
-    contact = (pressure > 0).astype(float)
-    weight = hermitian_weight(pressure.shape[1])
-    spectra = [power_spectrum(field) for field in (contact, pressure)]
-    zeros, sums = [s[0, 0] for s in spectra], [np.sum(weight * s) for s in spectra]
-    return sum_rules(contact.mean(), pressure.mean(), np.mean(pressure**2), *zeros, *sums)
 
 
 def _require_positive(**numbers):

@@ -1,0 +1,31 @@
+"""Spectra and autocorrelations of whole fields by plain NumPy, for comparison; as in
+`pgfmd.observables.statistics.spectra`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgfmd.observables.statistics import spectra
+
+
+def power_spectrum(field) -> np.ndarray:
+    """|f̃|² of a real field (nx, ny): half spectrum (nx, ny//2+1), squared unit of the field."""
+    return np.abs(np.fft.rfft2(field, norm="forward")) ** 2
+
+
+def autocorrelation(field) -> np.ndarray:
+    """C(Δr) = ⟨f(r) f(r + Δr)⟩ over all r of the periodic field (nx, ny), same shape; C[0, 0] is the mean square."""
+    return np.fft.irfft2(power_spectrum(field), s=np.shape(field), norm="forward")
+
+
+def radial_average(power, shape, lengths, **bins) -> tuple[np.ndarray, ...]:
+    """q, mean and count of a half spectrum (nx, ny//2+1) in the bins of `bin_edges` that hold modes."""
+    edges, q = spectra.bin_edges(shape, lengths, **bins), np.hypot(*spectra.wave_numbers(shape, lengths))
+    return spectra.radial_mean(spectra.accumulate(edges, q, spectra.hermitian_weight(shape[1]), power))
+
+
+def radial_autocorrelation(correlation, lengths) -> tuple[np.ndarray, ...]:
+    """r, mean and count of an autocorrelation (nx, ny) in the bins of `lag_edges` that hold points."""
+    edges, r = spectra.lag_edges(np.shape(correlation), lengths), spectra.distances(np.shape(correlation), lengths)
+    return spectra.radial_mean(spectra.accumulate(edges, r, 1.0, correlation))
