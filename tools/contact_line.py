@@ -54,7 +54,9 @@ def directions() -> None:
 
 
 def limit() -> None:
-    """Print the rms error of the edges of exact waves, wide and narrow, in pixels, for several bounds."""
+    """Print the rms error, in pixels, of the edges of exact waves for several bounds: all waves whose contacts and
+    openings are at least one pixel wide.
+    """
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
@@ -74,6 +76,9 @@ def limit() -> None:
             grid, number = SlabGrid(MPI.COMM_SELF, (n, n)), waves * math.hypot(*direction) / n
             x, y = coordinates(grid)
             for fraction in (0.03, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97):
+                width = 2 / math.pi * math.asin(math.sqrt(fraction)) / number
+                if min(width, 1 / number - width) < 1:
+                    continue
                 for offset in rng.random(4):
                     heights = np.cos(2 * np.pi * (waves * (direction[0] * x + direction[1] * y) / n + offset))
                     problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), fraction * math.pi * number)

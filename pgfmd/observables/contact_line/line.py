@@ -33,7 +33,8 @@ pixel there is none."""
 FARTHEST = 5.0
 """Most by which the ratio of two neighbouring pressures, or of two gaps, is taken to differ from that at a straight
 edge of an unbounded contact: where contacts or openings are about one pixel wide, the ratio says little.  Of 2, 3, 5,
-10 and 30 the one with the smallest error on exact waves: `tools/contact_line.py limit`."""
+10 and 30 the one with the smallest error on exact waves whose contacts and openings are at least one pixel wide:
+`tools/contact_line.py limit`."""
 
 
 @dataclass(frozen=True)
