@@ -6,6 +6,7 @@ import dataclasses
 import logging
 import os
 import time
+from collections.abc import Mapping
 from contextlib import contextmanager
 from functools import partial
 
@@ -100,7 +101,7 @@ def simulate(
                 checkpoints.remove()
             interruptions.load_done()
             interruptions.resumption = "--restart"
-            _report(comm, index, len(job.load.targets), row)
+            _report(comm, index, len(job.load.targets), row, groups.get("discretisation"))
         if unreachable and len(unreachable) == len(pending):  # nothing was solved: earlier results stay
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:
@@ -165,12 +166,13 @@ class _Steps:
         self.checkpoints.save(self.index, unit * pressure)
 
 
-def _report(comm: MPI.Comm, index: int, count: int, row: dict) -> None:
+def _report(comm: MPI.Comm, index: int, count: int, row: dict, errors: Mapping | None) -> None:
     if comm.rank == 0:
+        bar = "" if errors is None else f" ± {errors['contact_area_error']:.5f}"
         log.info(
-            "load %d/%d  pressure %.6g  area %.5f (corrected %.5f)  kappa %.4f  error %.1e  %.1f transforms  %.2f s",
-            index + 1, count, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], row["kappa"],
-            row["certified_error"], row["transforms"], row["seconds"],
+            "load %d/%d  pressure %.6g  area %.5f (corrected %.5f%s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s",
+            index + 1, count, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], bar,
+            row["kappa"], row["certified_error"], row["transforms"], row["seconds"],
         )  # fmt: skip
 
 

@@ -60,14 +60,13 @@ class Observer:
     def row(self, contact: SolvedContact) -> dict[str, float]:
         """The numbers of `schema.LOADS`; the same on all ranks.  Collective."""
         area, solution = contact.area, contact.solution
-        load, modulus = solution.mean_pressure, self.problem.solid.contact_modulus
         return {
-            "mean_pressure": load,
+            "mean_pressure": solution.mean_pressure,
             "contact_area": area.fraction,
             "contact_area_corrected": area.corrected,
             "contact_perimeter": area.perimeter / math.prod(self.problem.grid.lengths),
             "contact_line": float(contact.line is not None),
-            "kappa": area.fraction * modulus * self.surface.rms_slope / load if load > 0 else math.nan,
+            "kappa": contact.kappa,
             "mean_gap": solution.mean_gap,
             "elastic_energy": solution.elastic_energy,
             "certified_error": solution.certified_error,

@@ -11,6 +11,7 @@ from pgfmd.grid.callbacks import Columns, Rows, source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
+from pgfmd.observables.contact_line.line import is_smooth
 from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings
 from pgfmd.observables.statistics.kernels import square_moments
 
@@ -69,6 +70,11 @@ class RoughSurface:
     def rms_slope(self) -> float:
         """√Σ q²|h̃|²."""
         return float(self._measured[1])
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the grid resolves the surface."""
+        return is_smooth(self.grid, self.highest)
 
     @property
     def highest(self) -> float:

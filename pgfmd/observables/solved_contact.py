@@ -58,6 +58,12 @@ class SolvedContact:
         """The contact line, if there is one."""
         return line_of(self.problem, self.solution, self.surface.highest)
 
+    @property
+    def kappa(self) -> float:
+        """f_c E' g_rms / p̄; NaN without a load."""
+        load, modulus = self.solution.mean_pressure, self.problem.solid.contact_modulus
+        return self.area.fraction * modulus * self.surface.rms_slope / load if load > 0 else math.nan
+
     @cached_property
     def stress(self) -> Correlations:
         """Spectrum, and autocorrelation if one is asked for, of the pressure."""

@@ -69,6 +69,11 @@ class ContactLine:
         area, perimeter = self._finish(self.grid.reduction.sums(*np.sum(parts, axis=0)))
         return float(area), float(perimeter)
 
+    def of_rows(self, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the pixels of each of this rank's rows first … stop−1, without communication."""
+        form = self._form
+        return self._finish(np.array([add_line(self.fields, form, row, row + 1) for row in range(first, stop)]))
+
     def of_patches(self, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
         """The same of each patch that this rank keeps.  Collective."""
         sums = np.zeros((labels.kept + len(labels.foreign), 4))
@@ -78,13 +83,18 @@ class ContactLine:
         return self._finish(sums[: labels.kept])
 
 
+def is_smooth(grid: SlabGrid, highest: float) -> bool:
+    """Whether a grid resolves surfaces without modes beyond the wave number `highest`."""
+    return 2 * math.pi > SMOOTH * max(grid.spacing) * highest
+
+
 def line_of(problem: ContactProblem, solution: ContactSolution, highest: float) -> ContactLine | None:
     """The line of a contact on a surface without modes beyond the wave number `highest`.  Collective.
 
     None where roughness goes down to the pixel, and under a law by which everything touches.
     """
     grid = problem.grid
-    if not problem.law.releases or 2 * math.pi <= SMOOTH * max(grid.spacing) * highest:
+    if not problem.law.releases or not is_smooth(grid, highest):
         return None
     return contact_line(grid, solution.pressure, solution.gap, problem.solid.contact_modulus)
 

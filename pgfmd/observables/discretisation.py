@@ -1,0 +1,48 @@
+"""The error bar of the grid: how far the numbers of a load are from those of an infinitely fine grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pgfmd.grid.cell import Cell
+from pgfmd.io.schema import Dataset, Groups
+from pgfmd.observables.observable import Cost, Observable
+
+if TYPE_CHECKING:
+    from pgfmd.observables.solved_contact import SolvedContact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Discretisation(Observable):
+    """Estimated errors that numbers of a load have because the grid is finite, from a second contact on a grid of half
+    as many points each way.
+
+    Not a bound: made to be at least as large as the true error in nine cases of ten, and about three times it in the
+    middle (`statistics.grid_error`), on surfaces with many contacts; a single one may be right on both grids by chance.
+    NaN where roughness goes down to the pixel: there the grid belongs to the surface.
+    """
+
+    name = "discretisation"
+    where = "output.discretisation"
+    layout = {
+        "discretisation": {
+            "contact_area_error": Dataset("1", "estimated error of contact_area_corrected"),
+            "contact_perimeter_error": Dataset("1/({length})", "estimated error of contact_perimeter"),
+            "kappa_error": Dataset("1", "estimated error of kappa, which counts pixels"),
+            "mean_gap_error": Dataset("{length}", "estimated error of mean_gap"),
+            "elastic_energy_error": Dataset("{pressure}*{length}", "estimated error of elastic_energy"),
+            "mean_square_pressure": Dataset("{pressure}^2", "⟨p²⟩"),
+            "mean_square_pressure_error": Dataset("{pressure}^2", "estimated error of mean_square_pressure"),
+        }
+    }
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """A contact on a quarter of the points."""
+        return Cost(transforms=5.0, memory=15.0)
+
+    def measure(self, contact: SolvedContact) -> Groups:
+        """Solves the second contact.  Collective."""
+        from pgfmd.observables.statistics.grid_error import grid_errors
+
+        return {"discretisation": grid_errors(contact)}

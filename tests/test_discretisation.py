@@ -1,0 +1,74 @@
+"""The error bar of the grid, against finer grids and its own definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.observer import Observer
+from pgfmd.observables.statistics.grid_error import FACTORS, MODES, long_waves
+from pgfmd.observables.table import OBSERVABLES
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
+
+pytestmark = pytest.mark.mpi
+
+NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_energy", "mean_square_pressure")
+BARS = {"contact_area_corrected": "contact_area_error"}
+
+
+def measured(grid, heights, load, cutoff):
+    """The row of a load, and its error bars on every rank."""
+    problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), load)
+    observer = Observer(problem, [OBSERVABLES["discretisation"]()], cutoff)
+    contact = observer.contact(solve_hard_wall(problem, 1e-9))
+    return observer.row(contact), grid.comm.bcast(observer.groups(contact)["discretisation"]), contact
+
+
+def test_bars_hold_what_a_finer_grid_finds(comm):
+    """Of 40 numbers of rough contacts (λ_s = 8a), 9 in 10 are meant to lie within their bars of those on a grid four
+    times as fine, whose errors are some 50 times smaller, and bars to be about three times the errors in the middle.
+    33 of 40 and 6 times leave room for the chance of eight surfaces, whose five numbers are correlated.
+    """
+    held, ratios = [], []
+    for seed, (hurst, load) in enumerate([(0.3, 0.03), (0.3, 0.15), (0.5, 0.01), (0.5, 0.4), (0.8, 0.03), (0.8, 0.15),
+                                          (0.3, 0.4), (0.8, 0.01)]):  # fmt: skip
+        found = []
+        for n in (96, 384):
+            grid = SlabGrid(comm, (n, n), (1.0, 1.0))
+            row, bars, _ = measured(grid, self_affine(grid, hurst, 1 / 12, 1.0, seed), load, 2 * np.pi * 12)
+            found.append((row | bars, bars))
+        for name in NUMBERS:
+            error, bar = abs(found[0][0][name] - found[1][0][name]), found[0][1][BARS.get(name, f"{name}_error")]
+            held.append(error <= bar)
+            ratios.append(bar / error)
+    assert len(held) == 40 and sum(held) >= 33
+    assert np.median(ratios) < 6
+
+
+def test_long_waves_are_fourier_coefficients(comm):
+    """Their means are the numbers of the row; the others are coefficients of fields, here against NumPy."""
+    grid = SlabGrid(comm, (40, 32), (40.0, 16.0))
+    heights = self_affine(grid, 0.5, 10, 0.05, 5)
+    row, bars, contact = measured(grid, heights, 0.01, 2 * np.pi / 10)
+    found = long_waves(contact.problem, contact.solution, contact.line)
+    assert found["area"][0].real == pytest.approx(row["contact_area_corrected"], rel=1e-12)
+    assert found["perimeter"][0].real == pytest.approx(row["contact_perimeter"], rel=1e-12)
+    assert found["mean_gap"][0].real == pytest.approx(row["mean_gap"], rel=1e-9)
+    assert found["elastic_energy"][0].real == pytest.approx(row["elastic_energy"], rel=1e-6)  # as far as it is solved
+    pressure = grid.fetch(contact.solution.pressure, 0, 40)
+    squares = np.fft.fft2(pressure**2)[: MODES + 1, 0] / grid.size
+    np.testing.assert_allclose(found["mean_square_pressure"], squares, rtol=1e-10)
+    assert bars["mean_square_pressure"] == pytest.approx(np.mean(pressure**2), rel=1e-12)
+    assert all(bars[f"{name}_error"] > 0 for name in ("contact_area", "kappa", *list(FACTORS)[2:]))
+
+
+def test_no_bars_where_the_grid_belongs_to_the_surface(comm):
+    """Where roughness goes down to the pixel there is no finer grid to compare with."""
+    grid = SlabGrid(comm, (32, 32))
+    _, bars, _ = measured(grid, self_affine(grid, 0.5, 1, 0.05, 5), 0.01, None)
+    assert all(np.isnan(value) for name, value in bars.items() if name.endswith("_error"))
