@@ -32,7 +32,7 @@ def measured(grid, heights, load, cutoff):
 def test_bars_hold_what_a_finer_grid_finds(comm):
     """Of 40 numbers of rough contacts (λ_s = 8a), 9 in 10 are meant to lie within their bars of those on a grid four
     times as fine, whose errors are some 50 times smaller, and bars to be about three times the errors in the middle.
-    33 of 40 and 6 times leave room for the chance of eight surfaces, whose five numbers are correlated.
+    Were the five numbers of a surface to fail together, 30 of 40 (6 surfaces of 8) would hold with a chance of .96.
     """
     held, ratios = [], []
     for seed, (hurst, load) in enumerate([(0.3, 0.03), (0.3, 0.15), (0.5, 0.01), (0.5, 0.4), (0.8, 0.03), (0.8, 0.15),
@@ -46,7 +46,7 @@ def test_bars_hold_what_a_finer_grid_finds(comm):
             error, bar = abs(found[0][0][name] - found[1][0][name]), found[0][1][BARS.get(name, f"{name}_error")]
             held.append(error <= bar)
             ratios.append(bar / error)
-    assert len(held) == 40 and sum(held) >= 33
+    assert len(held) == 40 and sum(held) >= 30
     assert np.median(ratios) < 6
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact
 
 MODES = 4
-FACTORS = {"area": 0.48, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.3, "mean_square_pressure": 0.6}
+FACTORS = {"area": 0.48, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.34, "mean_square_pressure": 0.6}
 """c of each number."""
 
 
