@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Dataset, Groups
@@ -42,7 +45,21 @@ class Discretisation(Observable):
         return Cost(transforms=5.0, memory=15.0)
 
     def measure(self, contact: SolvedContact) -> Groups:
-        """Solves the second contact.  Collective."""
-        from pgfmd.observables.statistics.grid_error import grid_errors
+        """Solves the second contact, if there is one to compare with.  Collective."""
+        from pgfmd.observables.statistics.grid_error import FACTORS, grid_errors
 
-        return {"discretisation": grid_errors(contact)}
+        problem, solution, area = contact.problem, contact.solution, contact.area
+        errors = dict.fromkeys(FACTORS, math.nan)
+        if contact.surface.is_smooth:
+            errors = grid_errors(problem, solution, contact.line, contact.solve)
+        per_area = contact.kappa / (area.fraction or math.nan)
+        found = {
+            "contact_area_error": errors["area"],
+            "contact_perimeter_error": errors["perimeter"],
+            "kappa_error": per_area * (abs(area.fraction - area.corrected) + errors["area"]),
+            "mean_gap_error": errors["mean_gap"],
+            "elastic_energy_error": errors["elastic_energy"],
+            "mean_square_pressure": problem.grid.reduction.dot(solution.pressure, solution.pressure) / problem.grid.size,
+            "mean_square_pressure_error": errors["mean_square_pressure"],
+        }
+        return {"discretisation": {name: np.array(value) for name, value in found.items()}}
