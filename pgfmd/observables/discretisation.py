@@ -52,6 +52,8 @@ class Discretisation(Observable):
         errors = dict.fromkeys(FACTORS, math.nan)
         if contact.surface.is_smooth:
             errors = grid_errors(problem, solution, contact.line, contact.solve)
+        pressure, grid = solution.pressure, problem.grid
+        square = grid.reduction.dot(pressure, pressure) / grid.size
         per_area = contact.kappa / (area.fraction or math.nan)
         found = {
             "contact_area_error": errors["area"],
@@ -59,7 +61,7 @@ class Discretisation(Observable):
             "kappa_error": per_area * (abs(area.fraction - area.corrected) + errors["area"]),
             "mean_gap_error": errors["mean_gap"],
             "elastic_energy_error": errors["elastic_energy"],
-            "mean_square_pressure": problem.grid.reduction.dot(solution.pressure, solution.pressure) / problem.grid.size,
+            "mean_square_pressure": square,
             "mean_square_pressure_error": errors["mean_square_pressure"],
         }
         return {"discretisation": {name: np.array(value) for name, value in found.items()}}
