@@ -28,7 +28,7 @@ seed = 1
 [load]
 pressure = {pressures}
 [solver]
-tolerance = 1e-12
+tolerance = 1e-22
 [output]
 fields = ["height", "pressure"]
 observables = ["histogram"]
@@ -53,7 +53,7 @@ path = "{heights}"
 [load]
 pressure = {pressures}
 [solver]
-tolerance = 1e-12
+tolerance = 1e-22
 [output]
 fields = ["height", "pressure"]
 [run]

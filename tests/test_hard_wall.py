@@ -46,7 +46,7 @@ def westergaard(comm, n, load=0.5):
     x = (coordinates(grid)[0] * np.ones((1, 4)) + 0.5 / n + 0.5) % 1.0 - 0.5
     theory = exact.Westergaard(1.0, 1.0, MODULUS)
     mean = load * theory.full_pressure
-    found = solve_hard_wall(ContactProblem(grid, np.cos(2 * np.pi * x), Elasticity(MODULUS), HardWall(), mean), 1e-13)
+    found = solve_hard_wall(ContactProblem(grid, np.cos(2 * np.pi * x), Elasticity(MODULUS), HardWall(), mean), 1e-20)
     expected = theory.pressure(x, mean)
     wrong, sums = np.abs(found.pressure - expected), grid.reduction.sum
     width = sums(found.pressure > 0) / 8 / n
@@ -155,7 +155,7 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
     """p ≥ 0, gap ≥ 0, p·gap = 0, mean p = p̄, and u = Gp up to a constant wherever points touch: for any grid."""
     grid = SlabGrid(comm, shape)
     heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
-    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), load), 1e-11)
+    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), load), 1e-20)
     assert grid.reduction.min(found.pressure) >= 0
     assert grid.reduction.min(found.gap) >= 0
     assert not (found.pressure * found.gap).any()
@@ -171,64 +171,95 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
     assert found.max_violation < 1e-8
 
 
-def test_certificate_bounds_the_true_error(comm):
-    """½‖p − p*‖²_G ≤ D at every outer step, p* being solved to 1e-13."""
-    grid = SlabGrid(comm, (64, 64))
-    heights = self_affine(grid, 0.5, 2.0, 1.0, 5)
-    exactly = solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-13)
-    seen = []
-
-    def watch(level, state):
-        if level is grid:
-            seen.append((state.pressure / level.reduction.sum(state.pressure), state.error))
-
-    solve_hard_wall(ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-9, monitor=watch)
-    q = np.sqrt(grid.q_squared())
-    compliance = np.divide(2, q, out=np.zeros_like(q), where=q > 0)
-    assert len(seen) > 3
-    for pressure, error in seen:
-        wrong = pressure * 0.1 * grid.size - exactly.pressure
-        energy = grid.reduction.sum(wrong * grid.backward(grid.forward(wrong) * compliance)) / 2 / grid.size
-        assert energy <= error * 2 * exactly.elastic_energy * (1 + 1e-6) + 1e-12
-
-
-def test_cut_tensions_count_in_second_order(comm):
-    """The certificate of a pressure p whose tensions were cut off p' is ⟨p, g' − min g'⟩ + ½⟨c, Gc⟩, c = p − p', where
-    that is less than ⟨p, g − min g⟩; by brute force.  It bounds the energy error.
+@pytest.mark.parametrize("load", [0.0005, 0.05, 0.4, 1.5])
+@pytest.mark.parametrize("lambda_s", [1.0, 8.0])
+def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
+    """J(p) − J(p*) ≤ the certificate ≤ 12 times that, from single pixels to nearly full contact, with p* certified to
+    1e-20; the pressure error is estimated within a factor: between .05 and 2 of it is true.  Loads in units of the
+    stress of full contact.
     """
-    grid = SlabGrid(comm, (48, 40))
-    heights = self_affine(grid, 0.5, 4.0, 0.031, 1)
-    load = 0.003 * MODULUS
-    exactly = whole(
-        grid,
-        solve_hard_wall(ContactProblem(grid, heights.copy(), Elasticity(MODULUS), HardWall(), load), 1e-12).pressure,
-    )
-    solver = PressureSteps(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), load))
-    state = State(np.full(grid.local_shape, load), np.empty(grid.local_shape))
-    for tolerance in (0.0, np.inf):
-        solver.compute_gap(state, np.float64)
-        before, gap = whole(grid, state.pressure), whole(grid, state.gap)
-        solver.look(state, tolerance)
-        if tolerance == 0:
-            solver.improve(state, 0.2, 0.0, np.float64)
-    p, h = whole(grid, state.pressure), whole(grid, heights)
-    q = np.hypot(2 * np.pi * np.fft.fftfreq(48)[:, None], 2 * np.pi * np.fft.fftfreq(40))
-    q[0, 0] = np.inf
-
-    def respond(pressure):
-        return np.fft.ifft2(np.fft.fft2(pressure) * 2 / (MODULUS * q)).real
-
-    change, plain = p - before, respond(p) - h
-    sharp = np.vdot(p, gap - gap.min()) + np.vdot(change, respond(change)) / 2
-    assert before.min() < 0 and sharp < 0.9 * np.vdot(p, plain - plain.min())
-    assert state.error * np.vdot(p, respond(p)) == pytest.approx(sharp, rel=1e-4)
-    lost = [np.vdot(pressure, respond(pressure)) / 2 - np.vdot(pressure, h) for pressure in (p, exactly)]
-    assert 0 < lost[0] - lost[1] < sharp
+    grid = SlabGrid(comm, (96, 80))
+    heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
+    q = np.sqrt(grid.q_squared())
+    stress = grid.backward(grid.forward(heights) * MODULUS / 2 * q)
+    load *= np.sqrt(grid.reduction.sum(stress**2) / grid.size)
+    problem = ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), load)
+    exactly = solve_hard_wall(problem, 1e-20)
+    compliance = np.divide(2 / MODULUS, q, out=np.zeros_like(q), where=q > 0)
+    for tolerance in (1e-2, 1e-5, 1e-8, 1e-12):
+        found = solve_hard_wall(problem, tolerance)
+        wrong = found.pressure - exactly.pressure
+        lost = grid.reduction.sum(wrong * grid.backward(grid.forward(wrong) * compliance)) / 2
+        lost += grid.reduction.sum(wrong * exactly.gap)  # where p* = 0
+        true = lost / grid.size / (2 * exactly.elastic_energy)
+        assert found.certified_error <= tolerance
+        assert true <= found.certified_error
+        if true > 1e-18:  # else the tolerance was met by far, and rounding is what is certified
+            assert found.certified_error < 12 * max(true, 0.01 * tolerance)
+            far = np.sqrt(grid.reduction.sum(wrong**2) / grid.reduction.sum(exactly.pressure**2))
+            assert 0.05 < far / found.pressure_error < 2
 
 
-@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-12])
+SHAPES = [(1, 1), (2, 3), (8, 8), (7, 31), (64, 64), (61, 67), (1, 64), (128, 2), (127, 127), (256, 256), (1021, 64)]
+
+
+@pytest.mark.parametrize("solid", [Elasticity(2.0), Elasticity(2.0, 2.0), Elasticity(2.0, 0.3, "free")])
+def test_rounding_is_counted(solid):
+    """The K norm of what single precision gets wrong, against double, is below the bound that certificates contain, for
+    white, smooth and sparse pressures and single pixels; and not 8 times smaller where transforms take many steps."""
+    random = np.random.default_rng(5)
+    for shape in SHAPES:
+        grid = SlabGrid(MPI.COMM_SELF, shape)
+        q = np.sqrt(grid.q_squared())
+        white, pixel = random.random(shape), np.zeros(shape)
+        pixel[-1, 0] = grid.size
+        smooth = grid.backward(grid.forward(white) / np.maximum(q, 2 * np.pi / max(grid.lengths)) ** 2)
+        problem = ContactProblem(grid, np.zeros(shape), solid, HardWall(), 1.0)
+        for pressure in (white, np.abs(smooth), np.where(random.random(shape) < 0.1, white, 0), pixel):
+            if not pressure.any():
+                continue
+            solver, gaps = PressureSteps(problem), []
+            for precision in (np.float64, np.float32):
+                state = State(pressure, np.empty(shape))
+                solver.compute_gap(state, precision)
+                solver.measure(state)
+                gaps.append(state.gap)
+            wrong = grid.forward(gaps[1] - gaps[0])
+            lost = np.sum(grid.hermitian_weight * solid.stiffness(q) * np.abs(wrong) ** 2) / grid.size / 2
+            assert lost <= solver.rounding(np.float32)
+            assert grid.size < 5000 or lost > solver.rounding(np.float32) / 64
+
+
+def lightly_loaded(grid):
+    """Surfaces of one summit, of many, of white noise, and of two that are equally high."""
+    x, y = coordinates(grid)
+    yield self_affine(grid, 0.8, 4.0, 0.1, 1)
+    yield -((x - 7) ** 2 + (y - 9) ** 2) / 50
+    yield np.random.default_rng(2).standard_normal(grid.shape)[grid.rows]
+    yield np.where((x == 3) & (y == 4) | (x == 20) & (y == 21), 1.0, 0.0)
+
+
+@pytest.mark.parametrize("thickness", [np.inf, 2.0])
+@pytest.mark.parametrize("load", [1e-100, 1e-30, 1e-12, 1e-9, 1e-7, 1e-5])
+def test_light_loads_are_certified(comm, load, thickness):
+    """Down to one pixel of contact, and beyond: the load is carried by the summit, with its energy right."""
+    grid = SlabGrid(comm, (40, 36))
+    for heights in lightly_loaded(grid):
+        found = solve_hard_wall(
+            ContactProblem(grid, heights, Elasticity(1.0, thickness, "bonded"), HardWall(), load), 1e-10
+        )
+        assert 0 < found.certified_error <= 1e-10
+        assert grid.reduction.sum(found.pressure) == pytest.approx(load * grid.size, rel=1e-12)
+        assert 0 < found.elastic_energy < np.inf
+        if load <= 1e-30:
+            highest = grid.reduction.max(heights)
+            assert np.array_equal(found.pressure > 0, heights == highest)
+            assert found.mean_gap == pytest.approx(highest - grid.reduction.sum(heights) / grid.size, rel=1e-12)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-12, 1e-20])
 def test_tolerance_is_met(comm, tolerance):
-    """The certified error is at most the tolerance, down to 1e-12: no stagnation in single precision."""
+    """The certified error is at most the tolerance, down to 1e-20: no stagnation in single precision."""
     grid = SlabGrid(comm, (128, 128))
     heights = self_affine(grid, 0.3, 1.0, 0.031, 1)
     assert (
@@ -240,10 +271,11 @@ def test_tolerance_is_met(comm, tolerance):
 
 
 def solved(comm, heights, load, modulus=1.0, lengths=None, start=None):
-    """Whole pressure of a whole surface, solved to 1e-12 on the ranks of comm; and the solution."""
+    """Whole pressure of a whole surface, solved to 1e-20 on the ranks of comm (so that pressures, which err by the root
+    of that, agree to 1e-9); and the solution."""
     grid = SlabGrid(comm, heights.shape, lengths)
     found = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows].copy(), Elasticity(modulus), HardWall(), load), 1e-12, start=start
+        ContactProblem(grid, heights[grid.rows].copy(), Elasticity(modulus), HardWall(), load), 1e-20, start=start
     )
     return whole(grid, found.pressure), found
 
@@ -321,7 +353,7 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
         monkeypatch.setattr(nested_iteration, "MOSTLY", mostly)
         found.append(
             nested_iteration.solve_hard_wall(
-                ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0085 * MODULUS), 1e-12
+                ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0085 * MODULUS), 1e-18
             )
         )
     by_gaps, by_pressures = (solution.pressure for solution in found)

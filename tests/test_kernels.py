@@ -58,18 +58,6 @@ def test_multiply_by_q(dtype, close):
     assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
 
 
-def test_open_gap_and_close_pressure():
-    """A gap where there is no pressure, above a level; and pressure where there is no gap, and its sum."""
-    pressure, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
-    opened, closed = gap.copy(), rng.standard_normal((9, 7))
-    kernels.open_gap(pressure, opened, 0.3, 2, 8)
-    assert np.array_equal(opened[2:8], np.where(pressure > 0, 0, np.maximum(gap - 0.3, 0))[2:8])
-    assert np.array_equal(opened[:2], gap[:2])
-    expected = np.where(opened != 0, 0, np.maximum(closed, 0))[2:8]
-    assert np.isclose(kernels.close_pressure(closed, opened, 2, 8), expected.sum(), rtol=1e-14)
-    assert np.array_equal(closed[2:8], expected)
-
-
 def test_fill_and_drain_rows(points):
     """rows[mask] = values, and values = rows[mask]."""
     mask, offsets, columns = points
@@ -191,58 +179,6 @@ def test_sums_and_differences_of_two_precisions():
     assert np.array_equal(b, expected)
 
 
-def test_start_of_gaps():
-    """max(u − h, 0) where there is no pressure."""
-    p, u, h, gap = np.maximum(rng.random((9, 7)) - 0.5, 0), rng.random((9, 7)), rng.random((9, 7)), np.empty((9, 7))
-    kernels.start_gap(p, u, h, gap)
-    assert np.array_equal(gap, np.where(p > 0, 0, np.maximum(u - h, 0)))
-
-
-def test_contact_lists_and_sums():
-    """The set {p > 0 or (p = 0 and gap < level)}, its values, and the sums of the certificate."""
-    p = np.maximum(rng.random((9, 7)) - 0.5, 0)
-    p[1, 1] = -0.1
-    gap, heights = rng.random((9, 7)) - 0.3, rng.random((9, 7))
-    mask = (p > 0) | ((p == 0) & (gap < 0.1))
-    counts = np.empty(9, np.int64)
-    busy = np.ones((9, 1), bool)
-    set_kernels.count_contact(p, gap, 0.1, busy, 0, 9, counts)
-    assert np.array_equal(counts, mask.sum(axis=1))
-    offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
-    set_kernels.list_contact(p, gap, 0.1, busy, 0, 9, offsets, columns)
-    assert np.array_equal(columns, np.nonzero(mask)[1])
-    values = np.empty(mask.sum())
-    set_kernels.take_rows(gap, columns, offsets, 0, 9, values)
-    assert np.array_equal(values, gap[mask])
-    set_kernels.put_rows(heights, columns, offsets, 0, 9, values)
-    assert np.array_equal(heights[mask], gap[mask])
-    set_kernels.add_to_rows(heights, columns, offsets, 0, 9, values)
-    assert np.array_equal(heights[mask], 2 * gap[mask])
-    on = p > 0
-    expected = (p * gap)[on].sum(), (p * (gap + heights))[on].sum(), p[on].sum(), on.sum()
-    assert np.allclose(kernels.contact_sums(p, gap, heights, 0, 9), expected, rtol=1e-13)
-    assert np.allclose(set_kernels.contact_sums(p, gap, heights, columns, offsets, 0, 9), expected, rtol=1e-13)
-
-
-def test_busy_segments():
-    """Segments with listed points or a low gap; the same points are found in them as anywhere."""
-    ny = 2 * kernels.SEGMENT + 9
-    p, gap = np.zeros((5, ny)), 1 + rng.random((5, ny))
-    p[1, 70], gap[2, 3], gap[3, ny - 1] = 1.0, 0.5, 0.5
-    least, busy = np.empty((5, 3)), np.empty((5, 3), bool)
-    kernels.least_of_segments(gap, least)
-    parts = [gap[:, a : a + kernels.SEGMENT].min(axis=1) for a in range(0, ny, kernels.SEGMENT)]
-    assert np.array_equal(least, np.transpose(parts))
-    offsets, columns = np.array([0, 0, 1, 1, 1, 1]), np.array([70], np.int32)
-    set_kernels.mark_busy(columns, offsets, least, 0.7, 0, 5, busy)
-    assert np.array_equal(np.transpose(np.nonzero(busy)), [(1, 1), (2, 0), (3, 2)])
-    counts, found = np.empty(5, np.int64), np.empty(3, np.int32)
-    set_kernels.count_contact(p, gap, 0.7, busy, 0, 5, counts)
-    assert np.array_equal(counts, [0, 1, 1, 1, 0])
-    set_kernels.list_contact(p, gap, 0.7, busy, 0, 5, np.concatenate([[0], np.cumsum(counts)]), found)
-    assert np.array_equal(found, [70, 3, ny - 1])
-
-
 def test_finish_rows():
     """p and the gap in other units, the gap nowhere negative and 0 in contact; how far it was from that."""
     p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
@@ -259,14 +195,146 @@ def test_squares_of_steps():
     assert kernels.squares_of_steps(field) == pytest.approx((np.diff(field, axis=1) ** 2).sum(), rel=1e-13)
 
 
+@pytest.fixture
+def fields():
+    """Pressures below, at, between and above the bounds 0 and 1, gaps of either sign or 0, and heights."""
+    p = rng.choice([-0.5, 0.0, 0.3, 0.6, 1.0, 1.4], (9, 7))
+    return p, rng.choice([-0.4, 0.0, 0.2, 0.5], (9, 7)), rng.standard_normal((9, 7))
+
+
+@pytest.mark.parametrize("by_gaps", [False, True])
+def test_unknowns_are_listed(fields, by_gaps):
+    """Of the pressure: between the bounds, or at one with a gap that drives it away; of the gap: not 0, or a pressure
+    beyond the bounds."""
+    p, gap, _ = fields
+    mask = ((p > 0) | (gap < 0.1)) & ((p < 1) | (gap > 0.1))
+    if by_gaps:
+        mask = (gap != 0) | (p < 0) | (p > 1)
+    counts = np.zeros(9, np.int64)
+    set_kernels.count_unknowns(p, gap, 0.1, 1.0, by_gaps, 0, 9, counts)
+    assert np.array_equal(counts, mask.sum(axis=1))
+    offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
+    set_kernels.list_unknowns(p, gap, 0.1, 1.0, by_gaps, 0, 9, offsets, columns)
+    assert np.array_equal(columns, np.nonzero(mask)[1])
+
+
+def test_responses_and_their_squares(fields):
+    """u − h and Σ u²; h + g, its sum and Σ u²; p + mean and Σ p²."""
+    _, gap, heights = fields
+    u, out = rng.random((9, 7)).astype(np.float32), np.empty((9, 7))
+    assert set_kernels.subtract_heights(u, heights, out) == pytest.approx((u.astype(float) ** 2).sum(), rel=1e-13)
+    assert np.array_equal(out, u - heights)
+    sums = set_kernels.add_heights(heights, gap, out)
+    assert np.allclose(sums, ((gap + heights).sum(), ((gap + heights) ** 2).sum()), rtol=1e-12, atol=1e-12)
+    assert np.array_equal(out, gap + heights)
+    assert set_kernels.add_mean(u, 0.3, out) == pytest.approx(((u + 0.3) ** 2).sum(), rel=1e-6)
+    assert np.allclose(out, u + 0.3, rtol=1e-6)
+
+
+def test_sums_of_a_state(fields):
+    """Σ p g, Σ p and # of the unknowns; Σ p (g + h), Σ p², Σ p g, Σ p and # in contact."""
+    p, gap, heights = fields
+    on, free = p > 0, (p > 0) & (p < 1)
+    expected = (p * gap)[free].sum(), p[free].sum(), free.sum(), (p * (gap + heights))[on].sum()
+    expected += (p**2)[on].sum(), (p * gap)[on].sum(), p[on].sum(), on.sum()
+    assert np.allclose(set_kernels.contact_sums(p, gap, heights, 1.0, 0, 9), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("cut", [(0, 9), (0, 4), (4, 9)])
+def test_field_of_the_certificate(fields, cut):
+    """g − λ between the bounds; elsewhere the mean of that over the neighbours, others counting as 0, where it is
+    allowed: at most g − λ where p = 0, at least g − λ where p = top."""
+    p, gap, _ = fields
+    p = np.clip(p, 0, 1)
+    free, away = (p > 0) & (p < 1), gap - 0.1
+    uneven = np.where(free, away, 0)
+    around = sum(np.roll(uneven, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 8
+    expected = np.where(free, away, np.where(p <= 0, np.minimum(around, away), np.maximum(around, away)))
+    edges, out = np.stack([uneven[-1], uneven[0]]), np.empty((cut[1] - cut[0], 7))
+    set_kernels.residual_rows((p, gap), 0.1, 1.0, edges, cut[0], out)
+    assert np.allclose(out, expected[cut[0] : cut[1]], rtol=0, atol=1e-15)
+
+
+def test_products_of_spectra():
+    """Σ_j w_j Σ_i Re(a* b)."""
+    a, b = (rng.standard_normal((3, 8, 2)).astype(np.float32) for _ in range(2))
+    expected = (np.array([1.0, 2, 2]) @ (a.astype(float) * b).sum(axis=(1, 2))).sum()
+    assert set_kernels.spectral_dot(a, b, np.array([1.0, 2, 2])) == pytest.approx(expected, rel=1e-12)
+
+
 def test_start_rows():
-    """Contact where reach · p exceeds the gap, with the coarse pressure."""
-    coarse, u, h = rng.random((9, 7)), rng.random((9, 7)), rng.random((9, 7))
-    out = np.empty((9, 7))
-    total, count = kernels.start_rows(coarse, u, h, 0.3, out)
-    mask = 0.3 * coarse > u - h
-    assert np.array_equal(out, np.where(mask, coarse, 0))
-    assert (total, count) == (pytest.approx(out.sum()), mask.sum())
+    """Contact where reach · p exceeds the gap, with the coarse pressure and a part of what new heights add."""
+    p, g, coarse, h = rng.random((4, 9, 7))
+    pressure, gap = np.empty((2, 9, 7))
+    set_kernels.start_rows(p, g, coarse, h, 0.3, pressure, gap)
+    assert np.array_equal(gap, g - (h - coarse))
+    rougher = np.maximum(p + set_kernels.ROUGHER * (h - coarse) / 0.3, 1e-300)
+    assert np.allclose(pressure, np.where(0.3 * p > gap, rougher, 0), rtol=1e-14)
+
+
+def test_listed_points_are_cut(points):
+    """level − f; sums by blocks of columns of p and of p cut at 0 and at the top; the cut pressures times a factor of
+    the block, at most the top: at the points of some rows, nothing elsewhere."""
+    mask, offsets, columns = points
+    field, part, top = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8]), 0.8
+    old, values = field.copy(), np.zeros(offsets[-1], np.float32)
+    set_kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
+    assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
+    sums, masked = np.ones((2, 4)), np.where(mask, field, 0)[2:8]
+    set_kernels.sums_in_blocks(field, columns, offsets, 2, 8, 1, top, sums)
+    for row, each in zip(sums, (masked, np.clip(masked, 0, top)), strict=True):
+        assert np.allclose(row - 1, np.add.reduceat(each.sum(axis=0), (0, 2, 4, 6)), rtol=1e-13)
+    chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
+    factors = np.array([1.5, 0.5, 2.0, 0.0])
+    set_kernels.cut_and_scale(field, columns, offsets, 2, 8, 1, top, factors)
+    expected = np.minimum(np.repeat(factors, 2)[:7] * np.maximum(old, 0), top)
+    assert np.array_equal(field, np.where(chosen, expected, old))
+    set_kernels.add_to_rows(field, columns, offsets, 2, 8, values)
+    assert np.allclose(field[chosen], expected[chosen] + values[part], rtol=1e-14)
+
+
+def test_gaps_of_unknowns(fields):
+    """What the pressure lacks of its bound: the top for a gap below 0 or a pressure above, else 0; gaps are cut by the
+    bound at which the pressure is."""
+    p, gap, _ = fields
+    mask = (gap != 0) | (p < 0) | (p > 1)
+    offsets, columns = np.concatenate([[0], np.cumsum(mask.sum(axis=1))]), np.nonzero(mask)[1].astype(np.int32)
+    values = np.empty(offsets[-1], np.float32)
+    set_kernels.take_beyond(p, gap, columns, offsets, 0, 9, 1.0, values)
+    bound = np.where((gap < 0) | (gap == 0) & (p > 1), 1.0, 0.0)
+    assert np.allclose(values, (bound - p)[mask], rtol=1e-6)
+    cut = gap.copy()
+    set_kernels.cut_gaps(bound, cut, columns, offsets, 0, 9)
+    assert np.array_equal(cut, np.where(bound == 0, np.maximum(gap, 0), np.minimum(gap, 0)))
+
+
+@pytest.mark.parametrize("share", [(1.0, 0.0, 0.0), (0.7, 0.0, 0.0), (1.0, 0.4, 0.0), (0.0, 0.0, 0.25)])
+def test_pressures_are_settled(fields, share):
+    """0 where the gap is open or p < 0, the top where it is negative or p exceeds it, a factor and a part of what lacks
+    of the top between; or uniform.  By how much that is; the sums of it; gaps opened by it."""
+    p, gap, heights = fields
+    one = np.where((gap > 0) | (p <= 0), 0, np.where((gap < 0) | (p >= 1), 1.0, p))
+    free = (one > 0) & (one < 1)
+    settled = np.where(free, share[0] * one + share[1] * (1 - share[0] * one), one)
+    settled = np.full_like(p, share[2]) if share[2] else settled
+    change, out = np.empty_like(p), p.copy()
+    set_kernels.settling_rows(p, gap, 1.0, share, change)
+    assert np.allclose(change, settled - p, rtol=1e-14)
+    set_kernels.settle_rows(out, gap, 1.0, share, 0, 9)
+    assert np.allclose(out, settled, rtol=1e-14)
+    full = one == 1
+    expected = one[free].sum(), full.sum(), (1 - one)[free].sum(), (p * heights)[free].sum()
+    expected += (gap + heights)[full].sum(), free.sum() + full.sum()
+    assert np.allclose(set_kernels.settled_sums(p, gap, heights, 1.0, 0, 9), expected, rtol=1e-12, atol=1e-12)
+    plain = np.clip(p, 0, 1)
+    inside = plain[(plain > 0) & (plain < 1)]
+    expected = inside.sum(), np.count_nonzero(plain == 1), (1 - inside).sum()
+    assert np.allclose(set_kernels.bounded_sums(plain, 1.0, 0, 9), expected, rtol=1e-13)
+    opened = gap.copy()
+    set_kernels.open_rows(plain, opened, 0.1, 1.0, 0, 9)
+    away = gap - 0.1
+    cut = np.where(plain <= 0, np.maximum(away, 0), np.where(plain >= 1, np.minimum(away, 0), 0))
+    assert np.array_equal(opened, cut)
 
 
 def test_interpolate_rows():
@@ -279,38 +347,6 @@ def test_interpolate_rows():
     kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
     picked = coarse[(index[:, None] + np.arange(4))[:, :, None, None], columns[None, None]]
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13)
-
-
-def test_sums_over_listed_points(points):
-    """Σ f v and Σ f over the points of some rows; Σ f and Σ max(f, 0) by blocks of columns."""
-    mask, offsets, columns = points
-    field, values = rng.standard_normal(mask.shape), rng.standard_normal(offsets[-1]).astype(np.float32)
-    inside, part = field[2:8][mask[2:8]], slice(offsets[2], offsets[8])
-    assert np.isclose(set_kernels.dot_rows(field, columns, offsets, 2, 8, values), inside @ values[part], rtol=1e-14)
-    assert np.isclose(set_kernels.sum_rows(field, columns, offsets, 2, 8), inside.sum(), rtol=1e-14)
-    sums, masked = np.ones((2, 4)), np.where(mask, field, 0)[2:8]
-    set_kernels.signed_sums(field, columns, offsets, 2, 8, 1, sums)
-    for row, values in zip(sums, (masked, np.maximum(masked, 0)), strict=True):
-        assert np.allclose(row - 1, np.add.reduceat(values.sum(axis=0), (0, 2, 4, 6)), rtol=1e-14)
-
-
-def test_take_below_and_cut(points):
-    """level − f, and max(f, 0) with its change and how often, and the same times a factor by blocks of columns, at the
-    points of some rows; nothing elsewhere.
-    """
-    mask, offsets, columns = points
-    field, part = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8])
-    old, values = field.copy(), np.zeros(offsets[-1], np.float32)
-    set_kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
-    assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
-    chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
-    assert set_kernels.cut_negative(field, columns, offsets, 2, 8, values) == np.count_nonzero(old[chosen] < 0)
-    assert np.array_equal(field, np.where(chosen, np.maximum(old, 0), old))
-    assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
-    field, factors = old.copy(), np.array([1.5, 0.5, 2.0, 0.0])
-    set_kernels.cut_and_scale(field, columns, offsets, 2, 8, 1, factors, values)
-    assert np.array_equal(field, np.where(chosen, np.repeat(factors, 2)[:7] * np.maximum(old, 0), old))
-    assert np.array_equal(values[part], (field - old)[2:8][mask[2:8]].astype(np.float32))
 
 
 def test_vectors_of_conjugate_gradients():

@@ -63,10 +63,10 @@ def test_areas_are_met_within_half_a_per_cent_in_few_solutions(rough):
 def test_a_load_does_not_depend_on_the_loads_before(rough):
     """Up and down a sequence of pressures, warm and cold: pressures agree to 1e-8, contact is the same."""
     grid, heights = rough
-    counted = Counted("pressure", grid, heights, tolerance=1e-13)
+    counted = Counted("pressure", grid, heights, tolerance=1e-18)
     for load in (0.004, 0.00402, 0.0041, 0.02, 0.0199, 0.0041, 0.00402, 0.004):
         found = counted.solution(load)
-        cold = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-13))
+        cold = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-18))
         apart = found.pressure - cold.pressure
         assert math.sqrt(grid.reduction.dot(apart, apart) / grid.reduction.dot(cold.pressure, cold.pressure)) < 1e-8
 
@@ -85,7 +85,7 @@ def test_mean_gaps_are_met(rough, gap):
     """⟨u − h⟩ to 1e-5 of the rms height, for a hard wall."""
     grid, heights = rough
     rms = math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
-    found = Counted("mean_gap", grid, heights).solution(gap * rms)
+    found = Counted("mean_gap", grid, heights, gap_tolerance=5e-6).solution(gap * rms)
     assert found.mean_gap == pytest.approx(gap * rms, abs=1e-5 * rms)
     assert grid.reduction.sum(found.gap) / grid.size == pytest.approx(gap * rms, abs=2e-5 * rms)
 

@@ -12,8 +12,6 @@ import numpy as np
 
 jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, error_model="numpy")
 
-SEGMENT = 64  # columns of which one number says whether they are worth a look
-
 u = np.uintp  # of indices: spares the test for negative ones, without which loops are not vectorised
 
 
@@ -161,18 +159,6 @@ def _blend_rows(coarse: np.ndarray, first: int, weights: np.ndarray, line: np.nd
         line[width + 1 + t] = line[1 + t]
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True, error_model="numpy")  # as if no NaN: else minima are slow
-def least_of_segments(field: np.ndarray, least: np.ndarray) -> None:
-    """least[i, s] = the smallest of field[i, s · SEGMENT:(s + 1) · SEGMENT]"""
-    for i in range(field.shape[0]):
-        row = field[i]
-        for s in range(least.shape[1]):
-            lowest = row[s * SEGMENT]
-            for j in range(s * SEGMENT, min((s + 1) * SEGMENT, row.size)):
-                lowest = min(lowest, row[u(j)])
-            least[i, s] = lowest
-
-
 @jit
 def interpolate_rows(
     coarse: np.ndarray,
@@ -196,45 +182,6 @@ def interpolate_rows(
 
 
 @jit
-def contact_sums(
-    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, first: int, stop: int
-) -> tuple[float, float, float, int]:
-    """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) of rows first … stop−1, where p > 0."""
-    work = energy = load = 0.0
-    count = 0
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            p = pressure[i, j]
-            if p > 0:
-                g = gap[i, j]
-                work += p * g
-                energy += p * (g + heights[i, j])
-                load += p
-                count += 1
-    return work, energy, load, count
-
-
-@jit
-def open_gap(pressure: np.ndarray, gap: np.ndarray, level: float, first: int, stop: int) -> None:
-    """gap = 0 where p > 0, max(gap − level, 0) elsewhere, in rows first … stop−1."""
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            gap[i, j] = 0.0 if pressure[i, j] > 0 else max(gap[i, j] - level, 0.0)
-
-
-@jit
-def close_pressure(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> float:
-    """p = 0 where the gap is not 0, max(p, 0) elsewhere, in rows first … stop−1; returns Σ p."""
-    total = 0.0
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            p = 0.0 if gap[i, j] != 0 else max(pressure[i, j], 0.0)
-            pressure[i, j] = p
-            total += p
-    return total
-
-
-@jit
 def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float) -> float:
     """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
     where p > 0 and level − gap elsewhere, as they were.
@@ -250,34 +197,6 @@ def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float
             gap[i, j] = 0.0 if closed else height * max(away, 0.0)
             pressure[i, j] *= unit
     return largest
-
-
-@jit
-def start_rows(
-    coarse_pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, reach: float, pressure: np.ndarray
-) -> tuple[float, int]:
-    """p = max(coarse p, tiny) where reach · p exceeds the gap u − h, else 0; returns Σ p and #{p > 0}."""
-    total = 0.0
-    count = 0
-    for i in range(pressure.shape[0]):
-        for j in range(pressure.shape[1]):
-            p = coarse_pressure[i, j]
-            if reach * p > displacement[i, j] - heights[i, j]:
-                p = max(p, 1e-300)
-                count += 1
-            else:
-                p = 0.0
-            pressure[i, j] = p
-            total += p
-    return total, count
-
-
-@jit
-def start_gap(pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, gap: np.ndarray) -> None:
-    """gap = 0 where p > 0, max(u − h, 0) elsewhere."""
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            gap[i, j] = 0.0 if pressure[i, j] > 0 else max(displacement[i, j] - heights[i, j], 0.0)
 
 
 @jit

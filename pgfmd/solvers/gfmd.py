@@ -45,7 +45,7 @@ def solve_gfmd(
     start: a pressure (nx_local, ny) to begin with.  overwrite_heights: use their memory.  Raises InputError for what is
     out of range, SolverError if `max_steps` do not reach the tolerance.
     """
-    units = Dimensionless(problem, by_load=True, overwrite_heights=overwrite_heights)
+    units = Dimensionless(problem, overwrite_heights=overwrite_heights)
     if units.uniform is not None:
         return units.uniform
     dynamics, grid = Dynamics(units.problem), problem.grid

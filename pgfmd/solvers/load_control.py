@@ -40,7 +40,7 @@ class Loads:
     solver: what solves at a given mean pressure
     """
 
-    def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-6, solver: Solver | None = None):
+    def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: Solver | None = None):
         load.check_law(problem.law)
         self.control, self.name = CONTROLS[load.control](problem, load), load.control
         self.problem, self.grid, self.tolerance = problem, problem.grid, tolerance
@@ -110,7 +110,7 @@ class Loads:
             if finer < tolerance and (error <= max(1.0, unsure) or jumps):
                 tolerance = finer
                 search.restart(1.0 if jumps else search.slope)
-                if error <= 1:
+                if error <= max(1.0, unsure):  # on which side of the target it lies is not known
                     continue
             search.add(control.distance(found, target))
         if best[1] is None or not (control.jumps and search.width <= JUMP):

@@ -26,7 +26,8 @@ UNDERFLOW = 800.0  # ranges of a law over which a pressure falls below the small
 
 
 class Dimensionless:
-    """A contact problem with heights about their mean and over their rms value.  Collective to make.
+    """A contact problem with heights about their mean and over their rms value, pressures over their mean.  Collective
+    to make.
 
     problem: the dimensionless one, or None where `uniform`, the solution, needs no solver: without a load, without
     roughness, or under a law that hardly feels it.  Wave numbers, and so lengths in the plane, keep their unit.
@@ -36,10 +37,8 @@ class Dimensionless:
     lose no digits.
     """
 
-    def __init__(self, physical: ContactProblem, by_load: bool = False, overwrite_heights: bool = False):
-        """by_load: the unit of pressure is the mean pressure instead of contact modulus × rms height / spacing.
-        overwrite_heights: use their memory.  Raises InputError for what cannot be solved.
-        """
+    def __init__(self, physical: ContactProblem, overwrite_heights: bool = False):
+        """overwrite_heights: use their memory.  Raises InputError for what cannot be solved."""
         physical.check()
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
@@ -55,7 +54,7 @@ class Dimensionless:
                 f"wall.zeta = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can touch, here "
                 f'{height:g}; shorter walls are hard: wall.kind = "hard"'
             )
-        unit = physical.mean_pressure if by_load else solid.contact_modulus * height / min(grid.spacing)
+        unit = physical.mean_pressure
         self.units = Units(height, unit, law.gap(unit, solid))
         self.problem = ContactProblem(
             grid, heights, solid.in_units(height, unit), law.in_units(self.units), physical.mean_pressure / unit
@@ -70,7 +69,7 @@ class Dimensionless:
         gap = np.subtract(top, heights, out=heights)
         approach = self._heights.top * height - top
         return ContactSolution(
-            np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds, approach=approach
+            np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds, 0.0, approach, 0.0
         )
 
     def solution(self, state, energy: float, tolerance: float, coarse_transforms: float = 0.0) -> ContactSolution:
@@ -107,6 +106,7 @@ class Dimensionless:
             seconds=time.perf_counter() - self._began,
             threshold=self.physical.law.contact_above(mean, square) * units.pressure,
             approach=(level + self._heights.top) * units.height - units.offset,
+            pressure_error=getattr(state, "pressure_error", math.nan),
         )
 
     def _digits(self, square: float) -> float:

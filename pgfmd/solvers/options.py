@@ -26,7 +26,10 @@ class Solver(Section):
     where: ClassVar[str] = "solver"
     method: str = key(choice("auto", *METHODS), "auto")
     tolerance: float = key(
-        number(above=0, below=1), 1e-6, "certified error of the energy over 2 E_el at which it stops"
+        number(above=0, below=1),
+        1e-8,
+        "certified error of the energy over 2 E_el at which it stops; of second order, so that 1e-8 leaves an error of "
+        "some 1e-3 ... 1e-4 of the pressure's rms value",
     )
     max_iterations: int | None = key(integer(1), about='time steps of "gfmd", 10000 if not given; others need no limit')
     transform: str = key(

@@ -17,7 +17,8 @@ class ContactSolution:
     relative to twice the elastic energy; max_violation, the largest violation of the law over the rms height;
     iterations and transforms (pairs, in double-precision equivalents of the finest grid); seconds of wall time;
     threshold, the pressure above which a point counts as in contact (0 but under laws that touch everywhere); approach
-    of the solid from where the undeformed one touches the highest point.
+    of the solid from where the undeformed one touches the highest point; pressure_error, an estimate of
+    ‖p − p*‖₂/‖p*‖₂ (NaN where the solver gives none).
     """
 
     pressure: np.ndarray
@@ -32,6 +33,7 @@ class ContactSolution:
     seconds: float
     threshold: float = 0.0
     approach: float = math.nan
+    pressure_error: float = math.nan
 
     def pressure_in_contact(self) -> np.ndarray:
         """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Protocol
+
 import numpy as np
 
 from pgfmd.parallel.collectives import Reduction
@@ -11,52 +14,71 @@ from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 PART = 1 << 16  # entries that a thread takes at a time: fewer are not worth waking it for
 
 
-def solve_on_set(
-    points: ContactSet,
-    residual: SetVector,
-    operator,
-    preconditioner,
-    reduction_wanted: float,
-    most: int,
-    neutral: bool = True,
-) -> tuple[np.ndarray, int]:
-    """x (count,) on the set with S A Sᵀ x = residual; if `neutral`, up to a constant and with Σ x = 0.  Collective.
+class Operator(Protocol):
+    """A linear operator between the points of a set."""
 
-    `operator` applies A by apply(points, SetVector, out), and `preconditioner` something like its inverse by
-    apply(points, SetVector, SetVector).  Overwrites `residual`, which ends as the remaining one.  Stops at the wanted
-    reduction of its norm (in the metric of the preconditioner) or after `most` iterations.  Returns x (count,) and the
-    number of iterations, each of one convolution.
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
+        """out (count,) = A · values.  Collective."""
+
+
+class Preconditioner(Protocol):
+    """Something like the inverse of an operator."""
+
+    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
+        """out = M · residual.  Collective."""
+
+
+class ConjugateGradients:
+    """S A Sᵀ x = residual on a set, for an operator A; if `neutral`, up to a constant and with Σ x = 0.
+
+    Attributes: square, ⟨residual, M residual⟩ with the preconditioner M, of the residual as it is now.
     """
-    threads, reduction = points.grid.threads, Reduction(points.grid.comm)
-    real = residual.own.dtype.type
 
-    def sums(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Σ a b, Σ a, Σ b over all ranks."""
-        parts = threads.collect(lambda i, j: set_kernels.dot_and_sums(a, b, i, j), len(a), PART)
-        return reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)))
+    def __init__(
+        self, residual: SetVector, operator: Operator, preconditioner: Preconditioner, neutral: bool = True
+    ) -> None:
+        """residual: is overwritten.  Collective."""
+        self.points, self.residual, self.operator, self.preconditioner = (
+            residual.points, residual, operator, preconditioner
+        )  # fmt: skip
+        self.reduction, self.threads = Reduction(self.points.grid.comm), self.points.grid.threads
+        self.share = 1 / self.reduction.sum(self.points.count) if neutral else 0.0  # of a sum that a point takes off
+        self.z, self.mean = SetVector(self.points), 0.0
+        residual.own -= residual.own.dtype.type(self._sums(residual.own, residual.own)[1] * self.share)
+        self.square = self._precondition()
 
-    share = 1 / reduction.sum(points.count) if neutral else 0.0  # of the mean that a point takes off
-    z, direction = SetVector(points), SetVector(points)
-    r, d = residual.own, direction.own
-    x, product = np.zeros_like(r), np.empty_like(r)
-    d[:] = 0
-    r -= real(sums(r, r)[1] * share)
-    start, rz_old = None, np.inf
-    for iteration in range(most + 1):
-        preconditioner.apply(points, residual, z)
-        rz, sum_r, sum_z = sums(r, z.own)
-        mean_z = sum_z * share
-        rz -= mean_z * sum_r  # z is made to sum to zero
-        start = rz if start is None else start
-        if rz <= reduction_wanted**2 * start or iteration == most or rz <= 0:
-            return x, iteration
-        turn = real(rz / rz_old), real(mean_z)
-        threads.share(lambda _, i, j: set_kernels.turn(d, z.own, *turn, i, j), len(d), PART)  # noqa: B023 (run at once)
-        rz_old = rz
-        operator.apply(points, direction, product)
-        curvature, _, sum_product = sums(d, product)
-        if not curvature > 0:
-            return x, iteration
-        step = real(rz / curvature), real(sum_product * share)
-        threads.share(lambda _, i, j: set_kernels.advance(x, r, d, product, *step, i, j), len(d), PART)  # noqa: B023
-    return x, most
+    def solve(self, reduction: float, most: int) -> tuple[np.ndarray, int]:
+        """x (count,) that reduces the root of `square` by that factor, in at most so many iterations; and their number,
+        each of one application of A.  Collective.
+        """
+        residual, z, direction = self.residual.own, self.z.own, SetVector(self.points)
+        real, d = residual.dtype.type, direction.own
+        x, product = np.zeros_like(residual), np.empty_like(residual)
+        d[:] = 0
+        before, wanted = math.inf, reduction**2 * self.square
+        for iteration in range(most):
+            if self.square <= wanted or self.square <= 0:
+                return x, iteration
+            turn = real(self.square / before), real(self.mean)
+            self.threads.share(lambda _, i, j: set_kernels.turn(d, z, *turn, i, j), len(d), PART)  # noqa: B023 (run at once)
+            before = self.square
+            self.operator.apply(self.points, direction, product)
+            curvature, _, total = self._sums(d, product)
+            if not curvature > 0:
+                return x, iteration
+            step = real(before / curvature), real(total * self.share)
+            self.threads.share(lambda _, i, j: set_kernels.advance(x, residual, d, product, *step, i, j), len(d), PART)  # noqa: B023
+            self.square = self._precondition()
+        return x, most
+
+    def _precondition(self) -> float:
+        """z = M · residual; returns their product, once z is made to sum to zero (in `turn`).  Collective."""
+        self.preconditioner.apply(self.points, self.residual, self.z)
+        square, sum_r, sum_z = self._sums(self.residual.own, self.z.own)
+        self.mean = sum_z * self.share
+        return square - self.mean * sum_r
+
+    def _sums(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Σ a b, Σ a, Σ b over all ranks.  Collective."""
+        parts = self.threads.collect(lambda i, j: set_kernels.dot_and_sums(a, b, i, j), len(a), PART)
+        return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)))

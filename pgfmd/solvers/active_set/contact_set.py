@@ -9,7 +9,6 @@ import math
 import numpy as np
 from mpi4py import MPI
 
-from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
@@ -18,7 +17,9 @@ HALO = 8  # rows of neighbours: enough for stencils, and for coarser grids whose
 
 
 class ContactSet:
-    """Points of this rank with p > 0, or with p = 0 and a gap below `level`.
+    """The unknowns of this rank: points whose pressure lies between its bounds 0 and `top`, or at one of them with a
+    gap above or below `level` that drives it away; or if `by_gaps`, points whose gap is not 0, or whose pressure is
+    beyond its bounds.
 
     Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it.  `lists` and `extended` are
     (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set are arrays (count,), or
@@ -26,36 +27,31 @@ class ContactSet:
     """
 
     def __init__(
-        self, grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, level: float, busy: np.ndarray | None = None
-    ):
-        """busy (nx_local, segments): which `kernels.SEGMENT` columns of each row can hold points; all if None."""
+        self,
+        grid: SlabGrid,
+        fields: tuple[np.ndarray, np.ndarray],
+        level: float = 0.0,
+        top: float = math.inf,
+        by_gaps: bool = False,
+    ) -> None:
+        """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid = grid
         rows = grid.local_shape[0]
-        busy = np.ones(segments(grid), bool) if busy is None else busy
+        which = *fields, level, top, by_gaps
         counts = np.empty(rows, np.int64)
-        grid.threads.deal(lambda a, b: set_kernels.count_contact(pressure, gap, level, busy, a, b, counts), rows)
+        grid.threads.deal(lambda a, b: set_kernels.count_unknowns(*which, a, b, counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
         offsets = self._plan_halo(counts)
         columns = SetVector(self, np.int32)
         self.columns = columns.own
-        grid.threads.deal(
-            lambda a, b: set_kernels.list_contact(pressure, gap, level, busy, a, b, self.offsets, self.columns), rows
-        )
+        grid.threads.deal(lambda a, b: set_kernels.list_unknowns(*which, a, b, self.offsets, self.columns), rows)
         self.extended = columns.exchange(), offsets
 
     @property
     def lists(self) -> tuple[np.ndarray, np.ndarray]:
         """(columns, offsets) of this rank's points."""
         return self.columns, self.offsets
-
-    def take(self, field: np.ndarray) -> np.ndarray:
-        """The values (count,) of a field (nx_local, ny) on the set."""
-        values = np.empty(self.count, field.dtype)
-        self.grid.threads.deal(
-            lambda a, b: set_kernels.take_rows(field, self.columns, self.offsets, a, b, values), len(field)
-        )
-        return values
 
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision."""
@@ -65,48 +61,19 @@ class ContactSet:
         )
         return out
 
-    def dot(self, field: np.ndarray, values: np.ndarray) -> float:
-        """Σ field (nx_local, ny) · values (count,) over this rank's points."""
-        parts = self.grid.threads.collect(
-            lambda a, b: set_kernels.dot_rows(field, self.columns, self.offsets, a, b, values), len(field)
-        )
-        return math.fsum(parts)
-
-    def busy(self, least: np.ndarray, level: float) -> np.ndarray:
-        """Which segments (nx_local, segments) hold a point, or have a `least` value below the level."""
-        busy = np.empty(least.shape, bool)
+    def beyond(self, pressure: np.ndarray, gap: np.ndarray, top: float) -> SetVector:
+        """What the pressure (nx_local, ny) lacks of its bound, in single precision, on a set chosen by gaps."""
+        out = SetVector(self)
         self.grid.threads.deal(
-            lambda a, b: set_kernels.mark_busy(self.columns, self.offsets, least, level, a, b, busy), len(least)
+            lambda a, b: set_kernels.take_beyond(pressure, gap, self.columns, self.offsets, a, b, top, out.own),
+            len(gap),
         )
-        return busy
+        return out
 
-    def contact_sums(self, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray) -> tuple[float, ...]:
-        """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) over this rank's points where p > 0, of fields (nx_local, ny)."""
-        parts = self.grid.threads.collect(
-            lambda a, b: set_kernels.contact_sums(pressure, gap, heights, self.columns, self.offsets, a, b), len(gap)
-        )
-        return tuple(map(math.fsum, zip(*parts, strict=True)))
-
-    def sum(self, field: np.ndarray) -> float:
-        """Σ field (nx_local, ny) over this rank's points."""
-        return math.fsum(
-            self.grid.threads.collect(
-                lambda a, b: set_kernels.sum_rows(field, self.columns, self.offsets, a, b), len(field)
-            )
-        )
-
-    def cut_negative(self, field: np.ndarray) -> tuple[SetVector, int]:
-        """field (nx_local, ny) = max(field, 0) on the set.  Returns its change, and of how many points."""
-        change = SetVector(self)
-        counts = self.grid.threads.collect(
-            lambda a, b: set_kernels.cut_negative(field, self.columns, self.offsets, a, b, change.own), len(field)
-        )
-        return change, sum(counts)
-
-    def put(self, field: np.ndarray, values: np.ndarray) -> None:
-        """Overwrites a field (nx_local, ny) on the set."""
+    def cut_gaps(self, pressure: np.ndarray, gap: np.ndarray) -> None:
+        """Makes the gap (nx_local, ny) ≥ 0 where there is no pressure and ≤ 0 elsewhere, on the set."""
         self.grid.threads.deal(
-            lambda a, b: set_kernels.put_rows(field, self.columns, self.offsets, a, b, values), len(field)
+            lambda a, b: set_kernels.cut_gaps(pressure, gap, self.columns, self.offsets, a, b), len(gap)
         )
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
@@ -155,11 +122,6 @@ class ContactSet:
     def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray, targets: ContactSet | None = None) -> None:
         """out = (kernel ∗ values) on the set, or on `targets`.  Collective."""
         self.grid.convolve(self.fill(values), action, (targets or self).drain(out), np.float32)
-
-
-def segments(grid: SlabGrid) -> tuple[int, int]:
-    """Rows of this rank, and the segments of a row."""
-    return grid.local_shape[0], -(-grid.shape[1] // kernels.SEGMENT)
 
 
 class SetVector:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgfmd.grid.kernels import SEGMENT, jit, u
+from pgfmd.grid.kernels import jit, u
 
 _APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
 
@@ -170,142 +170,310 @@ def add_blocks(values, table, columns, offsets, first, stop, row_block, column_b
 
 
 @jit
-def mark_busy(columns, offsets, least, level, first, stop, busy):
-    """busy[i, s] = whether the segment s of row i holds a listed point or has a least value below `level`."""
-    for i in range(first, stop):
-        for s in range(least.shape[1]):
-            busy[i, s] = least[i, s] < level
-        for k in range(offsets[i], offsets[i + 1]):
-            busy[i, u(columns[k]) // SEGMENT] = True
+def _unknown(p, g, level, top, by_gaps):
+    """Whether a point is an unknown.
+
+    Of the pressure: between its bounds 0 and `top`, or at one of them with a gap that drives it away from there.  Of
+    the gap: where it is not 0, or where the pressure p̄ + K(h + g) is beyond a bound.
+    """
+    if by_gaps:
+        return (g != 0) | (p < 0) | (p > top)
+    return ((p > 0) | (g < level)) & ((p < top) | (g > level))
 
 
 @jit
-def count_contact(pressure, gap, level, busy, first, stop, counts):
-    """counts[i] = #{p > 0, or p = 0 and gap < level} of row i, in its busy segments."""
+def count_unknowns(pressure, gap, level, top, by_gaps, first, stop, counts):
+    """counts[i] = number of unknowns in row i."""
     for i in range(first, stop):
         row, above, total = pressure[i], gap[i], 0
-        for s in range(busy.shape[1]):
-            if busy[i, s]:
-                for j in range(s * SEGMENT, min((s + 1) * SEGMENT, row.size)):
-                    p = row[u(j)]
-                    total += (p > 0) | ((p == 0) & (above[u(j)] < level))
+        for j in range(row.size):
+            total += _unknown(row[u(j)], above[u(j)], level, top, by_gaps)
         counts[i] = total
 
 
 @jit
-def list_contact(pressure, gap, level, busy, first, stop, offsets, columns):
-    """The columns of the points that `count_contact` counts."""
+def list_unknowns(pressure, gap, level, top, by_gaps, first, stop, offsets, columns):
+    """The columns of the points that `count_unknowns` counts."""
     for i in range(first, stop):
-        row, above, k, end = pressure[i], gap[i], offsets[i], offsets[i + 1]
-        for s in range(busy.shape[1]):
-            if busy[i, s] and k < end:
-                for j in range(s * SEGMENT, min((s + 1) * SEGMENT, row.size)):
-                    p = row[u(j)]
-                    if (p > 0) | ((p == 0) & (above[u(j)] < level)):
-                        columns[k] = j
-                        k += 1
+        row, above, k = pressure[i], gap[i], offsets[i]
+        if k == offsets[i + 1]:
+            continue
+        for j in range(row.size):
+            if _unknown(row[u(j)], above[u(j)], level, top, by_gaps):
+                columns[k] = j
+                k += 1
 
 
 @jit
-def contact_sums(pressure, gap, heights, columns, offsets, first, stop):
-    """(Σ p g, Σ p (g + h), Σ p, #{p > 0}) over the listed points of rows first … stop−1 where p > 0."""
-    work = energy = load = 0.0
-    count = 0
+def subtract_heights(displacement, heights, gap):
+    """gap = u − h; returns Σ u²."""
+    squares = 0.0
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            x = np.float64(displacement[i, j])
+            squares += x * x
+            gap[i, j] = x - heights[i, j]
+    return squares
+
+
+@jit
+def add_heights(heights, gap, displacement):
+    """u = h + g; returns Σ u and Σ u²."""
+    total = squares = 0.0
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            x = heights[i, j] + gap[i, j]
+            total += x
+            squares += x * x
+            displacement[i, j] = x
+    return total, squares
+
+
+@jit
+def add_mean(rows, mean, pressure):
+    """p = rows + mean; returns Σ p²."""
+    squares = 0.0
+    for i in range(pressure.shape[0]):
+        for j in range(pressure.shape[1]):
+            p = rows[i, j] + mean
+            squares += p * p
+            pressure[i, j] = p
+    return squares
+
+
+@jit
+def contact_sums(pressure, gap, heights, top, first, stop):
+    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ p g, Σ p and number of points where
+    p > 0) over rows first … stop−1.
+    """
+    work = load = energy = squares = all_work = all_load = 0.0
+    between = count = 0
     for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            j = u(columns[k])
-            p, g = pressure[i, j], gap[i, j]
+        row = pressure[i]
+        for j in range(row.size):
+            p = row[u(j)]
             if p > 0:
-                work += p * g
-                energy += p * (g + heights[i, j])
-                load += p
+                g = gap[i, u(j)]
+                energy += p * (g + heights[i, u(j)])
+                squares += p * p
+                all_work += p * g
+                all_load += p
                 count += 1
-    return work, energy, load, count
+                if p < top:
+                    work += p * g
+                    load += p
+                    between += 1
+    return work, load, between, energy, squares, all_work, all_load, count
 
 
 @jit
-def take_rows(field, columns, offsets, first, stop, values):
-    """values[k] = field[i, columns[k]] for the listed points of rows first … stop−1."""
+def uneven_row(pressure, gap, level, top, line):
+    """line[j] = gap − level where 0 < p < top, else 0."""
+    for j in range(pressure.size):
+        line[j] = gap[j] - level if 0 < pressure[j] < top else 0.0
+
+
+@jit
+def residual_rows(fields, level, top, edges, first, out):
+    """ρ of the certificate for rows first … of pressure and gap: gap − level where 0 < p < top.  Elsewhere the mean of
+    that over the eight neighbours, of which the others count as 0, but at most gap − level where p = 0, and at least
+    that where p = top.  edges: `uneven_row` of the rows before and after those of this rank.
+    """
+    pressure, gap = fields
+    rows, ny = pressure.shape
+    lines = np.empty((3, ny))
+    for i in range(first - 1, first + out.shape[0] + 1):
+        line = lines[(i + 1) % 3]
+        if i < 0 or i == rows:
+            line[:] = edges[0 if i < 0 else 1]
+        else:
+            uneven_row(pressure[i], gap[i], level, top, line)
+        if i <= first:
+            continue
+        p, g, target = pressure[i - 1], gap[i - 1], out[i - 1 - first]
+        here = lines[i % 3]
+        for j in range(ny):
+            if 0 < p[j] < top:
+                target[j] = here[j]
+                continue
+            left, right = j - 1 if j > 0 else ny - 1, j + 1 if j + 1 < ny else 0
+            around = 0.0
+            for other in range(3):
+                around += lines[other, left] + lines[other, j] + lines[other, right]
+            around /= 8
+            target[j] = min(around, g[j] - level) if p[j] <= 0 else max(around, g[j] - level)
+
+
+@jit
+def spectral_dot(a, b, weights):
+    """Σ_j weights[j] Σ_i Re(a* b); the last axis of a and b holds (real, imaginary)."""
+    total = 0.0
+    for j in range(a.shape[0]):
+        part = 0.0
+        for i in range(a.shape[1]):
+            part += np.float64(a[j, i, 0]) * b[j, i, 0] + np.float64(a[j, i, 1]) * b[j, i, 1]
+        total += weights[j] * part
+    return total
+
+
+@jit
+def open_rows(pressure, gap, level, top, first, stop):
+    """gap = gap − level in rows first … stop−1, but 0 where 0 < p < top, not below 0 where p = 0 and not above 0 where
+    p = top.
+    """
     for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            values[k] = field[i, columns[k]]
+        for j in range(gap.shape[1]):
+            p, away = pressure[i, j], gap[i, j] - level
+            gap[i, j] = max(away, 0.0) if p <= 0 else min(away, 0.0) if p >= top else 0.0
+
+
+ROUGHER = 0.5  # of the pressure that would close a pixel: what heights between the points of the coarser grid add
+
+
+@jit
+def start_rows(coarse_pressure, coarse_gap, coarse_heights, heights, reach, pressure, gap):
+    """gap = coarse gap − new, where new = h − coarse h, and p = max(coarse p + ROUGHER · new/reach, tiny) where
+    reach · coarse p exceeds that gap, else 0.
+    """
+    for i in range(pressure.shape[0]):
+        for j in range(pressure.shape[1]):
+            p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
+            g = coarse_gap[i, j] - new
+            gap[i, j] = g
+            pressure[i, j] = max(p + ROUGHER / reach * new, 1e-300) if reach * p > g else 0.0
+
+
+LARGEST = 1e25  # of a residual: products and sums of such stay below what single precision holds
 
 
 @jit
 def take_below(field, columns, offsets, first, stop, level, values):
-    """values[k] = level − field[i, columns[k]] for the listed points of rows first … stop−1."""
+    """values[k] = level − field[i, columns[k]] for the listed points of rows first … stop−1, at most `LARGEST`."""
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
-            values[k] = level - field[i, columns[k]]
+            values[k] = min(max(level - field[i, columns[k]], -LARGEST), LARGEST)
 
 
 @jit
-def dot_rows(field, columns, offsets, first, stop, values):
-    """Σ field[i, columns[k]] values[k] over the listed points of rows first … stop−1."""
-    total = 0.0
+def take_beyond(pressure, gap, columns, offsets, first, stop, top, values):
+    """values[k] = what the pressure lacks of its bound, 0 or `top`, for the listed points of rows first … stop−1, all
+    of which are beyond it or have a gap that is not 0 and tells which.
+    """
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
-            total += field[i, columns[k]] * values[k]
-    return total
+            p, g = pressure[i, columns[k]], gap[i, columns[k]]
+            values[k] = (top if g < 0 or (g == 0 and p > top) else 0.0) - p
 
 
 @jit
-def sum_rows(field, columns, offsets, first, stop):
-    """Σ field[i, columns[k]] over the listed points of rows first … stop−1."""
-    total = 0.0
+def cut_gaps(pressure, gap, columns, offsets, first, stop):
+    """gap = max(gap, 0) where p = 0, else min(gap, 0), for the listed points of rows first … stop−1."""
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
-            total += field[i, columns[k]]
-    return total
+            j = columns[k]
+            gap[i, j] = max(gap[i, j], 0.0) if pressure[i, j] <= 0 else min(gap[i, j], 0.0)
 
 
 @jit
-def cut_negative(field, columns, offsets, first, stop, change):
-    """f = max(f, 0) and change[k] = what that added, for the listed points of rows first … stop−1; returns #{f < 0}."""
+def sums_in_blocks(pressure, columns, offsets, first, stop, shift, top, sums):
+    """sums[0, b] += p and sums[1, b] += min(max(p, 0), top), where b = columns[k] >> shift, for the listed points of
+    rows first … stop−1.
+    """
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            column = u(columns[k])
+            p = pressure[i, column]
+            sums[0, column >> shift] += p
+            sums[1, column >> shift] += min(max(p, 0.0), top)
+
+
+@jit
+def cut_and_scale(pressure, columns, offsets, first, stop, shift, top, factors):
+    """p = min(factors[columns[k] >> shift] · max(p, 0), top) for the listed points of rows first … stop−1."""
+    for i in range(first, stop):
+        for k in range(offsets[i], offsets[i + 1]):
+            column = u(columns[k])
+            pressure[i, column] = min(factors[column >> shift] * max(pressure[i, column], 0.0), top)
+
+
+@jit
+def _settled(p, g, top, share):
+    """0 where the gap is open or p < 0, `top` where the gap is negative or p > top, else p, changed by the `share`
+    (`feasible.share_of_load`); everywhere share[2] if that is not 0.
+    """
+    scale, blend, uniform = share
+    if uniform > 0:
+        return uniform
+    if g > 0 or p <= 0:
+        return 0.0
+    if g < 0 or p >= top:
+        return top
+    p *= scale
+    return p + blend * (top - p) if blend > 0 else p
+
+
+@jit
+def settled_sums(pressure, gap, heights, top, first, stop):
+    """Of pressures as they are settled: Σ p where 0 < p < top, Σ p where p = top, Σ (top − p) of both; the same of
+    p (g + h) in the first two, and the number of both; over rows first … stop−1.
+    """
+    between = saturated = room = work = saturated_work = 0.0
     count = 0
+    one = (1.0, 0.0, 0.0)
     for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            value = field[i, columns[k]]
-            change[k] = max(-value, 0.0)
-            if value < 0:
-                field[i, columns[k]] = 0.0
+        for j in range(gap.shape[1]):
+            g = gap[i, j]
+            p = _settled(pressure[i, j], g, top, one)
+            if p > 0:
                 count += 1
-    return count
+                if p < top:
+                    between += p
+                    work += p * heights[i, j]
+                    room += top - p
+                else:
+                    saturated += p
+                    saturated_work += p * (g + heights[i, j])
+    return between, saturated, room, work, saturated_work, count
 
 
 @jit
-def signed_sums(field, columns, offsets, first, stop, shift, sums):
-    """sums[0, b] += f and sums[1, b] += max(f, 0), where b = columns[k] >> shift, for the listed points of rows first
-    … stop−1.
-    """
+def bounded_sums(pressure, top, first, stop):
+    """(Σ p where 0 < p < top, Σ p where p ≥ top, Σ (top − p) where p > 0) over rows first … stop−1."""
+    between = saturated = room = 0.0
     for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            column = u(columns[k])
-            value = field[i, column]
-            sums[0, column >> shift] += value
-            sums[1, column >> shift] += max(value, 0.0)
+        for j in range(pressure.shape[1]):
+            p = pressure[i, j]
+            if p >= top:
+                saturated += p
+            elif p > 0:
+                between += p
+                room += top - p
+    return between, saturated, room
 
 
 @jit
-def cut_and_scale(field, columns, offsets, first, stop, shift, factors, change):
-    """f = factors[columns[k] >> shift] · max(f, 0) and change[k] = what that added, for the listed points of rows first
-    … stop−1.
-    """
+def spread_load(pressure, top, share, first, stop):
+    """Changes the pressures of rows first … stop−1 by the share."""
     for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            column = u(columns[k])
-            old = field[i, column]
-            new = factors[column >> shift] * max(old, 0.0)
-            field[i, column] = new
-            change[k] = new - old
+        for j in range(pressure.shape[1]):
+            pressure[i, j] = _settled(pressure[i, j], 0.0, top, share)
 
 
 @jit
-def put_rows(field, columns, offsets, first, stop, values):
-    """field[i, columns[k]] = values[k] for the listed points of rows first … stop−1."""
+def settle_rows(pressure, gap, top, share, first, stop):
+    """Settles the pressure of rows first … stop−1."""
     for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            field[i, columns[k]] = values[k]
+        for j in range(gap.shape[1]):
+            pressure[i, j] = _settled(pressure[i, j], gap[i, j], top, share)
+
+
+@jit
+def settling_rows(pressure, gap, top, share, out):
+    """out = by how much the pressure changes when it is settled."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            p = pressure[i, j]
+            out[i, j] = _settled(p, gap[i, j], top, share) - p
 
 
 @jit

@@ -41,7 +41,7 @@ def solve_exponential_wall(
     after each outer step.  overwrite_heights: use their memory.  Raises InputError for what is out of range,
     SolverError if the tolerance cannot be reached.
     """
-    units = Dimensionless(problem, by_load=True, overwrite_heights=overwrite_heights)
+    units = Dimensionless(problem, overwrite_heights=overwrite_heights)
     if units.uniform is not None:
         return units.uniform
     if start is None:
