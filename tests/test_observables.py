@@ -21,7 +21,7 @@ from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics import kernels, spectra
 from pgfmd.observables.statistics.correlations import correlate, indicator, mode_rings
 from pgfmd.observables.statistics.distributions import linear_edges, log_edges, pressure_groups
-from pgfmd.observables.statistics.lowpass import lowpass
+from pgfmd.observables.statistics.lowpass import lowpass, touches_fully
 from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
@@ -464,6 +464,28 @@ def test_area_is_that_of_the_finest_grid(comm):
         line = line_of(smooth, direct, q)
         assert area == pytest.approx(contact_area(grid, direct.pressure, line).corrected, rel=0.005)
     assert np.all(np.diff(found["area_corrected"]) < 0)
+
+
+def test_area_of_a_surface_without_waves(comm):
+    """Below its only wave, of which rounding is left, a surface is flat: f = 1, at any load that is not nothing."""
+    grid = SlabGrid(comm, (48, 48))
+    problem = ContactProblem(grid, sinusoid(grid, 0.1, (2, 0)), Elasticity(MODULUS), HardWall(), 0.003)
+    observer = Observer(problem, asked(["lowpass"], lowpass={"q": [2 * np.pi / 48, 2 * np.pi / 24]}))
+    contact = observer.contact(solve_contact(problem))
+    found = observer.groups(contact)["lowpass_area"]
+    assert found["area"][0] == found["area_corrected"][0] == 1
+    assert found["area"][1] == pytest.approx(contact.area.fraction, abs=2 / 48)  # the wave itself is there
+
+
+@pytest.mark.parametrize("thickness", [np.inf, 20.0])
+def test_full_contact_is_foreseen(comm, thickness):
+    """A wave Δ cos(qx) is in full contact from p̄ = K(q) Δ on, on a half-space (π E'Δ/λ) and on a slab."""
+    grid, solid = SlabGrid(comm, (48, 30), (96.0, 30.0)), Elasticity(MODULUS, thickness, "free")
+    full = 0.1 * float(solid.stiffness(np.array([2 * np.pi * 3 / 96]))[0])
+    assert thickness < np.inf or full == pytest.approx(np.pi * MODULUS * 0.1 / 32, rel=1e-12)
+    heights = sinusoid(grid, 0.1, (3, 0))
+    for load, expected in ((0.999, False), (1.001, True)):
+        assert touches_fully(ContactProblem(grid, heights, solid, HardWall(), load * full)) == expected
 
 
 def test_octaves():

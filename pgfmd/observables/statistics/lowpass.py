@@ -24,8 +24,7 @@ def lowpass_areas(
     """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2).
     Collective.
 
-    cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per
-    length
+    cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per length
     start: a pressure (nx_local, ny), for contacts on the full grid; those on a coarser one start from each other
     """
     areas, levels = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
@@ -43,6 +42,9 @@ def lowpass_areas(
             fine = coarse
         for index in indices:
             smooth = problem.on(coarse, lowpass(coarse, heights, cutoffs[index][1]))
+            if touches_fully(smooth):
+                areas[index] = 1.0
+                continue
             solution = solve(smooth, start=before)
             area = contact_area(coarse, solution.pressure_in_contact(), line_of(smooth, solution, cutoffs[index][1]))
             areas[index] = area.fraction, area.corrected
@@ -50,6 +52,21 @@ def lowpass_areas(
     if fine is not grid:
         fine.free()
     return areas
+
+
+def touches_fully(problem: ContactProblem) -> bool:
+    """Whether the pressure of full contact, p̄ + Kh, is nowhere negative: then it is that of the contact.  Collective.
+
+    One transform.  Of a surface that is flat but for rounding, a solver can certify no energy.
+    """
+    grid, least = problem.grid, dict[int, float]()
+
+    def keep(first: int, stop: int, rows: np.ndarray) -> None:
+        least[first] = float(rows.min())
+
+    stiffness = problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size)
+    grid.convolve(source(problem.heights), stiffness, keep)
+    return problem.mean_pressure + grid.reduction.min(list(least.values())) >= 0
 
 
 def lowpass(grid: SlabGrid, field: np.ndarray, cutoff: float) -> np.ndarray:
