@@ -168,7 +168,7 @@ class _Steps:
 
 def _report(comm: MPI.Comm, index: int, count: int, row: dict, errors: Mapping | None) -> None:
     if comm.rank == 0:
-        bar = "" if errors is None else f" ± {errors['contact_area_error']:.5f}"
+        bar = "" if errors is None else f" ± {errors['contact_area_corrected_error']:.5f}"
         log.info(
             "load %d/%d  pressure %.6g  area %.5f (corrected %.5f%s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s",
             index + 1, count, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], bar,

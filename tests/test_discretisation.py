@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.io.results import Results, table
+from pgfmd.job.job import parse
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.statistics.grid_error import FACTORS, MODES, long_waves
+from pgfmd.observables.statistics.grid_error import MODES, long_waves
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.simulate import simulate
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
 
 NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_energy", "mean_square_pressure")
-BARS = {"contact_area_corrected": "contact_area_error"}
 
 
 def measured(grid, heights, load, cutoff):
@@ -43,7 +45,7 @@ def test_bars_hold_what_a_finer_grid_finds(comm):
             row, bars, _ = measured(grid, self_affine(grid, hurst, 1 / 12, 1.0, seed), load, 2 * np.pi * 12)
             found.append((row | bars, bars))
         for name in NUMBERS:
-            error, bar = abs(found[0][0][name] - found[1][0][name]), found[0][1][BARS.get(name, f"{name}_error")]
+            error, bar = abs(found[0][0][name] - found[1][0][name]), found[0][1][f"{name}_error"]
             held.append(error <= bar)
             ratios.append(bar / error)
     assert len(held) == 40 and sum(held) >= 30
@@ -64,7 +66,7 @@ def test_long_waves_are_fourier_coefficients(comm):
     squares = np.fft.fft2(pressure**2)[: MODES + 1, 0] / grid.size
     np.testing.assert_allclose(found["mean_square_pressure"], squares, rtol=1e-10)
     assert bars["mean_square_pressure"] == pytest.approx(np.mean(pressure**2), rel=1e-12)
-    assert all(bars[f"{name}_error"] > 0 for name in ("contact_area", "kappa", *list(FACTORS)[2:]))
+    assert all(bars[f"{name}_error"] > 0 for name in (*NUMBERS, "kappa"))
 
 
 def test_no_bars_where_the_grid_belongs_to_the_surface(comm):
@@ -72,3 +74,28 @@ def test_no_bars_where_the_grid_belongs_to_the_surface(comm):
     grid = SlabGrid(comm, (32, 32))
     _, bars, _ = measured(grid, self_affine(grid, 0.5, 1, 0.05, 5), 0.01, None)
     assert all(np.isnan(value) for name, value in bars.items() if name.endswith("_error"))
+
+
+def test_bars_are_printed(comm, tmp_path):
+    """`pgfmd info` shows number ± bar for the numbers that have one."""
+    job = """
+[grid]
+n = 32
+[surface]
+kind = "self-affine"
+hurst = 0.5
+lambda_s = 8
+rms_slope = 0.05
+seed = 1
+[solid]
+contact_modulus = 1.0
+[load]
+pressure = 0.01
+[output]
+observables = ["discretisation"]
+"""
+    folder = comm.bcast(tmp_path / "run")
+    simulate(parse(job), comm, folder)
+    results = Results(folder)
+    bar = results.load(0)["discretisation"]["contact_area_corrected_error"]
+    assert f"{results.loads['contact_area_corrected'][0]:.5g} ± {bar:.1g}" in table(results)

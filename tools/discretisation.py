@@ -25,13 +25,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 
-NUMBERS = {
-    "contact_area_corrected": "contact_area_error",
-    "contact_perimeter": "contact_perimeter_error",
-    "mean_gap": "mean_gap_error",
-    "elastic_energy": "elastic_energy_error",
-    "mean_square_pressure": "mean_square_pressure_error",
-}
+NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_energy", "mean_square_pressure")
 
 
 def numbers(points: int, across: int, hurst: float, load: float, seed: int) -> dict[str, float]:
@@ -61,8 +55,9 @@ def main(arguments: list[str] | None = None) -> int:
             limit = numbers(options.finest, options.across, hurst, load, options.seed)
             for points in grids:
                 found = numbers(points, options.across, hurst, load, options.seed)
-                for name, bar in NUMBERS.items():
-                    ratios.setdefault((name, points), []).append(found[bar] / abs(found[name] - limit[name]))
+                for name in NUMBERS:
+                    ratio = found[f"{name}_error"] / abs(found[name] - limit[name])
+                    ratios.setdefault((name, points), []).append(ratio)
             options.seed += 1
     print("number                    λ_s/a  cases  held  bar/error (median)")
     for name in NUMBERS:

@@ -154,12 +154,15 @@ def damage(results: Results) -> dict[Path, str]:
 
 
 def table(results: Results) -> str:
-    """The table of loads as aligned text, one row per load."""
-    head = ["load", *results.loads]
-    rows = [
-        [str(index), *(f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values)]
-        for index, values in enumerate(zip(*results.loads.values(), strict=True))
-    ]
+    """The table of loads as aligned text, one row per load; with the error bars of the grid, where they are known."""
+    head, rows = ["load", *results.loads], []
+    for index, values in enumerate(zip(*results.loads.values(), strict=True)):
+        row = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
+        groups = results.load(index)
+        bars = groups["discretisation"] if "discretisation" in groups else {}
+        texts = [f"{entry} ± {bars[f'{name}_error']:.1g}" if f"{name}_error" in bars else entry
+                 for name, entry in zip(results.loads, row, strict=True)]  # fmt: skip
+        rows.append([str(index), *texts])
     units = ["", *(results.units[name] for name in results.loads)]
     widths = [max(len(row[column]) for row in (head, units, *rows)) for column in range(len(head))]
     return "\n".join(

@@ -30,7 +30,7 @@ class Discretisation(Observable):
     where = "output.discretisation"
     layout = {
         "discretisation": {
-            "contact_area_error": Dataset("1", "estimated error of contact_area_corrected"),
+            "contact_area_corrected_error": Dataset("1", "estimated error of contact_area_corrected"),
             "contact_perimeter_error": Dataset("1/({length})", "estimated error of contact_perimeter"),
             "kappa_error": Dataset("1", "estimated error of kappa, which counts pixels"),
             "mean_gap_error": Dataset("{length}", "estimated error of mean_gap"),
@@ -56,7 +56,7 @@ class Discretisation(Observable):
         square = grid.reduction.dot(pressure, pressure) / grid.size
         per_area = contact.kappa / (area.fraction or math.nan)
         found = {
-            "contact_area_error": errors["area"],
+            "contact_area_corrected_error": errors["area"],
             "contact_perimeter_error": errors["perimeter"],
             "kappa_error": per_area * (abs(area.fraction - area.corrected) + errors["area"]),
             "mean_gap_error": errors["mean_gap"],

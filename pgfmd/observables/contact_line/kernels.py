@@ -17,9 +17,12 @@ _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
 _ROUNDS = 8
 
+Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, ny); two more rows each way (2, 4, ny)
+Form = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # see `line_of_pixel`
+
 
 @_jit
-def _distance(value, scale):
+def _distance(value: float, scale: float) -> float:
     """Roughly linear in the distance to the edge on both sides: p² inside, −(¾E'g/a)^(2/3) outside."""
     if value > 0:
         return (value / scale) ** 2
@@ -27,7 +30,7 @@ def _distance(value, scale):
 
 
 @_jit
-def describe(around, ratio):
+def describe(around: np.ndarray, ratio: float) -> tuple[float, float]:
     """(share of the pressure in p + E'g/a at the pair, angle between the pair and the apparent normal, 0 … π/2).
 
     ratio: spacing across the pair over that along it.
@@ -44,14 +47,14 @@ def describe(around, ratio):
 
 
 @_jit
-def describe_all(around, ratio, share, angle):
+def describe_all(around: np.ndarray, ratio: float, share: np.ndarray, angle: np.ndarray) -> None:
     """`describe` of each row of `around` (count, 8)."""
     for i in range(len(around)):
         share[i], angle[i] = describe(around[i], ratio)
 
 
 @_jit
-def _look(table, share, angle, which):
+def _look(table: np.ndarray, share: float, angle: float, which: int) -> float:
     """Bilinear interpolation in table (angles, shares, quantities), even in angle from 0 to π/2, share from 0 to 1."""
     y = min(angle * (2 / math.pi), 1.0) * (table.shape[0] - 1)
     x = min(share, 1.0) * (table.shape[1] - 1)
@@ -63,12 +66,12 @@ def _look(table, share, angle, which):
 
 
 @_jit
-def _bounded(ratio, farthest):
+def _bounded(ratio: float, farthest: float) -> float:
     return min(max(ratio, 1 / farthest), farthest)
 
 
 @_jit
-def locate(around, ratio, table, farthest):
+def locate(around: np.ndarray, ratio: float, table: np.ndarray, farthest: float) -> tuple[float, float]:
     """(area between the line and the middle of the pair, in pixels; |cosine| of the line's normal to the pair).
 
     Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for
@@ -92,7 +95,7 @@ def locate(around, ratio, table, farthest):
 
 
 @_jit
-def _signed(pressure, gap, halo, i, j, scale):
+def _signed(pressure: np.ndarray, gap: np.ndarray, halo: np.ndarray, i: int, j: int, scale: float) -> float:
     """`signed` at row i, column j of a slab with two more rows before and after it: halo = (pressure, gap) of them."""
     rows, columns = pressure.shape
     if j < 0:
@@ -108,7 +111,9 @@ def _signed(pressure, gap, halo, i, j, scale):
 
 
 @_jit
-def line_of_pixel(fields, form, i, j, around):
+def line_of_pixel(
+    fields: Fields, form: Form, i: int, j: int, around: np.ndarray
+) -> tuple[float, float, float, float]:
     """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, length along the rows in
     spacings along a column, length along the columns in spacings along a row, corners).
 
@@ -148,7 +153,7 @@ def line_of_pixel(fields, form, i, j, around):
 
 
 @_jit
-def add_line(fields, form, first, stop):
+def add_line(fields: Fields, form: Form, first: int, stop: int) -> np.ndarray:
     """Sums of `line_of_pixel` over the contact pixels of rows first … stop−1."""
     around = np.empty(8)
     total = np.zeros(4)
@@ -165,7 +170,9 @@ def add_line(fields, form, first, stop):
 
 
 @_jit
-def add_lines_of_patches(fields, form, runs, first, patch, total):
+def add_lines_of_patches(
+    fields: Fields, form: Form, runs: np.ndarray, first: np.ndarray, patch: np.ndarray, total: np.ndarray
+) -> None:
     """Add `line_of_pixel` to total[p] for the pixels of each patch p = patch[run]; runs as in `patches.run_length`."""
     around = np.empty(8)
     for i in range(1, len(first) - 1):

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.kernels import add_line, add_lines_of_patches
+from pgfmd.observables.contact_line.kernels import Form, add_line, add_lines_of_patches
 from pgfmd.observables.contact_line.table import EdgeTable, edge_table
 from pgfmd.observables.patches.labelling import Labels
 from pgfmd.physics.problem import ContactProblem
@@ -48,10 +48,10 @@ class ContactLine:
     farthest: float = FARTHEST
 
     @property
-    def _form(self) -> tuple:
+    def _form(self) -> Form:
         """What the kernels need beside the fields."""
         ax, ay = self.grid.spacing
-        values = tuple(table.values for table in self.tables)
+        values = self.tables[0].values, self.tables[1].values
         return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), values, self.farthest
 
     def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

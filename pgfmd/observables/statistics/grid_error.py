@@ -25,7 +25,7 @@ from pgfmd.solvers.solution import ContactSolution
 Solve = Callable[..., ContactSolution]
 """solve(problem, start=None, options=…) → the contact; its heights may be overwritten.  Collective."""
 MODES = 4
-FACTORS = {"area": 0.4, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.34, "mean_square_pressure": 0.6}
+FACTORS = {"area": 0.4, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.3, "mean_square_pressure": 0.6}
 """c of each number."""
 
 
