@@ -16,7 +16,7 @@ from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
 from reading import Load, common_bins, ensembles, near
 
 CAPTION = """(a) Autocorrelation of the stress over σ_c², between those of the contact (lower bound) and twice those
-(upper bound of the paper). (b) Their ratio, with the bounds 1, the measured m₂, and 2. Shaded: standard error over
+(upper bound of the paper). (b) Their ratio, with the bounds 1, the measured m₂, and 2. Bars: standard error over
 seeds. Beyond a few λ_s both are the square of the mean, but for the noise of one cell."""
 NEEDS = ("correlations", "area")
 OPTIONS = {"--area": {"type": float, "help": "the load near this contact area (default: the last)"}}

@@ -139,12 +139,18 @@ def report_sizes(sheet: Sheet, kind: str, sizes: list[np.ndarray], resolved: flo
     def law(least, most=np.inf):
         return lambda size: tail_exponent(size, least, most)[0]
 
-    everything = np.concatenate(sizes)
-    _report(sheet, f"τ of large patches (from λ_s²), {kind}", sizes, law(LARGE), [law(LARGE / 2), law(2 * LARGE)])
+    everything, large = np.concatenate(sizes), max(LARGE, resolved)
+    _report(
+        sheet,
+        f"τ of large patches (from λ_s²), {kind}",
+        sizes,
+        law(large),
+        [law(max(large / 2, resolved)), law(2 * large)],
+    )
     _report(sheet, f"τ of small patches (to 0.3 λ_s²), {kind}", sizes, law(resolved, 0.3),
             [law(resolved, 0.15), law(resolved, 0.6), law(2 * resolved, 0.3)])  # fmt: skip
     _report(sheet, f"τ over all resolved patches, {kind}", sizes, law(resolved), [law(2 * resolved), law(4 * resolved)])
-    for title, least, most in (("large", LARGE, np.inf), ("small", resolved, 0.3)):
+    for title, least, most in (("large", large, np.inf), ("small", resolved, 0.3)):
         sheet.findings.add(f"goodness of the law of {title} patches (p), {kind}", goodness(everything, least, most))
     sheet.findings.add(f"patches ≥ λ_s², {kind}", np.count_nonzero(everything >= LARGE))
 
@@ -201,7 +207,7 @@ def _draw_loads(sheet: Sheet, loads: Sequence[Load], everything: Sample, resolve
     for least, most, law, text in ((resolved, 1.0, 1.5, "3/2"), (0.3, np.inf, 1.0, "1")):
         part = (x >= least) & (x <= most)
         if np.count_nonzero(part) >= 2:
-            guide(sheet.panels[0], x[part][[0, -1]], (3.0 if law == 1 else 0.3) * y[part][0], law, text)
+            guide(sheet.panels[0], x[part][[0, -1]], (3.0 if law == 1 else 0.3) * y[part][0], law, text, above=law == 1)
     sheet.label(0, r"area $a_c\,/\,\lambda_s^2$", r"load $l_c\,/\,(E'\bar g\,\lambda_s^2)$", scale="log", columns=3)
 
 
@@ -218,7 +224,9 @@ def _draw_sizes(sheet: Sheet, hurst: float | None, elastic: np.ndarray, islands:
         middle, error = np.sqrt(edges[1:] * edges[:-1]), density / np.sqrt(np.maximum(count, 1))
         sheet.curve(1, middle[seen], density[seen], name, error=error[seen], color=BLUE if fill == BLUE else GREY,
                     mfc=fill, marker="o" if fill == BLUE else "s", ls="none")  # fmt: skip
-        for least, most in ((LARGE, np.inf), (resolved, 0.3)) if name == "elastic contact" else ((resolved, np.inf),):
+        for least, most in (
+            ((max(LARGE, resolved), np.inf), (resolved, 0.3)) if name == "elastic contact" else ((resolved, np.inf),)
+        ):
             _draw_law(sheet, size, least, most, name)
     if hurst is not None:
         reference = islands if len(islands) else elastic

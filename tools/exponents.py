@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from collections.abc import Sequence
 
 import figures
 import numpy as np
@@ -23,7 +24,7 @@ from stress_contact_spectra import ratio_of_means
 CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all q
 ≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that they
 span. (b) The ratio of the scaled spectra at the largest and the smallest load in octaves of q, with standard errors.
-(c) Exponents of the joint fit against the Hurst exponent with both errors, beside 1 + H."""
+(c) Exponents of the joint fit against the Hurst exponent with both errors, beside 1 + H and published ones."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -36,8 +37,13 @@ Curves = dict[float, dict[str, np.ndarray]]
 """Load target → kind → scaled spectra of each seed, (seeds, m)."""
 
 
-def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] | None = None) -> Sheet:
-    """Spectra with joint fits, the ratio between loads, and μ against H."""
+def draw(
+    loads: list[Load],
+    areas: tuple[float, ...] = (),
+    window: tuple[float, float] | None = None,
+    reference: Sequence[tuple[float, float, float]] = (),
+) -> Sheet:
+    """Spectra with joint fits, the ratio between loads, and μ against H; beside published ones: (H, μ, error) each."""
     groups = ensembles(near(loads, areas) if areas else loads, by_load=False)
     sheet = Sheet(1, 3, height=2.9)
     largest = max(max(group.results.shape) for group in groups)
@@ -57,6 +63,9 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
     for kind in ("contact", "stress"):
         sheet.findings.add(f"sum rule, {kind}, largest residual", worst_sum(loads, kind))
     _draw_exponents(sheet, points, largest)
+    if reference:
+        hurst, exponents, errors = np.array(reference).T
+        sheet.curve(2, hurst + 0.03, exponents, "paper", error=errors, color=BLACK, marker="*", mfc="white", ls="none")
     sheet.panels[1].axhline(1, color=BLACK, lw=0.7)
     scaled_name = r"$f_c\,\tilde C(q)\,/\,(1-f_c)\,\tilde C(0)$"
     sheet.label(0, r"$q\,/\,q_l$", scaled_name, scale="log", columns=1)

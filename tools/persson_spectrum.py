@@ -47,7 +47,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
             _draw(sheet, panel, group, title, (colours[number], "os^DvPX"[number % 7]))
         sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="Persson")
         sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="solved")
-        sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=4)
+        sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=3)
         if setting.label:
             sheet.panels[panel].set_xlabel(rf"$q\,/\,q_l$   ({tex(setting.label)})")
         low, _ = sheet.panels[panel].get_ylim()

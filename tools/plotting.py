@@ -245,14 +245,14 @@ def standard_error(values, axis: int = 0) -> np.ndarray | None:
     return values.std(axis=axis, ddof=1) / math.sqrt(count) if count > 1 else None
 
 
-def guide(axes, x, y0: float, exponent: float, text: str, **style):
-    """A power law y0 (x/x[0])^exponent as a guide to the eye, with its name beside it."""
+def guide(axes, x, y0: float, exponent: float, text: str, *, above: bool = False, **style):
+    """A power law y0 (x/x[0])^exponent as a guide to the eye, with its name above or below its middle."""
     x = np.asarray(x, float)
     y = y0 * (x / x[0]) ** exponent
     axes.plot(x, y, **({"color": GREY, "lw": 0.9, "ls": "--"} | style))
-    axes.annotate(
-        text, (x[-1], y[-1]), textcoords="offset points", color="0.35", fontsize=7, xytext=(3, 0), va="center"
-    )
+    middle = np.sqrt(x[0] * x[-1]), np.sqrt(y[0] * y[-1])
+    place = {"xytext": (-6, 6) if above else (6, -11), "textcoords": "offset points", "ha": "center"}
+    axes.annotate(text, middle, color="0.35", fontsize=7, **place)
 
 
 def _label_short_decades(axis):
