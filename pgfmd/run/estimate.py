@@ -88,9 +88,10 @@ def contact_areas(job: Job) -> list[float]:
     targets = job.load.targets
     if job.load.control == "contact_area":
         return list(targets)
-    if job.load.control != "pressure" or not job.surface.rms_slope:
+    slope = job.surface.known_slope()
+    if job.load.control != "pressure" or not slope:
         return [MOSTLY]
-    full = job.solid.contact_modulus * job.surface.rms_slope / math.sqrt(2)
+    full = job.solid.contact_modulus * slope / math.sqrt(2)
     areas = [math.erf(target / full) for target in targets]
     return [area * (1 + MORE * (1 - area)) for area in areas]
 

@@ -14,6 +14,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import choice, number, text
 from pgfmd.options.section import key, wrong
+from pgfmd.options.text import printable
 from pgfmd.surfaces.measurement import named
 from pgfmd.surfaces.mirror import folded
 from pgfmd.surfaces.surface import Surface
@@ -105,7 +106,8 @@ class FromFile(Surface):
             heights *= self.height_scale
             self._check_measured(heights, grid.rows.start)
         if grid.comm.rank == 0:
-            log.info("surface: %s: %s%s", self.path, said, f"; {missing} missing points interpolated" * (missing > 0))
+            filled = f"; {missing} missing points interpolated" * (missing > 0)
+            log.info("surface: %s: %s%s", printable(self.path, 400), said, filled)
         _log_range(grid, heights, length_unit)
         if self.detrend == "mean":
             heights -= grid.reduction.sum(heights) / grid.size

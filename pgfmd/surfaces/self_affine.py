@@ -70,6 +70,9 @@ class SelfAffine(Surface):
         shortest = self.wavelengths(cell)[0]
         return shortest if shortest > min(cell.steps) * (1 + SLACK) else 0.0
 
+    def known_slope(self) -> float | None:
+        return self.rms_slope
+
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         wavelengths = self.wavelengths(Cell(n=grid.shape, length=grid.lengths))
         return _heights(grid, self.hurst, wavelengths, self.rms_slope, self.seed)

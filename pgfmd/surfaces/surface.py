@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Surface(Section):
-    """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface].
-
-    rms_slope: √⟨|∇h|²⟩ if the options tell it (for estimates before the run), else None.
-    """
+    """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface]."""
 
     where = "surface"
-    rms_slope: ClassVar[float | None] = None
+
+    def known_slope(self) -> float | None:
+        """√⟨|∇h|²⟩ if the options tell it, for estimates before the run."""
+        return None
 
     @property
     def files(self) -> tuple[str, ...]:

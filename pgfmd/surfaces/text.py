@@ -27,7 +27,7 @@ def read(path: str) -> Measurement | None:
     are NaN.  Raises InputError, without the path: fewer columns, lines of different length, points off a lattice.
     """
     comments, _ = _opening(path)
-    units = dict(match.groups() for match in map(UNIT.search, comments) if match)
+    units = {match[1]: match[2] for match in map(UNIT.search, comments) if match}
     if any(MEANING.search(line) for line in comments if not UNIT.search(line)):
         return None
     numbers = read_table(path)
