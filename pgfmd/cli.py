@@ -1,5 +1,6 @@
-"""The command line: `run` a job, `check` it beforehand, `info` on a result folder, `plot` what it holds.
+"""The command line: `new` prints a job, `run` runs it, `check` judges it beforehand, `info` and `plot` show results.
 
+    python -m pgfmd new [KIND …] > JOB.toml
     mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
     python -m pgfmd check JOB.toml
     python -m pgfmd info DIR
@@ -45,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         options = _parser().parse_args(words)
         if options.command == "run":
             return _run(options)
-        _show(_check(options) if options.command == "check" else _info(options))
+        _show({"new": _new, "check": _check, "info": _info}[options.command](options))
         return 0
     except KeyboardInterrupt as error:
         return _complain(error) if _launched_rank() == 0 else INTERRUPTED
@@ -71,7 +72,10 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="pgfmd", description="Elastic contact of randomly rough surfaces.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"pgfmd {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="run | check | info | plot")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="new | run | check | info | plot")
+
+    new = commands.add_parser("new", help="print a commented job to start from", allow_abbrev=False)
+    new.add_argument("kinds", nargs="*", metavar="KIND", help='of surface or wall; "all": every key of every kind')
 
     run = commands.add_parser("run", help="run a job, under mpirun or as one process", allow_abbrev=False)
     run.add_argument("job", metavar="JOB.toml")
@@ -109,6 +113,14 @@ def _folder(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("must name a folder")
     return text
+
+
+def _new(options) -> str:
+    from pgfmd.job.job import SECTIONS
+    from pgfmd.options.reference import example, reference
+
+    tables = SECTIONS.values()
+    return reference(tables) if options.kinds == ["all"] else example(tables, *options.kinds)
 
 
 def _check(options) -> str:

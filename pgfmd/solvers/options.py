@@ -24,7 +24,7 @@ class Solver(Section):
     """
 
     where: ClassVar[str] = "solver"
-    method: str = key(choice("auto", *METHODS), "auto")
+    method: str = key(choice("auto", *METHODS), "auto", "auto: the fastest for the contact law")
     tolerance: float = key(
         number(above=0, below=1),
         1e-8,
@@ -53,6 +53,7 @@ class Load(Section):
     """What is imposed, one solution per entry, in the order given: exactly one of the four lists."""
 
     where: ClassVar[str] = "load"
+    shown: ClassVar[tuple[str, ...]] = ("pressure",)
     pressure: tuple[float, ...] | None = key(many(number(low=0), least=1), about="mean pressure", example=[0.01])
     contact_area: tuple[float, ...] | None = key(
         many(number(above=0, below=1), least=1), about="relative contact area", example=[0.01, 0.1]

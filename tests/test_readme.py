@@ -1,0 +1,94 @@
+"""What the README says is what the program does."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT
+
+from pgfmd import cli
+from pgfmd.job.job import SECTIONS, parse
+from pgfmd.options import reference as writer
+from pgfmd.options.rules import Rule
+from pgfmd.options.section import Kinds
+
+README = (ROOT / "README.md").read_text()
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+KINDS = [choice.kind for table in SECTIONS.values() if isinstance(table, Kinds) for choice in table.choices]
+
+
+def blocks(language: str) -> list[str]:
+    return [text for kind, text in BLOCKS if kind == language]
+
+
+def commands() -> list[list[str]]:
+    """Every call of pgfmd in a block of shell commands, as words; comments and optional parts left out."""
+    lines = [line.split("  #")[0].split(" [")[0] for text in blocks("") for line in text.splitlines()]
+    calls = [re.search(r"(?:^|; do |-m )pgfmd ([^;|>]*)", line) for line in lines]
+    return [shlex.split(call[1]) for call in calls if call]
+
+
+@pytest.mark.parametrize("text", [text for text in blocks("toml") if "<!--" not in text and "[surface]" in text])
+def test_jobs_are_valid(text):
+    """Every TOML block that is a whole job is one."""
+    if text != writer.reference(SECTIONS.values()):  # which has several surfaces
+        parse(text)
+
+
+def test_there_are_jobs_and_commands():
+    """The blocks are found."""
+    assert len(blocks("toml")) >= 3 and len(commands()) >= 6 and len(blocks("python")) >= 2
+
+
+@pytest.mark.parametrize("words", commands(), ids=" ".join)
+def test_commands_exist(words):
+    """Every call of pgfmd names a command and options that it knows."""
+    if words[0] == "plot":
+        assert words[1] in cli._plot([])
+    else:
+        assert cli._parser().parse_args(words).command == words[0]
+
+
+def test_reference_is_that_of_the_source():
+    """The reference is what `pgfmd new all` prints."""
+    written = re.search(r"<!-- reference -->\n```toml\n(.*?)```\n<!-- /reference -->", README, re.DOTALL)
+    assert written and written[1] == writer.reference(SECTIONS.values())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_new_jobs_are_valid(kind):
+    """`pgfmd new KIND` prints a job that is valid, for every kind of surface and wall."""
+    parse(writer.example(SECTIONS.values(), kind))
+
+
+def sections(table) -> list:
+    """Every section that a table may be, and those inside it."""
+    found = list(table.choices) if isinstance(table, Kinds) else [table]
+    inner = [field.metadata["rule"] for kind in found for field in dataclasses.fields(kind)]
+    return found + [kind for rule in inner if not isinstance(rule, Rule) for kind in sections(rule)]
+
+
+def test_every_key_says_what_it_means():
+    """No key is without a meaning for the reference, no needed one without an example."""
+    for kind in (kind for table in SECTIONS.values() for kind in sections(table)):
+        for field in dataclasses.fields(kind):
+            if isinstance(field.metadata["rule"], Rule):
+                about, example, needed = (field.metadata[name] for name in ("about", "example", "needed"))
+                assert about and (example is not None or not needed), f"{kind.where}.{field.name}"
+
+
+def test_scripts_run(tmp_path):
+    """The Python blocks run, one after another, on the results of a small run called as in the README."""
+    job = tmp_path / "job.toml"
+    job.write_text(next(text for text in blocks("toml") if "[surface]" in text))
+    small = ["--set", "grid.n=64", "--set", "surface.lambda_s=8"]
+    for name in ("quickstart", "study-1"):
+        command = [sys.executable, "-m", "pgfmd", "run", str(job), "--output", str(tmp_path / "results" / name), *small]
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    script = "\n".join(blocks("python"))
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, env=None)
