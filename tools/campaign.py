@@ -636,8 +636,9 @@ def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answ
         return f"area {answer.contact_area:.6g}; {low:.6g} and {high:.6g} at neighbouring loads"
     measure = contact.measure(control, exact)
     # load.gap_tolerance is relative to the approach from first contact or, if less, to the mean gap (or ζ, if more).
-    approach = -contact.heights.mean() - (answer.target if control == "mean_gap" else exact.mean_gap)
-    size = min(abs(approach), max(abs(exact.mean_gap), job["wall"].get("zeta", 0)))
+    zeta = job["wall"].get("zeta", 0)
+    approach = abs(-contact.heights.mean() - exact.mean_gap)
+    size = max(approach if zeta else min(approach, exact.mean_gap), zeta)
     room = job["load"]["gap_tolerance"] * size * (1 + 1e-6) + 1e-13 * np.ptp(contact.heights)
     if abs(measure - answer.target) > room:
         return f"reached {float(measure):.9g}, {float((measure - answer.target) / contact.rms):.1e} rms heights off"

@@ -1,0 +1,127 @@
+"""What must not change the answer: units, position, direction, tiling, order; for all walls, solids, and controls."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mpi4py")
+
+import pgfmd  # noqa: E402
+from pgfmd.job import job as jobs  # noqa: E402
+from pgfmd.simulate import simulate  # noqa: E402
+
+pytestmark = pytest.mark.mpi
+
+N = 12
+WALLS = {"hard": "", "exponential": "[wall]\nzeta = {zeta!r}\n"}
+SOLIDS = {
+    "half-space": "contact_modulus = {modulus!r}\n",
+    "bonded": "contact_modulus = {modulus!r}\npoisson = 0.3\nthickness = {thickness!r}\n",
+    "free": "contact_modulus = {modulus!r}\nthickness = {thickness!r}\nbase = 'free'\n",
+    "sliding": "contact_modulus = {modulus!r}\npoisson = 0.3\nthickness = {thickness!r}\nbase = 'sliding'\n",
+}
+TARGETS = {"pressure": (0.05, 0.4), "contact_area": (0.2, 0.6), "mean_gap": (1.2, 0.4), "displacement": (0.9, 1.6)}
+CASES = [
+    case
+    for case in itertools.product(WALLS, SOLIDS, TARGETS)
+    if case[0] == "hard" or case[2] != "contact_area"
+]  # fmt: skip
+
+
+def heights(seed: int = 3, shape=(N, N)) -> np.ndarray:
+    """A rough surface."""
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def contacts(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=None):
+    """Pressures and mean gaps of a job in units of length and pressure, over these units: one of each for a target."""
+    wall, solid, control = case
+    folder = comm.bcast(folder)
+    if comm.rank == 0:
+        folder.mkdir(exist_ok=True)
+        np.save(folder / "heights.npy", surface * length)
+    comm.Barrier()
+    unit = {"pressure": pressure, "contact_area": 1.0}.get(control, length)
+    targets = TARGETS[control] if targets is None else targets
+    text = (
+        f"[grid]\nn = {list(surface.shape)}\nspacing = {length!r}\n"
+        f"[surface]\nkind = 'file'\npath = '{folder}/heights.npy'\n"
+        + WALLS[wall].format(zeta=0.2 * length)
+        + "[solid]\n" + SOLIDS[solid].format(modulus=pressure, thickness=3.0 * length)
+        + f"[load]\n{control} = {[value * unit for value in targets]}\n[solver]\ntolerance = 1e-12\n"
+        + "[output]\nfields = ['pressure', 'gap']\n"
+    )  # fmt: skip
+    simulate(jobs.parse(text), comm, folder / "out")
+    comm.Barrier()
+    results = pgfmd.Results(folder / "out")
+    return [
+        (results.field("pressure", load=index) / pressure, float(results.loads["mean_gap"][index]) / length)
+        for index in range(len(targets))
+    ]
+
+
+def alike(ones, others, moved=lambda field: field, room=1e-5):
+    """Whether pressures, moved, and mean gaps agree to √(2 × tolerance) and the freedom of a control."""
+    for (one, gap), (other, moved_gap) in zip(ones, others, strict=True):
+        assert np.linalg.norm(moved(one) - other) <= room * np.linalg.norm(other)
+        assert moved_gap == pytest.approx(gap, rel=room, abs=room)
+
+
+def room_of(case) -> float:
+    """Targets of gaps are met to 1e-4, so that runs may differ by as much; areas jump, loads between two jumps differ."""
+    return {"pressure": 1e-5, "contact_area": 0.1}.get(case[2], 1e-3)
+
+
+@pytest.mark.parametrize("unit", [1e-100, 1e-9, 1e100])
+@pytest.mark.parametrize("case", CASES, ids=" ".join)
+def test_units(comm, shared_tmp_path, case, unit):
+    """Lengths × unit, pressures ÷ unit: the same contact."""
+    if comm.size > 1 and unit != 1e-9:
+        pytest.skip("once is enough")
+    here = contacts(comm, shared_tmp_path / "here", heights(), case)
+    alike(here, contacts(comm, shared_tmp_path / "there", heights(), case, length=unit, pressure=1 / unit),
+          room=room_of(case))  # fmt: skip
+
+
+MOVES = {
+    "translation": lambda field: np.roll(field, (5, -3), (0, 1)),
+    "rotation": np.rot90,
+    "reflection": np.flipud,
+    "tiling": lambda field: np.tile(field, (2, 1)),
+}
+
+
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("case", CASES, ids=" ".join)
+def test_moves(comm, shared_tmp_path, case, move):
+    """A surface that is shifted, turned, mirrored or repeated: so are its pressures."""
+    if comm.size > 1 and move != "rotation":
+        pytest.skip("once is enough")
+    moved = MOVES[move]
+    before = contacts(comm, shared_tmp_path / "before", heights(), case)
+    after = contacts(comm, shared_tmp_path / "after", np.ascontiguousarray(moved(heights())), case)
+    alike(before, after, moved, room_of(case))
+
+
+@pytest.mark.parametrize("case", CASES, ids=" ".join)
+def test_order_of_loads(comm, shared_tmp_path, case):
+    """Loads in another order, each from another one before it: the same pressures."""
+    targets = TARGETS[case[2]]
+    forth = contacts(comm, shared_tmp_path / "forth", heights(), case, targets=targets)
+    back = contacts(comm, shared_tmp_path / "back", heights(), case, targets=targets[::-1])
+    alike(forth, back[::-1], room=room_of(case))
+
+
+@pytest.mark.parametrize("case", CASES, ids=" ".join)
+def test_rank_count(comm, shared_tmp_path, case):
+    """All ranks together, and one alone: pressures agree as closely as they are certified."""
+    if comm.size == 1:
+        pytest.skip("needs several ranks")
+    from mpi4py import MPI
+
+    together = contacts(comm, shared_tmp_path / "together", heights(), case)
+    alone = contacts(MPI.COMM_SELF, shared_tmp_path / f"alone {comm.rank}", heights(), case)
+    alike(together, alone, room=room_of(case))
