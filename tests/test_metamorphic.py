@@ -64,26 +64,38 @@ def contacts(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=N
 
 
 def alike(ones, others, moved=lambda field: field, room=1e-5):
-    """Whether pressures, moved, and mean gaps agree to √(2 × tolerance) and the freedom of a control."""
+    """Pressures, moved, and mean gaps agree."""
     for (one, gap), (other, moved_gap) in zip(ones, others, strict=True):
         assert np.linalg.norm(moved(one) - other) <= room * np.linalg.norm(other)
         assert moved_gap == pytest.approx(gap, rel=room, abs=room)
 
 
 def room_of(case) -> float:
-    """Targets of gaps are met to 1e-4, so that runs may differ by as much; areas jump, loads between two jumps differ."""
+    """Pressures certified to 1e-12 agree to 1e-5.  Gaps are met to 1e-4, and pressures change up to ten times as much.
+    Areas jump: loads between two jumps are all right.
+    """
     return {"pressure": 1e-5, "contact_area": 0.1}.get(case[2], 1e-3)
 
 
-@pytest.mark.parametrize("unit", [1e-100, 1e-9, 1e100])
+@pytest.fixture(scope="module")
+def plain(comm, tmp_path_factory):
+    """plain(case): the contacts of a case as it stands, solved once."""
+    folder, known = comm.bcast(tmp_path_factory.mktemp("plain")), {}
+
+    def solved(case):
+        if case not in known:
+            known[case] = contacts(comm, folder / " ".join(case), heights(), case)
+        return known[case]
+
+    return solved
+
+
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
-def test_units(comm, shared_tmp_path, case, unit):
-    """Lengths × unit, pressures ÷ unit: the same contact."""
-    if comm.size > 1 and unit != 1e-9:
-        pytest.skip("once is enough")
-    here = contacts(comm, shared_tmp_path / "here", heights(), case)
-    alike(here, contacts(comm, shared_tmp_path / "there", heights(), case, length=unit, pressure=1 / unit),
-          room=room_of(case))  # fmt: skip
+def test_units(comm, shared_tmp_path, plain, case):
+    """Lengths × 1e±100 (in turns), pressures ÷ that: the same contact."""
+    unit = (1e-100, 1e100)[CASES.index(case) % 2]
+    there = contacts(comm, shared_tmp_path / "there", heights(), case, length=unit, pressure=1 / unit)
+    alike(plain(case), there, room=room_of(case))
 
 
 MOVES = {
@@ -94,34 +106,29 @@ MOVES = {
 }
 
 
-@pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
-def test_moves(comm, shared_tmp_path, case, move):
-    """A surface that is shifted, turned, mirrored or repeated: so are its pressures."""
-    if comm.size > 1 and move != "rotation":
-        pytest.skip("once is enough")
-    moved = MOVES[move]
-    before = contacts(comm, shared_tmp_path / "before", heights(), case)
+def test_moves(comm, shared_tmp_path, plain, case):
+    """A surface that is shifted, turned, mirrored or repeated (in turns, over all four solids and all controls): so are
+    its pressures."""
+    wall, solid, control = (list(kinds).index(kind) for kinds, kind in zip((WALLS, SOLIDS, TARGETS), case, strict=True))
+    moved = list(MOVES.values())[(wall + solid + control) % 4]
     after = contacts(comm, shared_tmp_path / "after", np.ascontiguousarray(moved(heights())), case)
-    alike(before, after, moved, room_of(case))
+    alike(plain(case), after, moved, room_of(case))
 
 
-@pytest.mark.parametrize("case", CASES, ids=" ".join)
-def test_order_of_loads(comm, shared_tmp_path, case):
+@pytest.mark.parametrize("case", [case for case in CASES if case[1] in ("half-space", "free")], ids=" ".join)
+def test_order_of_loads(comm, shared_tmp_path, plain, case):
     """Loads in another order, each from another one before it: the same pressures."""
-    targets = TARGETS[case[2]]
-    forth = contacts(comm, shared_tmp_path / "forth", heights(), case, targets=targets)
-    back = contacts(comm, shared_tmp_path / "back", heights(), case, targets=targets[::-1])
-    alike(forth, back[::-1], room=room_of(case))
+    back = contacts(comm, shared_tmp_path / "back", heights(), case, targets=TARGETS[case[2]][::-1])
+    alike(plain(case), back[::-1], room=room_of(case))
 
 
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
-def test_rank_count(comm, shared_tmp_path, case):
+def test_rank_count(comm, shared_tmp_path, plain, case):
     """All ranks together, and one alone: pressures agree as closely as they are certified."""
     if comm.size == 1:
         pytest.skip("needs several ranks")
     from mpi4py import MPI
 
-    together = contacts(comm, shared_tmp_path / "together", heights(), case)
     alone = contacts(MPI.COMM_SELF, shared_tmp_path / f"alone {comm.rank}", heights(), case)
-    alike(together, alone, room=room_of(case))
+    alike(plain(case), alone, room=room_of(case))
