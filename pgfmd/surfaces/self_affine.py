@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from pgfmd.surfaces.surface import Surface
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
+
+log = logging.getLogger("pgfmd")
 
 SLACK = 1e-9  # relative: a mode that lies on a cut-off belongs to the band on every grid
 
@@ -50,9 +53,15 @@ class SelfAffine(Surface):
             raise wrong(self, "lambda_s", f"must not exceed lambda_l = {show(longest)}")
         if self.lambda_r is not None and self.lambda_r < self.lambda_s:
             raise wrong(self, "lambda_r", f"must not be below lambda_s = {show(self.lambda_s)}")
-        if self.lambda_r is not None and self.lambda_r > longest:
-            # Results of format_version 1 had the names of the two exchanged: --restart ends here as well.
-            raise wrong(self, "lambda_r", f"must not exceed lambda_l = {show(longest)}, the longest wavelength")
+        if self.lambda_l is not None and self.lambda_r is not None and self.lambda_r > self.lambda_l:
+            # Jobs for results of format_version 1 had the names of the two exchanged.
+            log.warning(
+                "surface: lambda_r = %g exceeds lambda_l = %g: the smaller is taken for the roll-off, the larger for "
+                "the longest wavelength", self.lambda_r, self.lambda_l,
+            )  # fmt: skip
+            roll_off, longest = self.lambda_l, self.lambda_r
+            object.__setattr__(self, "lambda_r", roll_off)
+            object.__setattr__(self, "lambda_l", longest)
 
     def check_in(self, cell: Cell) -> None:
         longest = max(cell.lengths) / min(cell.steps)
