@@ -59,11 +59,11 @@ def test_pbs_job_is_submitted_again(tmp_path):
     """The time limit of the run ends it with 75; it is submitted again with the same job, folder and seed."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
     folder = tmp_path / "out"
-    script = batch(tmp_path, "pbs.sh", JOB=str(job), DIR=str(folder), PBS_ARRAY_INDEX="3", LIMIT="12")
+    script = batch(tmp_path, "pbs.sh", JOB=str(job), DIR=str(folder), PBS_ARRAY_INDEX="3", LIMIT="60")
     code, stderr = launching.wait(script, 300)
     assert code == 75, stderr
     asked = (tmp_path / "asked").read_text()
-    assert asked == f"qsub -v JOB={job},DIR={folder},LIMIT=12,SEED=3 {ROOT}/jobs/pbs.sh\n"
+    assert asked == f"qsub -v JOB={job},DIR={folder},LIMIT=60,SEED=3 {ROOT}/jobs/pbs.sh\n"
     assert Results(folder / "seed-3").status == "stopped"
 
 

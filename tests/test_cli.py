@@ -266,9 +266,12 @@ def test_a_job_that_no_node_can_hold(tmp_path, capsys):
 
 
 def test_estimate_scales():
-    """Memory is split over the ranks, files are counted byte for byte: fields × points × width × loads."""
-    from pgfmd.run.estimate import PER_RANK, estimate
+    """Memory beside that of an empty rank is split over the ranks; files are counted byte for byte: fields × points ×
+    width × loads; what is gathered on the way into them counts on several ranks.
+    """
+    from pgfmd.run.estimate import EMPTY, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
-    assert estimate(job, 2).memory - PER_RANK == pytest.approx((estimate(job, 1).memory - PER_RANK) / 2, rel=1e-9)
+    one, two = (estimate(job, ranks).memory - EMPTY for ranks in (1, 2))
+    assert two - 4 * 48 == pytest.approx(one / 2, rel=1e-6)
     assert estimate(job, 1).files == (1 + 2) * 48 * 4

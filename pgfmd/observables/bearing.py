@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
 from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.acf import acf_layout
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
-from pgfmd.observables.observable import Cost, Observable, spectrum_layout
+from pgfmd.observables.observable import Observable, spectrum_layout
 
 if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
 from pgfmd.io.schema import Dataset, Groups
-from pgfmd.observables.observable import Cost, Observable
+from pgfmd.observables.observable import Observable
 from pgfmd.options.rules import choice
 from pgfmd.options.section import key
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
 from pgfmd.io.schema import Dataset, Groups
-from pgfmd.observables.observable import Cost, Observable
+from pgfmd.observables.observable import Observable
 from pgfmd.options.rules import POSITIVE, many
 from pgfmd.options.section import key
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
 from pgfmd.io.schema import Dataset, Groups, Layout
 from pgfmd.observables.statistics.spectra import wave_number_bins
 from pgfmd.options.rules import choice, flag, integer
@@ -19,16 +20,6 @@ from pgfmd.options.section import Section, key
 
 if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What one load costs: transforms (forward and backward, double precision), and memory in bytes per grid point
-    beside that of the heights, the pressure and the gap.
-    """
-
-    transforms: float = 0.0
-    memory: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
 from pgfmd.io.schema import Groups
-from pgfmd.observables.observable import Cost, Spectrum, spectrum_layout
+from pgfmd.observables.observable import Spectrum, spectrum_layout
 
 if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact

@@ -5,40 +5,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pgfmd.grid.cell import WORKSPACE
+from pgfmd.grid.cost import Cost
 from pgfmd.job.job import Job
-from pgfmd.observables.observable import Cost
 from pgfmd.run.memory import readable
+from pgfmd.solvers.cost import MOSTLY
+from pgfmd.solvers.cost import cost as solver_cost
 
-# The arrays that live at the peak of a run, in bytes per grid point, summed over ranks.
-ARRAYS = {
-    "heights": 8,
-    "heights about their mean, over their rms value": 8,
-    "pressure": 8,
-    "gap": 8,
-    "strips of the transforms": 8,
-}
-# Per unknown of the hard wall, which is the pressure of a point in contact or, where these are the majority, the gap of
-# one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and for
-# pressures the residual without means of blocks, tensions cut off and the response to that, with their halo (15).
-PER_PRESSURE, PER_GAP = 43, 28
-MOSTLY = 0.45  # contact area above which gaps are the unknowns
+FIELDS = 24.0  # bytes per grid point: heights, pressure, gap
+EMPTY = 2.45e8  # bytes of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+AGGREGATED = 2**25  # bytes that one rank gathers of a field on the way into the file (OMPIO's default)
 MORE = 0.22  # contact area of self-affine surfaces at small loads, over that of Persson's theory, less one
-HARD = {"mesh of half the side: strips, field, influence": 4, "means over blocks, their response": 1}
-# Newton's vectors for the exponential wall, single precision where that serves.
-EXPONENTIAL = {
-    "pressure's root, residual, direction, image, change, response": 24,
-    "targets and their sums": 34,
-    "rows of the coarse grid": 6,
-}
-MEASURING = 32.0  # heights, pressure, gap and strips, while an observable is measured
-PER_RANK = 6e6  # bytes: blocks of the transforms
-
-# What a solve to the default tolerance takes, in forward + backward transforms of double precision (the hard wall does
-# about 10 and other work worth 30; up to three times that on surfaces rough down to the grid); and seconds per grid
-# point of one of them on one core of a 2020s machine (FFTW, 4096 × 4096).
-TRANSFORMS = {"hard": 40, "exponential": 15}
-SECONDS_PER_POINT = 1.4e-8
-SOLVES_PER_AREA = 4  # loads tried until one contact area is met
+SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
+SOLVES_PER_AREA = 4  # loads tried until one contact area, gap or displacement is met
 
 
 @dataclass(frozen=True)
@@ -58,9 +37,11 @@ def estimate(job: Job, ranks: int) -> Estimate:
     width = 4 if job.output.precision == "float32" else 8
     fields = sum(1 if name == "height" else loads for name in job.output.fields)
     solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_AREA)
-    work = TRANSFORMS[job.wall.kind] * solves + sum(cost.transforms for cost in costs(job)) * loads
+    solving, measuring = max(solver_costs(job), key=lambda cost: cost.memory), observer_costs(job)
+    work = solving.transforms * solves + sum(cost.transforms for cost in measuring) * loads
+    gathered = min(points * width, AGGREGATED) if fields and ranks > 1 else 0
     return Estimate(
-        memory=bytes_per_point(job) * rows * job.grid.n[1] + PER_RANK,
+        memory=EMPTY + gathered + bytes_per_point(job) * rows * job.grid.n[1],
         files=fields * points * width,
         seconds=work * points * SECONDS_PER_POINT / ranks,
     )
@@ -68,15 +49,17 @@ def estimate(job: Job, ranks: int) -> Estimate:
 
 def bytes_per_point(job: Job) -> float:
     """Bytes per grid point at the peak, over all ranks: while a load is solved, or an observable measured."""
-    if job.wall.kind == "exponential":
-        solving = sum(ARRAYS.values()) + sum(EXPONENTIAL.values())
-    else:
-        sets = (PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area) for area in contact_areas(job))
-        solving = sum(ARRAYS.values()) + sum(HARD.values()) + max(sets)
-    return max(solving, MEASURING + max((cost.memory for cost in costs(job)), default=0.0))
+    costs = solver_costs(job) + observer_costs(job)
+    return FIELDS + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
 
 
-def costs(job: Job) -> list[Cost]:
+def solver_costs(job: Job) -> list[Cost]:
+    """What each load costs to solve."""
+    method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
+    return [solver_cost(method, area) for area in contact_areas(job)]
+
+
+def observer_costs(job: Job) -> list[Cost]:
     """What the observables that are asked for cost, for one load."""
     return [observable.cost(job.grid, job.surface.cutoff(job.grid)) for observable in job.output.asked]
 
@@ -107,7 +90,7 @@ def report(job: Job, ranks: int) -> str:
         "surface": ": ".join(filter(None, [job.surface.kind, understood])),
         "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
-        f"({bytes_per_point(job):.0f} bytes per grid point)",
+        f"({readable(EMPTY)} and {bytes_per_point(job):.0f} bytes per grid point)",
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
     }

@@ -1,0 +1,33 @@
+"""What each method costs, for `pgfmd check`.  No MPI here.
+
+Bytes per grid point at the peak, measured (peak of the resident memory less that of a 16² run, 1024² and 2048² points,
+one to four ranks); transforms are those of a solve to the default tolerance, other work counted as what it takes as
+long as, measured on surfaces with λ_s = 4a and 16a at contact areas of 0.06 and 0.5.  Surfaces that are rough down to
+the grid take up to three times as long.
+"""
+
+from __future__ import annotations
+
+from pgfmd.grid.cost import Cost
+
+SCALED = 8.0  # heights about their mean, over their rms value
+# Per unknown of the active set, which is the pressure of a point in contact or, where these are the majority, the gap
+# of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
+# for pressures the residual without means of blocks, tensions cut off and the response to that, with their halo (15).
+PER_PRESSURE, PER_GAP = 43.0, 28.0
+MESH = 5.0  # of half the side: strips, field, influence, means over blocks and their response
+# Newton's pressure as its root, residual, direction, image, change, response (24), targets and their sums (34), rows of
+# the coarse grid (6): single precision where that serves.
+NEWTON = 64.0
+DYNAMICS = 42.0  # displacements now and before, forces, two spectra
+MOSTLY = 0.45  # contact area above which gaps are the unknowns: that of `active_set.nested_iteration`
+
+
+def cost(method: str, area: float) -> Cost:
+    """One contact of that relative area by that method."""
+    if method == "newton":
+        return Cost(15, SCALED + NEWTON)
+    if method == "gfmd":
+        return Cost(150, SCALED + DYNAMICS)
+    unknowns = PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area)
+    return Cost(40, SCALED + MESH + unknowns)
