@@ -85,7 +85,7 @@ class RoughSurface:
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""
-        if self.lags is None:
+        if self.lags is None or found.acf is None or found.acf_x is None or found.acf_y is None:
             return {}
         return {
             f"{name}_acf": self.lags.means(found.acf, "r"),

@@ -111,9 +111,7 @@ def _signed(pressure: np.ndarray, gap: np.ndarray, halo: np.ndarray, i: int, j: 
 
 
 @_jit
-def line_of_pixel(
-    fields: Fields, form: Form, i: int, j: int, around: np.ndarray
-) -> tuple[float, float, float, float]:
+def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray) -> tuple[float, float, float, float]:
     """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, length along the rows in
     spacings along a column, length along the columns in spacings along a row, corners).
 

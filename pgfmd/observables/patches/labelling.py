@@ -13,6 +13,7 @@ along y, as stored).  This rule does not know about ranks.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -22,6 +23,10 @@ from pgfmd.observables.patches.run_length import PeriodicSets, column_wraps, fin
 from pgfmd.parallel.collectives import raise_together
 
 _NOWHERE = np.iinfo(np.int64).max  # the key of a piece of which no pixel is seen here
+Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Of pieces: key of their patch, (m, 2) cells to add to have them in its frame, (m, 2) whether it winds around the
+cell.
+"""
 _RANK_BITS = 40  # a key is (rank << 40) + piece: keys are in the order of first pixels, and say where the patch is kept
 
 
@@ -99,7 +104,7 @@ def label_patches(comm: MPI.Comm, mask: np.ndarray, starts: np.ndarray, connecti
     fragment, covered, below, count = find_fragments(runs, first, reach)
     pieces = PeriodicSets(count)
     ends, begins = column_wraps(runs, first, mask.shape[1], reach)
-    pieces.unite(fragment[ends], fragment[begins], np.broadcast_to(np.int32([0, 1]), (len(ends), 2)))
+    pieces.unite(fragment[ends], fragment[begins], np.broadcast_to(np.array([0, 1], np.int32), (len(ends), 2)))
 
     top, bottom = fragment[: first[1]], fragment[first[-2] :]
     roots, at_seam = np.unique(pieces.parent[np.concatenate([top, bottom])], return_inverse=True)
@@ -113,8 +118,11 @@ def label_patches(comm: MPI.Comm, mask: np.ndarray, starts: np.ndarray, connecti
     moves = np.zeros((count, 2), np.int32)
     moves[roots] = move
     pieces.shift += moves[pieces.parent]
-    geometry = (comm, np.asarray(starts), mask.shape[1], connectivity)
-    return _number(geometry, (runs, first, fragment, covered), below, pieces, roots, own_key, key)
+    numbers = _number(comm, below, pieces, (roots, own_key, key))
+    return Labels(
+        comm=comm, starts=np.asarray(starts), columns=mask.shape[1], connectivity=connectivity,
+        runs=runs, first=first, fragment=fragment, covered=covered, shift=pieces.shift, **numbers,
+    )  # fmt: skip
 
 
 @dataclass
@@ -129,7 +137,7 @@ class _Seam:
     winds: np.ndarray  # (m, 2) bool
 
 
-def _join_seams(comm, seam: _Seam):
+def _join_seams(comm: MPI.Comm, seam: _Seam) -> Answer:
     """Join the pieces at all seams: key, shift (to the frame of the patch) and winds of this rank's m.  Collective."""
     joined = []
     step = 1
@@ -167,29 +175,36 @@ class _Joint:
                           at[len(upper.top) :], lower.bottom_shift + sets.shift[bottom],
                           self.key[self.open], sets.winds[self.open])  # fmt: skip
 
-    def resolve(self, answer):
+    def resolve(self, answer: Answer) -> tuple[Answer, Answer]:
         """Key, shift and winds of the pieces of the upper and of the lower group, given those of the open ones."""
         key, winds = self.key, self.sets.winds
         move = np.zeros_like(self.sets.shift)
         key[self.open], move[self.open], winds[self.open] = answer
         parent = self.sets.parent
         whole = key[parent], self.sets.shift + move[parent], winds[parent]
-        return tuple(part[: self.split] for part in whole), tuple(part[self.split :] for part in whole)
+        a, b, c = (np.split(part, [self.split]) for part in whole)
+        return (a[0], b[0], c[0]), (a[1], b[1], c[1])
 
 
-def _close(seam: _Seam):
+def _close(seam: _Seam) -> Answer:
     """Join the last row of the grid to the row above its first one, which is the same row one cell further up."""
     sets = PeriodicSets(len(seam.key))
     sets.winds[:] = seam.winds
-    sets.unite(seam.bottom, seam.top, seam.bottom_shift - seam.top_shift + np.int32([1, 0]))
+    sets.unite(seam.bottom, seam.top, seam.bottom_shift - seam.top_shift + np.array([1, 0], np.int32))
     key = seam.key.copy()
     np.minimum.at(key, sets.parent, seam.key)
     return key[sets.parent], sets.shift, sets.winds[sets.parent]
 
 
-def _number(geometry, found, below, pieces, roots, own_key, key) -> Labels:
-    """Number the patches, given the keys of this rank's pieces at seams (`roots`).  Collective."""
-    comm = geometry[0]
+def _number(
+    comm: MPI.Comm, below: int, pieces: PeriodicSets, seam: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> dict[str, Any]:
+    """Number the patches: entries of `Labels`.  Collective.
+
+    below: number of pieces with a pixel of this rank; seam: pieces at seams, their keys here, and those of their
+    patches.
+    """
+    roots, own_key, key = seam
     kept = pieces.parent[:below] == np.arange(below, dtype=pieces.parent.dtype)
     kept[roots[(key != own_key) & (roots < below)]] = False
     kept_roots = np.flatnonzero(kept)
@@ -207,12 +222,19 @@ def _number(geometry, found, below, pieces, roots, own_key, key) -> Labels:
     asked = _exchange(comm, foreign & ((1 << _RANK_BITS) - 1), send_counts, return_counts)
     returned = number[asked].astype(np.int64)
     label = returned + 1 + kept_counts[: comm.rank].sum()
-    routes = (_exchange(comm, label, return_counts, send_counts), send_counts, returned, return_counts)
-    owned = (kept_counts, pieces.winds[kept_roots])
-    return Labels(*geometry, int(kept_counts.sum()), *found, number[pieces.parent], pieces.shift, *owned, *routes)
+    return {
+        "count": int(kept_counts.sum()),
+        "patch": number[pieces.parent],
+        "kept_counts": kept_counts,
+        "winds": pieces.winds[kept_roots],
+        "foreign": _exchange(comm, label, return_counts, send_counts),
+        "send_counts": send_counts,
+        "returned": returned,
+        "return_counts": return_counts,
+    }
 
 
-def _exchange(comm, values: np.ndarray, counts: np.ndarray, back: np.ndarray) -> np.ndarray:
+def _exchange(comm: MPI.Comm, values: np.ndarray, counts: np.ndarray, back: np.ndarray) -> np.ndarray:
     """Send counts[r] rows of `values` to each rank r in turn, receive back[r] rows from it.  Collective."""
     values = np.ascontiguousarray(values)
     out = np.empty((int(back.sum()), *values.shape[1:]), values.dtype)

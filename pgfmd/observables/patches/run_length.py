@@ -10,6 +10,8 @@ ordered by column; runs[k] = (start, stop), the stop excluded.  No MPI here.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -28,7 +30,7 @@ def find_runs(above: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 @njit(cache=True, nogil=True)
-def _count_runs(above, mask, first):
+def _count_runs(above: np.ndarray, mask: np.ndarray, first: np.ndarray) -> None:
     """first[1:] = cumulative number of runs, row by row; first[0] stays 0."""
     for i in range(len(first) - 1):
         row = above if i == 0 else mask[i - 1]
@@ -39,7 +41,7 @@ def _count_runs(above, mask, first):
 
 
 @njit(cache=True, nogil=True)
-def _find_edges(above, mask, edges):
+def _find_edges(above: np.ndarray, mask: np.ndarray, edges: np.ndarray) -> None:
     """Columns where the mask changes, row by row: starts and stops in turn.
 
     Every column is written, and kept only where the mask changes: no branch that a rough mask would mispredict.
@@ -50,10 +52,10 @@ def _find_edges(above, mask, edges):
         before = np.uint8(0)
         for j in range(len(row)):
             edges[at] = j
-            at += row[j] ^ before
+            at += int(row[j] ^ before)
             before = row[j]
         edges[at] = len(row)
-        at += before
+        at += int(before)
 
 
 def find_fragments(runs: np.ndarray, first: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray, int, int]:
@@ -71,7 +73,7 @@ def find_fragments(runs: np.ndarray, first: np.ndarray, reach: int) -> tuple[np.
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _root(parent, k):
+def _root(parent: np.ndarray, k: int) -> int:
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]
@@ -79,7 +81,9 @@ def _root(parent, k):
 
 
 @njit(cache=True, nogil=True)
-def _find_fragments(runs, first, reach, parent, covered):
+def _find_fragments(
+    runs: np.ndarray, first: np.ndarray, reach: int, parent: np.ndarray, covered: np.ndarray
+) -> tuple[int, int]:
     """Overwrites `parent` and `covered` (n,) with what `find_fragments` returns."""
     for k in range(first[0], first[1]):
         parent[k] = k
@@ -89,7 +93,7 @@ def _find_fragments(runs, first, reach, parent, covered):
             start, stop = runs[k, 0], runs[k, 1]
             while u < u_end and runs[u, 1] + reach <= start:
                 u += 1
-            root = np.int64(k)
+            root: Any = np.int64(k)
             overlap = 0
             for v in range(u, u_end):
                 if runs[v, 0] >= stop + reach:
@@ -115,7 +119,7 @@ def _find_fragments(runs, first, reach, parent, covered):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _number_roots(parent, begin, end, count):
+def _number_roots(parent: np.ndarray, begin: int, end: int, count: int) -> int:
     """Give the runs begin … end − 1 the number of their root, which gets the next one, from `count`, if it has none."""
     for k in range(begin, end):
         if parent[k] >= 0:
@@ -153,7 +157,7 @@ class PeriodicSets:
     """
 
     def __init__(self, count: int):
-        self.parent = np.arange(count, dtype=np.int32 if count < 2**31 else np.int64)
+        self.parent: np.ndarray = np.arange(count, dtype=np.int32 if count < 2**31 else np.int64)
         self.shift = np.zeros((count, 2), np.int32)
         self.winds = np.zeros((count, 2), np.bool_)
 
@@ -167,7 +171,7 @@ class PeriodicSets:
 
 
 @njit(cache=True, nogil=True)
-def _place(parent, shift, k):
+def _place(parent: np.ndarray, shift: np.ndarray, k: int) -> tuple[int, int, int]:
     """Root of piece k and what to add to the coordinates of k in its frame; halves the path."""
     x = y = 0
     while parent[k] != k:
@@ -182,7 +186,9 @@ def _place(parent, shift, k):
 
 
 @njit(cache=True, nogil=True)
-def _unite(parent, shift, winds, a, b, moved):
+def _unite(
+    parent: np.ndarray, shift: np.ndarray, winds: np.ndarray, a: np.ndarray, b: np.ndarray, moved: np.ndarray
+) -> None:
     for e in range(len(a)):
         low, ax, ay = _place(parent, shift, a[e])
         high, bx, by = _place(parent, shift, b[e])
@@ -200,7 +206,7 @@ def _unite(parent, shift, winds, a, b, moved):
 
 
 @njit(cache=True, nogil=True)
-def _flatten(parent, shift):
+def _flatten(parent: np.ndarray, shift: np.ndarray) -> None:
     for k in range(len(parent)):
         up = parent[k]
         if up != k:
@@ -210,7 +216,7 @@ def _flatten(parent, shift):
 
 
 @njit(cache=True, nogil=True)
-def paint(runs, first, label, fragment, out):
+def paint(runs: np.ndarray, first: np.ndarray, label: np.ndarray, fragment: np.ndarray, out: np.ndarray) -> None:
     """out[i − 1, start … stop − 1] = label[fragment[k]] for each run k of the rows i ≥ 1; overwrites `out`."""
     out[:] = 0
     for i in range(1, len(first) - 1):

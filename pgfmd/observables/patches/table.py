@@ -7,6 +7,7 @@ Each rank measures the pixels it holds; pieces of a patch on other ranks are add
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -57,30 +58,28 @@ def patch_table(
     with raise_together(labels.comm):
         if pressure is not None and pressure.shape != (rows, labels.columns):
             raise ValueError(f"the pressure has shape {pressure.shape}, the labels ({rows}, {labels.columns})")
-    columns = _shape_columns(labels, spacing)
-    if pressure is None:
-        columns |= dict.fromkeys(("load", "mean_pressure", "peak_pressure"))
-    else:
+    columns: dict[str, np.ndarray | None] = dict.fromkeys(field.name for field in fields(PatchTable))
+    shapes = _shape_columns(labels, spacing)
+    columns |= shapes
+    if pressure is not None:
         total, peak = _pressures(labels, pressure)
         load = total * (spacing[0] * spacing[1])
-        columns |= {"load": load, "mean_pressure": load / columns["area"], "peak_pressure": peak}
-    beyond, length = (None, None) if line is None else line
-    columns |= {"area_corrected": None if beyond is None else columns["area"] + beyond, "perimeter_corrected": length}
-    gathered = {field.name: _gather(labels, columns.pop(field.name)) for field in fields(PatchTable)}
+        columns |= {"load": load, "mean_pressure": load / shapes["area"], "peak_pressure": peak}
+    if line is not None:
+        columns |= {"area_corrected": shapes["area"] + line[0], "perimeter_corrected": line[1]}
+    gathered: dict[str, Any] = {name: _gather(labels, columns.pop(name)) for name in list(columns)}
     return PatchTable(**gathered) if labels.comm.rank == 0 else None
 
 
-def _shape_columns(labels: Labels, spacing) -> dict[str, np.ndarray]:
+def _shape_columns(labels: Labels, spacing: tuple[float, float]) -> dict[str, np.ndarray]:
     """Area, perimeter, extents and percolation of the patches this rank keeps.  Collective."""
     local = labels.kept + len(labels.foreign)
     counts = np.zeros((local, 3), np.int64)
     box = np.full((local, 4), np.iinfo(np.int64).max)
     cell = np.array([labels.starts[-1], labels.columns], np.int64)
     corner = int(labels.starts[labels.comm.rank])
-    _measure_shape(
-        labels.runs, labels.first, labels.fragment, labels.covered, labels.patch, labels.shift, cell, corner,
-        counts, box,
-    )  # fmt: skip
+    found = labels.runs, labels.first, labels.fragment, labels.covered
+    _measure_shape(found, (labels.patch, labels.shift), cell, corner, counts, box)
 
     np.add.at(counts, labels.returned, labels.to_keepers(counts[labels.kept :]))
     np.minimum.at(box, labels.returned, labels.to_keepers(box[labels.kept :]))
@@ -103,7 +102,7 @@ def _pressures(labels: Labels, pressure: np.ndarray) -> tuple[np.ndarray, np.nda
     """Sum and maximum of the pressure on each patch this rank keeps.  Collective."""
     local = labels.kept + len(labels.foreign)
     total, peak = np.zeros(local), np.full(local, -np.inf)
-    _measure_pressure(labels.runs, labels.first, labels.fragment, labels.patch, pressure, total, peak)
+    _measure_pressure((labels.runs, labels.first, labels.fragment), labels.patch, pressure, total, peak)
     np.add.at(total, labels.returned, labels.to_keepers(total[labels.kept :]))
     np.maximum.at(peak, labels.returned, labels.to_keepers(peak[labels.kept :]))
     return total[: labels.kept], peak[: labels.kept]
@@ -119,11 +118,15 @@ def _gather(labels: Labels, column: np.ndarray | None) -> np.ndarray | None:
 
 
 @njit(cache=True, nogil=True)
-def _measure_shape(runs, first, fragment, covered, patch, shift, cell, corner, counts, box):
+def _measure_shape(
+    found: tuple[np.ndarray, ...], places: tuple[np.ndarray, ...], cell: np.ndarray, corner: int,
+    counts: np.ndarray, box: np.ndarray,
+) -> None:  # fmt: skip
     """Add to counts[p] the pixels and the open edges across x and across y of each local patch p; lower box[p].
 
     box[p] = (min row, min column, −max row, −max column), unrolled, so that one minimum over pieces serves all four.
     """
+    (runs, first, fragment, covered), (patch, shift) = found, places
     for i in range(1, len(first) - 1):
         begin, end = first[i], first[i + 1]
         closed = end > begin and runs[begin, 0] == 0 and runs[end - 1, 1] == cell[1]
@@ -143,8 +146,11 @@ def _measure_shape(runs, first, fragment, covered, patch, shift, cell, corner, c
 
 
 @njit(cache=True, nogil=True)
-def _measure_pressure(runs, first, fragment, patch, pressure, total, peak):
+def _measure_pressure(
+    found: tuple[np.ndarray, ...], patch: np.ndarray, pressure: np.ndarray, total: np.ndarray, peak: np.ndarray
+) -> None:
     """Add to total[p] the pressures of each local patch p, run by run in float64; raise peak[p] to the largest."""
+    runs, first, fragment = found
     for i in range(1, len(first) - 1):
         for k in range(first[i], first[i + 1]):
             sum_of_run, largest = 0.0, -np.inf

@@ -14,7 +14,7 @@ _jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "nsz"}, error_mo
 
 
 @_jit
-def power_in_place(parts):
+def power_in_place(parts: np.ndarray) -> None:
     """parts[..., 0] = |z|² and parts[..., 1] = 0 for a complex block seen as (real, imaginary) along its last axis."""
     for j in range(parts.shape[0]):
         row = parts[j]
@@ -24,7 +24,9 @@ def power_in_place(parts):
 
 
 @_jit
-def bin_rows(values, along, across, weight, edges, sums):
+def bin_rows(
+    values: np.ndarray, along: np.ndarray, across: np.ndarray, weight: np.ndarray, edges: np.ndarray, sums: np.ndarray
+) -> None:
     """sums[b] += Σ weight[j] values[j, i] over all points with b = searchsorted(edges, along[i] + across[j]).
 
     `along` rises up to its middle and falls again, as squares of wave numbers in FFT order or of periodic distances do:
@@ -46,7 +48,9 @@ def bin_rows(values, along, across, weight, edges, sums):
 
 
 @_jit
-def bin_geometry(along, across, weight, edges, counts, roots):
+def bin_geometry(
+    along: np.ndarray, across: np.ndarray, weight: np.ndarray, edges: np.ndarray, counts: np.ndarray, roots: np.ndarray
+) -> None:
     """`bin_rows` of the values 1, into `counts`, and √(along[i] + across[j]), into `roots`; along[i] = along[n − i]."""
     n = along.size
     for j in range(across.size):
@@ -66,7 +70,9 @@ def bin_geometry(along, across, weight, edges, counts, roots):
 
 
 @_jit
-def square_moments(values, along, across, weight):
+def square_moments(
+    values: np.ndarray, along: np.ndarray, across: np.ndarray, weight: np.ndarray
+) -> tuple[float, float]:
     """Σ w q² v and Σ w q⁴ v over values[j, i], with q² = along[i] + across[j] and w = weight[j]."""
     second = fourth = 0.0
     for j in range(across.size):
@@ -81,7 +87,7 @@ def square_moments(values, along, across, weight):
 
 
 @_jit
-def count_edges(pressure, above, first, stop):
+def count_edges(pressure: np.ndarray, above: np.ndarray, first: int, stop: int) -> tuple[int, int, int]:
     """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
 
     `above` (1, ny) is the row before row 0; column 0 follows the last one.
@@ -101,7 +107,7 @@ def count_edges(pressure, above, first, stop):
 
 
 @_jit
-def survey(field, first, stop):
+def survey(field: np.ndarray, first: int, stop: int) -> tuple[int, float, float, float, float]:
     """(number of values > 0, sum, least value > 0 or inf, least value, largest value) of rows first … stop−1."""
     positive, total, least_positive, least, largest = 0, 0.0, np.inf, np.inf, -np.inf
     for i in range(first, stop):
@@ -118,7 +124,7 @@ def survey(field, first, stop):
 
 
 @_jit
-def find_bin(value, at, edges, origin, scale):
+def find_bin(value: float, at: float, edges: np.ndarray, origin: float, scale: float) -> int:
     """The bin that holds a value: its lower edge belongs to it, and the last bin holds both of its edges.
 
     at: the value where `edges` are evenly spaced from `origin` on, `scale` to one; it gives a first guess.
@@ -133,7 +139,7 @@ def find_bin(value, at, edges, origin, scale):
 
 
 @_jit
-def histogram(field, edges, first, stop, counts):
+def histogram(field: np.ndarray, edges: np.ndarray, first: int, stop: int, counts: np.ndarray) -> None:
     """counts += numpy.histogram(rows[rows != 0], edges), for evenly spaced edges."""
     scale = counts.size / (edges[counts.size] - edges[0])
     for i in range(first, stop):
@@ -144,7 +150,14 @@ def histogram(field, edges, first, stop, counts):
 
 
 @_jit
-def contact_sums(field, mean, first, stop, bins, powers):
+def contact_sums(
+    field: np.ndarray,
+    mean: float,
+    first: int,
+    stop: int,
+    bins: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    powers: np.ndarray,
+) -> None:
     """Over the points p > 0 of rows first … stop−1: histograms, added to the counts in `bins`, and Σ (p/mean)^(n+1),
     added to powers[n].
 
@@ -170,7 +183,7 @@ def contact_sums(field, mean, first, stop, bins, powers):
 
 
 @_jit
-def count_digits(keys, prefix, shift, first, stop, counts):
+def count_digits(keys: np.ndarray, prefix: np.uint64, shift: int, first: int, stop: int, counts: np.ndarray) -> None:
     """counts[(key >> shift) & 0xFFFF] += 1 for the keys with key >> shift >> 16 == prefix, of rows first … stop−1.
 
     `keys`: float64 fields seen as int64; a key is made to have the order of its number, as an unsigned integer.

@@ -33,9 +33,9 @@ def lowpass_areas(
     grid, heights = problem.grid, problem.heights
     fine = grid
     for factor, indices in sorted(levels.items()):
-        coarse, before = grid, start
+        coarse, before = grid, start if factor == 1 else None
         if factor > 1:
-            coarse, before = grid.coarse(factor), None
+            coarse = grid.coarse(factor)
             heights = restrict(fine, coarse, heights)
             if fine is not grid:
                 fine.free()

@@ -9,7 +9,11 @@ Sums take blocks of modes or of points, in any layout, and may be added up over 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pgfmd.errors import InputError
 
@@ -20,7 +24,7 @@ BLOCK = 1 << 18
 """Entries that are binned at a time: temporaries stay in the cache."""
 
 
-def wave_numbers(shape, lengths) -> tuple[np.ndarray, np.ndarray]:
+def wave_numbers(shape: Sequence[int], lengths: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """qx (nx, 1) in FFT order and qy (1, ny//2+1), ky ≥ 0, of a half spectrum; radians per length."""
     (nx, ny), (lx, ly) = shape, lengths
     return 2 * np.pi / lx * (np.fft.fftfreq(nx) * nx)[:, None], 2 * np.pi / ly * np.arange(ny // 2 + 1)[None, :]
@@ -35,7 +39,15 @@ def hermitian_weight(ny: int) -> np.ndarray:
     return weight
 
 
-def bin_edges(shape, lengths, spacing="log", *, per_decade=20, width=None, q_max=None) -> np.ndarray:
+def bin_edges(
+    shape: Sequence[int],
+    lengths: Sequence[float],
+    spacing: str = "log",
+    *,
+    per_decade: float = 20,
+    width: float | None = None,
+    q_max: float | None = None,
+) -> np.ndarray:
     """Edges (m+1,) of narrow bins in |q| > 0 that hold every mode of the grid, or every one up to `q_max`.
 
     "log": `per_decade` bins to a decade, the first centred on the smallest wave number of the cell; at small q, where
@@ -48,7 +60,7 @@ def bin_edges(shape, lengths, spacing="log", *, per_decade=20, width=None, q_max
     """
     _require_positive(per_decade=per_decade, width=1 if width is None else width, q_max=1 if q_max is None else q_max)
     lowest = 2 * np.pi / max(lengths)
-    highest = 2 * np.pi * np.hypot(*(n // 2 / length for n, length in zip(shape, lengths, strict=True)))
+    highest = 2 * np.pi * math.hypot(*(n // 2 / length for n, length in zip(shape, lengths, strict=True)))
     top = max(highest, lowest) if q_max is None else q_max
     if spacing == "log":
         count = int(np.ceil(max(per_decade * np.log10(top / lowest), 0) + 0.5))
@@ -65,7 +77,7 @@ def bin_edges(shape, lengths, spacing="log", *, per_decade=20, width=None, q_max
     return np.append(edges[edges < q_max], q_max * (1 + HAIR))
 
 
-def lag_edges(shape, lengths, width=None) -> np.ndarray:
+def lag_edges(shape: Sequence[int], lengths: Sequence[float], width: float | None = None) -> np.ndarray:
     """Edges (m+1,) of bins in the distance r, centred on multiples of `width` (default: the larger grid spacing).
 
     The first bin holds r = 0 alone; the last one ends at half the shorter side of the cell, up to where circles are
@@ -94,7 +106,7 @@ def wave_number_bins(
     Raises InputError for another spacing.
     """
     if spacing == "linear":
-        top = np.hypot(*(np.pi * (n // 2 * 2) / length for n, length in zip(shape, lengths, strict=True)))
+        top = math.hypot(*(np.pi * (n // 2 * 2) / length for n, length in zip(shape, lengths, strict=True)))
         top = top if q_max is None else min(q_max, top)
         return bin_edges(shape, lengths, "linear", width=top / bins or 1.0, q_max=q_max)
     return bin_edges(shape, lengths, spacing, per_decade=bins, q_max=q_max)
@@ -114,33 +126,33 @@ def lag_bins(shape: tuple[int, int], lengths: tuple[float, float], spacing: str 
     return np.append(edges[edges < half], half) * (1 + HAIR)
 
 
-def distances(shape, lengths, rows=slice(None)) -> np.ndarray:
+def distances(shape: Sequence[int], lengths: Sequence[float], rows: slice = slice(None)) -> np.ndarray:
     """Distance of each grid point (rows, ny) from the point (0, 0), to the nearest periodic image."""
     x, y = (np.minimum(np.arange(n), n - np.arange(n)) * (length / n) for n, length in zip(shape, lengths, strict=True))
     return np.hypot(x[rows, None], y[None, :])
 
 
-def accumulate(edges, q, weight, *values) -> np.ndarray:
+def accumulate(edges: np.ndarray, q: ArrayLike, weight: ArrayLike, *values: ArrayLike) -> np.ndarray:
     """Sums over a block of modes in each bin: rows Σw, Σ w q, and Σ w v for each of `values`; shape (2 + k, m).
 
     `q`, `weight` and the values broadcast against each other in any layout (also |r| and an autocorrelation).  A mode
     belongs to bin i if edges[i] < q ≤ edges[i+1]; those outside all bins, q = 0 among them, are left out.  Add up the
     result over blocks or ranks and hand it to `radial_mean`.
     """
-    q, weight, *values = np.broadcast_arrays(q, weight, *values)
+    q, weight, *fields = np.broadcast_arrays(q, weight, *values)
     count = len(edges) - 1
-    sums = np.zeros((2 + len(values), count))
+    sums = np.zeros((2 + len(fields), count))
     step = max(1, BLOCK * len(q) // max(q.size, 1)) if q.ndim else 1
     for start in range(0, len(q), step):
         rows = slice(start, start + step)
         index, block_weight = np.searchsorted(edges, q[rows].ravel()), weight[rows].ravel()
-        for total, value in zip(sums, (None, q, *values), strict=True):
+        for total, value in zip(sums, (None, q, *fields), strict=True):
             terms = block_weight if value is None else block_weight * value[rows].ravel()
             total += np.bincount(index, terms, minlength=count + 2)[1 : count + 1]
     return sums
 
 
-def radial_mean(sums) -> tuple[np.ndarray, ...]:
+def radial_mean(sums: np.ndarray) -> tuple[np.ndarray, ...]:
     """From the sums of `accumulate`: mean q, mean of each value and count of modes, for the m' bins that are not empty.
 
     Returns (q, value, …, count), each of shape (m',).
@@ -149,7 +161,7 @@ def radial_mean(sums) -> tuple[np.ndarray, ...]:
     return (*(sums[1:] / sums[0]), sums[0])
 
 
-def _require_positive(**numbers):
+def _require_positive(**numbers: float) -> None:
     """:raises InputError: naming the first of the numbers that is not positive and finite."""
     for name, number in numbers.items():
         if not 0 < number < np.inf:

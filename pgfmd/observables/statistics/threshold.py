@@ -39,7 +39,7 @@ def _count(grid: SlabGrid, keys: np.ndarray, prefix: int, shift: int) -> np.ndar
     """How many keys begin with the digits `prefix`, by the digit that follows: (2^16,) int64.  Collective."""
     parts = []
 
-    def part(first: int, stop: int):
+    def part(first: int, stop: int) -> None:
         counts = np.zeros(1 << DIGIT, np.int64)
         count_digits(keys, np.uint64(prefix), shift, first, stop, counts)
         parts.append(counts)
