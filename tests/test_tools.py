@@ -257,6 +257,7 @@ def test_pending_names_only_what_is_to_be_done(runs, tmp_path):
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
 GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
 GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale", "correlation_decay"}
+SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load"}  # all is touched there
 KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
@@ -265,8 +266,8 @@ KINDS = {
     ("file",): GENERAL,
     ("sinusoid",): GENERAL,
     ("paraboloid",): GENERAL,
-    ("soft1", "soft2"): {"overview", "persson_spectrum", "field_theory", "energy_by_scale"},
-    ("soft file",): {"overview", "persson_spectrum", "field_theory", "energy_by_scale"},
+    ("soft1", "soft2"): SOFT_ONES,
+    ("soft file",): SOFT_ONES,
     ("no patches",): GENERAL - {"autocorrelations", "correlation_decay", "bearing_area", "contact_patches"},
     ("one load",): GENERAL,
     ("none to full",): GENERAL,

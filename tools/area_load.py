@@ -25,8 +25,12 @@ corrected for the pixels, open ones with the raw area. Lines: the theories of Pe
 (BGT), at finite load for the surface in hand, and dashed at low load. Bars: standard error over seeds."""
 NEEDS = ("area", "roughness")
 OPTIONS = {"--area": {"type": float, "help": "contact area at which κ is reported (default 0.08)"}}
-LATTICE = 0.103 / 0.118114
-"""Share of the correction for the pixels that elasticity on the lattice gives, not geometry: the other choice."""
+
+AREAS = {
+    "raw": lambda load: load.area,
+    "corrected": lambda load: load.corrected_area,
+    "other": lambda load: load.corrected_area + load.area_error,  # where the run estimated the error of its grid
+}
 
 
 def draw(loads: list[Load], area: float = 0.08) -> Sheet:
@@ -74,38 +78,38 @@ def report(sheet: Sheet, group: Ensemble, area: float, name: str):
         sheet.keep("loads", ("setting", "seed", "mean_pressure", "modulus", "rms_slope", "area", "area_corrected"),
                    (name, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
                     load.corrected_area))  # fmt: skip
-    kinds = {"raw": 0.0, "corrected": 1.0, "lattice": LATTICE}
-    kappas: dict[str, list[float]] = {kind: [kappa_at(run, area, share) for run in runs.values()]
-                                      for kind, share in kinds.items()}  # fmt: skip
+    kappas = {kind: [kappa_at(run, area, kind) for run in runs.values()] for kind in AREAS}
     sheet.findings.add(f"κ at f_c = {area:g}, raw, {name}", kappas["raw"])
-    sheet.findings.add(f"κ at f_c = {area:g}, corrected, {name}", kappas["corrected"],
-                       [float(np.mean(kappas["lattice"]))])  # fmt: skip
+    sheet.findings.add(f"κ at f_c = {area:g}, corrected, {name}", kappas["corrected"], _known(kappas["other"]))
     lowest = [min(run, key=lambda load: load.mean_pressure) for run in runs.values()]
-    kappa = np.array([_kappa(load, 1.0) for load in lowest])
-    other = float(np.mean([_kappa(load, LATTICE) for load in lowest]))
-    sheet.findings.add(f"κ at the lowest load, corrected, {name}", kappa, [other])
+    kappa = np.array([_kappa(load, "corrected") for load in lowest])
+    others = _known([_kappa(load, "other") for load in lowest])
+    sheet.findings.add(f"κ at the lowest load, corrected, {name}", kappa, others)
     low, high = persson.LOW_LOAD_KAPPA, asperity.LOW_LOAD_KAPPA_BGT
-    sheet.findings.add(f"way from Persson's κ to that of BGT at the lowest load, {name}", (kappa - low) / (high - low),
-                       [(other - low) / (high - low)])  # fmt: skip
+    ways = None if others is None else [(other - low) / (high - low) for other in others]
+    sheet.findings.add(
+        f"way from Persson's κ to that of BGT at the lowest load, {name}", (kappa - low) / (high - low), ways
+    )
 
 
-def kappa_at(run: list[Load], area: float, share: float) -> float:
-    """κ of one run at a contact area; `share` of the correction for the pixels is made.  NaN beyond its loads."""
+def _known(values: list[float]) -> list[float] | None:
+    """The mean of values as a list of one; None where one is not known."""
+    return [float(np.mean(values))] if np.all(np.isfinite(values)) else None
+
+
+def kappa_at(run: list[Load], area: float, kind: str) -> float:
+    """κ of one run at a contact area, with one of AREAS; NaN beyond its loads."""
     run = sorted(run, key=lambda load: load.mean_pressure)
-    areas = np.array([_area(load, share) for load in run])
+    areas = np.array([AREAS[kind](load) for load in run])
     if len(run) == 1:
-        return _kappa(run[0], share) if abs(areas[0] / area - 1) < 0.1 else math.nan
+        return _kappa(run[0], kind) if abs(areas[0] / area - 1) < 0.1 else math.nan
     if not areas[0] * 0.9 <= area <= areas[-1] * 1.1:
         return math.nan
-    return float(np.interp(np.log(area), np.log(areas), [_kappa(load, share) for load in run]))
+    return float(np.interp(np.log(area), np.log(areas), [_kappa(load, kind) for load in run]))
 
 
-def _area(load: Load, share: float) -> float:
-    return load.area - share * (load.area - load.corrected_area)
-
-
-def _kappa(load: Load, share: float) -> float:
-    return _area(load, share) / reduced(load)
+def _kappa(load: Load, kind: str) -> float:
+    return AREAS[kind](load) / reduced(load)
 
 
 def _draw_theory(sheet: Sheet, loads: list[Load]):

@@ -67,15 +67,16 @@ def report(sheet: Sheet, group: Ensemble, x: np.ndarray, decay: np.ndarray, limi
 
     value, count = fit(decay, limits), len(decay)
     choices = [fit(decay, each) for each in windows(limits)[1:]]
-    left = np.array([fit(np.delete(decay, i, axis=0), limits) for i in range(count)]) if count > 1 else np.empty(0)
-    error = (
-        float(np.sqrt((count - 1) / count * np.sum((left - left.mean()) ** 2))) if np.all(np.isfinite(left)) else None
-    )
+    error = None
+    if count > 1:
+        left = np.array([fit(np.delete(decay, i, axis=0), limits) for i in range(count)])
+        error = float(np.sqrt((count - 1) / count * np.sum((left - left.mean()) ** 2)))
+        error = error if np.isfinite(error) else None
     for name, shift in ((f"ν, {group.name}", 0.0), (f"ν + H, {group.name}", group.hurst)):
         if shift is not None and np.isfinite(value):
             sheet.findings.add(name, value + shift, [other + shift for other in choices])
             found = sheet.findings[name]
-            sheet.findings[name] = Finding(found.value, error if count > 1 else None, found.choices, count)
+            sheet.findings[name] = Finding(found.value, error, found.choices, count)
     for load, row in zip(group, decay, strict=True):
         sheet.keep("data", ("setting", "seed", "r_over_lambda_s", "decay"),
                    *((group.name, load.seed, *values) for values in zip(x, row, strict=True)))  # fmt: skip

@@ -12,7 +12,6 @@ import sys
 
 import figures
 import numpy as np
-from area_load import LATTICE
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
 from reading import Ensemble, Load, ensembles, near
 
@@ -71,10 +70,8 @@ def report(sheet: Sheet, group: Ensemble):
     kappa = [load.modulus * load.rms_slope * load.corrected_area / load.mean_pressure for load in group]
     add(f"contact area f_c{name}", [load.area for load in group])
     add(f"κ, raw area{name}", [load.number("kappa") for load in group])
-    lattice = [
-        load.number("kappa") + LATTICE * (k - load.number("kappa")) for k, load in zip(kappa, group, strict=True)
-    ]
-    add(f"κ, corrected area{name}", kappa, [float(np.mean(lattice))])
+    other = [k * (1 + load.area_error / load.corrected_area) for k, load in zip(kappa, group, strict=True)]
+    add(f"κ, corrected area{name}", kappa, [float(np.mean(other))] if np.all(np.isfinite(other)) else None)
     add(f"κ, Persson at this load{name}", [persson.kappa(load.mean_pressure, load.full_contact_std) for load in group])
     add(f"m₂ = ⟨σ²⟩_c/σ_c²{name}", [load.normalised_second_moment for load in group])
     add(f"m₂, Persson at this load{name}",

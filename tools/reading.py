@@ -62,9 +62,11 @@ class Load:
     def number(self, name: str) -> float:
         """A column of the table of loads; NaN where the run has none.
 
-        Under an exponential wall the area counts points where exp(−gap/ζ) has not underflowed: no contact area, so NaN.
+        Runs before contact lines were measured counted, under an exponential wall, the points where exp(−gap/ζ) has not
+        underflowed, which is no contact area: NaN as well.
         """
-        if self.law == "exponential" and (name == "kappa" or name.startswith("contact_area")):
+        old = "contact_line" not in self.results.loads
+        if old and self.law == "exponential" and (name == "kappa" or name.startswith("contact_area")):
             return math.nan
         return float(self.results.loads[name][self.index]) if name in self.results.loads else math.nan
 
@@ -77,6 +79,13 @@ class Load:
     def corrected_area(self) -> float:
         """f_c without the pixel staircase."""
         return self.number("contact_area_corrected")
+
+    @property
+    def area_error(self) -> float:
+        """Estimated error of the corrected area by the grid; NaN where the run did not estimate it."""
+        if "discretisation" not in self.kept:
+            return math.nan
+        return float(np.ravel(self.groups["discretisation"]["contact_area_corrected_error"])[0])
 
     @property
     def mean_pressure(self) -> float:
@@ -244,6 +253,8 @@ class Load:
         if field not in self.fields:
             raise InputError(f"{self.folder}: no {name} spectrum was kept, and no field {field} to make it from")
         log.info("%s: %s from the field in row blocks", self.folder, name)
+        if name == "contact" and self.law != "hard":
+            raise InputError(f"{self.folder}: nothing of the contact was kept, and pressures alone do not tell it here")
         blocks = self.results.blocks(field, None if field == "height" else self.index)
         return rowblocks.mapped(blocks, lambda values: values > 0) if name == "contact" else blocks
 
@@ -260,15 +271,15 @@ NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
         'observable "spectra", or fields "height" and "pressure"',
     ),
     "correlations": (
-        lambda load: "stress_acf" in load.kept or "pressure" in load.fields,
-        'observable "acf", or field "pressure"',
+        lambda load: "stress_acf" in load.kept or ("pressure" in load.fields and load.law == "hard"),
+        'observable "acf", or (hard walls) field "pressure"',
     ),
     "patches": (lambda load: "patches" in load.kept, 'observable "patches"'),
     "bearing": (lambda load: "bearing_spectrum" in load.kept, 'observables "spectra" and "bearing"'),
     "height": (lambda load: "height" in load.fields, 'field "height"'),
     "pressure": (lambda load: "pressure" in load.fields, 'field "pressure"'),
-    "area": (lambda load: load.area > 0, "a contact area above zero (a hard wall, a load above zero)"),
-    "partial contact": (lambda load: 0 < load.area < 1, "a contact area between zero and one (a hard wall)"),
+    "area": (lambda load: load.area > 0, "a contact area above zero"),
+    "partial contact": (lambda load: 0 < load.area < 1, "a contact area between zero and one"),
     "load": (lambda load: load.mean_pressure > 0, "a load above zero"),
     "exponential wall": (lambda load: load.law == "exponential", 'wall.kind = "exponential"'),
     "roughness": (lambda load: load.rms_slope > 0, "a surface that is not flat"),
