@@ -22,6 +22,7 @@ UNIFORM = 1e15  # range of a law over the rms height from which on the pressure 
 
 ROUNDING = 4 * np.finfo(np.float64).eps  # of pressures, relative: by transforms, and of the numbers themselves
 SHORTEST = 1e-11  # range of a law over the rms height: a hundred thousand units of the last digit of a gap
+BEYOND = 1.01  # times what can touch: points that may just touch are not raised
 UNDERFLOW = 800.0  # ranges of a law over which a pressure falls below the smallest number
 
 
@@ -85,7 +86,8 @@ class Dimensionless:
             return law.finish(pressure[first:stop], gap[first:stop], level, units)
 
         mean, square = self.problem.mean_pressure, grid.reduction.dot(pressure, pressure) / grid.size
-        error = state.error + self._digits(square) / (2 * energy)
+        # Errors add in their norm, √(2 × energy).
+        error = (math.sqrt(max(state.error, 0.0)) + math.sqrt(self._digits(square) / (2 * energy))) ** 2
         if not error <= tolerance:
             raise SolverError(
                 f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
@@ -150,7 +152,7 @@ def deepest(problem: ContactProblem, height: float) -> float:
         block = slice(first, first + grid.band)
         q = np.sqrt(grid.q_squared(block.start, min(block.stop, grid.spectral_shape[0])))
         parts.append(float(np.sum(grid.hermitian_weight[block] * solid.compliance(q))))
-    depth = 2 * load * grid.reduction.sum(parts) + beyond
+    depth = BEYOND * 2 * load * grid.reduction.sum(parts) + beyond
     return depth if depth < height else math.inf
 
 
