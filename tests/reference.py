@@ -120,6 +120,8 @@ class Contact:
         unit = Real(pressure) * self.pixel
         if pressure > hardness:
             raise Unable("more than the hardness")
+        if hardness >= pressure * self.count:  # one point bears all
+            hardness = math.inf
         b = self.heights / unit
         full = self.stiffness @ b  # where all points touch, p = p̄ + Kh; kept apart from p̄, which may be far larger
         if full.min() >= -1 and full.max() <= Real(hardness) / Real(pressure) - 1:

@@ -181,7 +181,7 @@ def test_tensions_are_cut_where_they_are(shape):
     old = np.where(mask, np.random.default_rng(4).standard_normal(shape) + 0.8, 0)
     pressure = old[grid.rows].copy()
     load = 1.1 * old.sum()
-    make_feasible(points, pressure, load, np.inf)
+    make_feasible(points, (pressure, np.zeros_like(pressure)), load, np.inf, 1.0)
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12)
     before, after = (
@@ -197,8 +197,8 @@ def test_pressures_between_two_bounds_carry_the_load(load):
     grid = SlabGrid(comm, (67, 41))
     points, mask, _ = random_set(grid, 0.4)
     old = np.where(mask, np.random.default_rng(4).standard_normal(grid.shape) + 0.8, 0)
-    pressure = old[grid.rows].copy()
-    make_feasible(points, pressure, load * grid.size, 1.0)
+    pressure, gap = old[grid.rows].copy(), np.random.default_rng(5).standard_normal(grid.shape)[grid.rows].copy()
+    make_feasible(points, (pressure, gap), load * grid.size, 1.0, 2.0)
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() >= 0 and new.max() <= 1 + 1e-14
     assert new.sum() == pytest.approx(load * grid.size, rel=1e-12)

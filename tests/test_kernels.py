@@ -232,12 +232,14 @@ def test_responses_and_their_squares(fields):
 
 
 def test_sums_of_a_state(fields):
-    """Σ p g, Σ p and # of the unknowns; Σ p (g + h), Σ p², Σ p g, Σ p and # in contact."""
+    """Σ p g, Σ p and # between the bounds; Σ p (g + h), Σ p², Σ h² and # in contact; gaps of the others."""
     p, gap, heights = fields
     on, free = p > 0, (p > 0) & (p < 1)
     expected = (p * gap)[free].sum(), p[free].sum(), free.sum(), (p * (gap + heights))[on].sum()
-    expected += (p**2)[on].sum(), (p * gap)[on].sum(), p[on].sum(), on.sum()
-    assert np.allclose(set_kernels.contact_sums(p, gap, heights, 1.0, 0, 9), expected, rtol=1e-12, atol=1e-12)
+    expected += (p**2)[on].sum(), (heights**2)[on].sum(), on.sum()
+    sums, highest, lowest = set_kernels.contact_sums(p, gap, heights, 1.0, 0, 9)
+    assert np.allclose(sums, expected, rtol=1e-12, atol=1e-12)
+    assert (highest, lowest) == (gap[p >= 1].max(), gap[p <= 0].min())
 
 
 @pytest.mark.parametrize("cut", [(0, 9), (0, 4), (4, 9)])

@@ -140,8 +140,10 @@ def deepest(problem: ContactProblem, height: float) -> float:
 
     A point carries pressure if it is as far below the highest one as the surface of the solid is above, u_i − u_j ≤
     (max G − min G) Σp, and G lies between ±⟨compliance(q)⟩, the mean over all modes.  A law with a range reaches
-    deeper.
+    deeper; one that limits the pressure lets points sink in, and has no such depth.
     """
+    if problem.law.highest < math.inf:
+        return math.inf
     grid, solid, load = problem.grid, problem.solid, problem.mean_pressure
     beyond = UNDERFLOW * problem.law.range
     stiffest = math.hypot(*(math.pi / step for step in grid.spacing))

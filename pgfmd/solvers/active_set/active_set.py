@@ -77,7 +77,7 @@ class Relaxation:
     """Relaxation of a dimensionless problem.  `exact`: errors are certified; else, on grids that only begin a finer
     one, estimated.
 
-    Attributes: squares, Σ p² and Σ u² of the last response.
+    Attributes: squares, Σ p² and Σ u² of the last response; heights_squared, Σ h² where p > 0.
     """
 
     neutral = True  # whether unknowns are found up to a constant
@@ -89,7 +89,7 @@ class Relaxation:
         kinds: tuple[Precision, Precision] = (np.float32, np.float64)
         self.compliance = {kind: solid.apply_compliance(grid, kind, 1 / grid.size) for kind in kinds}
         self.stiffness = {kind: solid.apply_stiffness(grid, kind, 1 / grid.size) for kind in kinds}
-        self.squares = np.zeros(2)
+        self.squares, self.heights_squared = np.zeros(2), 0.0
         self._means: np.ndarray | None = None
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
@@ -102,26 +102,27 @@ class Relaxation:
         for step in range(MOST_OUTER):
             system = self.look(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            estimate = state.error = system.square / (2 * state.energy) if state.energy > 0 else math.inf
+            estimate = system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
-            rounding = self.rounding(np.float32) / (2 * state.energy) if state.energy > 0 and self.exact else 0.0
-            blurred = precision is np.float32 and rounding > UNSEEN * tolerance
-            if self.exact and estimate <= tolerance and not blurred:
+            rounding = self.rounding(precision) / (2 * state.energy) if self.exact and state.energy > 0 else 0.0
+            clear = precision is np.float64 or rounding <= UNSEEN * tolerance
+            state.error = max(estimate, rounding)
+            if self.exact and clear and estimate <= tolerance:
                 state.error = self.certify(state, precision)
-            done = state.error <= tolerance and not (self.exact and blurred)
             self.settle(state)
             if monitor is not None:
                 monitor(state)
-            if done:
+            if clear and state.error <= tolerance:
                 return state
             patience = PATIENCE if estimate < 0.5 * best else patience - 1
             best = min(best, state.error)
             if patience == 0:
                 break
-            if rounding > UNSEEN * max(tolerance, 0.01 * estimate) or patience <= PATIENCE - STUCK:
-                looked, precision = precision, np.float64
-                if looked is np.float32 and estimate <= tolerance:
+            single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience > PATIENCE - STUCK
+            if precision is np.float32 and not single:
+                precision = np.float64
+                if estimate <= tolerance:
                     continue  # look again before working on
             wanted = self.cut(estimate, before, tolerance) * LEAST_CUT ** (1 - patience / PATIENCE)
             before = estimate
@@ -170,11 +171,14 @@ class Relaxation:
         parts = self.grid.threads.collect(
             lambda a, b: set_kernels.contact_sums(pressure, gap, heights, top, a, b), len(gap)
         )
-        sums = self.grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
-        work, load, between, energy, squares, all_work, all_load, count = map(float, sums)
-        state.level = work / load if between else all_work / all_load
-        state.energy, state.contact, state.between = energy / 2, int(count), int(between)
-        self.squares[0] = squares
+        sums, highest, lowest = zip(*parts, strict=True)
+        totals = self.grid.reduction.sums(*map(math.fsum, zip(*sums, strict=True)))
+        work, load, between, energy, self.squares[0], self.heights_squared, count = totals
+        state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
+        if between:
+            state.level = float(work / load)
+        else:  # any between those of points that bear all they can and points that bear nothing
+            state.level = (self.grid.reduction.max(highest) + self.grid.reduction.min(lowest)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """gap = Gp − h for the state's pressure, of either sign.  Collective."""
@@ -223,8 +227,17 @@ class Relaxation:
         """A bound of ½‖e‖²_K for the error e of a gap that was computed in that precision.  Collective at first.
 
         Errors of transforms are white, in the response as in what it answers: those of the displacement count by the
-        mean of K over all modes, those of the pressure by that of G.
+        mean of K over all modes, those of the pressure by that of G.  Heights are known to their last digits.
         """
+        factor = ROUNDING[any(pow(30030, 64, n) for n in self.grid.shape)]  # primes above 13, the largest in 30030
+        factor *= math.sqrt(math.log2(2 * self.grid.size))
+        unit, digits = factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
+        squares = unit**2 * float(self.means @ self.squares) + digits**2 * self.means[1] * self.heights_squared
+        return squares / 2
+
+    @property
+    def means(self) -> np.ndarray:
+        """Means of compliance and stiffness over all modes.  Collective at first."""
         if self._means is None:
             grid, columns = self.grid, self.grid.spectral_shape[0]
 
@@ -235,7 +248,4 @@ class Relaxation:
 
             sums = np.sum(grid.threads.collect(part, columns, COLUMNS), axis=0) if columns else np.zeros(2)
             self._means = grid.reduction.sums(*sums) / grid.size
-        primes = any(pow(30030, 64, n) for n in self.grid.shape)  # above 13, the largest in 30030
-        factor = ROUNDING[primes] * math.sqrt(math.log2(2 * self.grid.size))
-        unit = factor * float(np.finfo(precision).eps) / 2
-        return unit**2 / 2 * float(self._means @ self.squares)
+        return self._means

@@ -38,11 +38,11 @@ class ConjugateGradients:
         self, residual: SetVector, operator: Operator, preconditioner: Preconditioner, neutral: bool = True
     ) -> None:
         """residual: is overwritten.  Collective."""
-        self.points, self.residual, self.operator, self.preconditioner = (
-            residual.points, residual, operator, preconditioner
-        )  # fmt: skip
+        self.points, self.residual = residual.points, residual
+        self.operator, self.preconditioner = operator, preconditioner
         self.reduction, self.threads = Reduction(self.points.grid.comm), self.points.grid.threads
-        self.share = 1 / self.reduction.sum(self.points.count) if neutral else 0.0  # of a sum that a point takes off
+        count = self.reduction.sum(self.points.count)
+        self.share = 1 / count if neutral and count else 0.0  # of a sum that a point takes off
         self.z, self.mean = SetVector(self.points), 0.0
         residual.own -= residual.own.dtype.type(self._sums(residual.own, residual.own)[1] * self.share)
         self.square = self._precondition()
@@ -60,14 +60,16 @@ class ConjugateGradients:
             if self.square <= wanted or self.square <= 0:
                 return x, iteration
             turn = real(self.square / before), real(self.mean)
-            self.threads.share(lambda _, i, j: set_kernels.turn(d, z, *turn, i, j), len(d), PART)  # noqa: B023 (run at once)
+            self.threads.share(lambda _, i, j: set_kernels.turn(d, z, *turn, i, j), len(d), PART)  # noqa: B023 (at once)
             before = self.square
             self.operator.apply(self.points, direction, product)
             curvature, _, total = self._sums(d, product)
             if not curvature > 0:
                 return x, iteration
             step = real(before / curvature), real(total * self.share)
-            self.threads.share(lambda _, i, j: set_kernels.advance(x, residual, d, product, *step, i, j), len(d), PART)  # noqa: B023
+            self.threads.share(
+                lambda _, i, j: set_kernels.advance(x, residual, d, product, *step, i, j), len(d), PART  # noqa: B023
+            )  # fmt: skip
             self.square = self._precondition()
         return x, most
 

@@ -243,27 +243,32 @@ def add_mean(rows, mean, pressure):
 
 @jit
 def contact_sums(pressure, gap, heights, top, first, stop):
-    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ p g, Σ p and number of points where
-    p > 0) over rows first … stop−1.
+    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ h² and number of points where p > 0),
+    and the highest gap where p = top and the lowest where p = 0, over rows first … stop−1.
     """
-    work = load = energy = squares = all_work = all_load = 0.0
+    work = load = energy = squares = heights_squared = 0.0
     between = count = 0
+    highest, lowest = -np.inf, np.inf
     for i in range(first, stop):
         row = pressure[i]
         for j in range(row.size):
             p = row[u(j)]
+            g = gap[i, u(j)]
             if p > 0:
-                g = gap[i, u(j)]
-                energy += p * (g + heights[i, u(j)])
+                h = heights[i, u(j)]
+                energy += p * (g + h)
                 squares += p * p
-                all_work += p * g
-                all_load += p
+                heights_squared += h * h
                 count += 1
                 if p < top:
                     work += p * g
                     load += p
                     between += 1
-    return work, load, between, energy, squares, all_work, all_load, count
+                else:
+                    highest = max(highest, g)
+            else:
+                lowest = min(lowest, g)
+    return (work, load, between, energy, squares, heights_squared, count), highest, lowest
 
 
 @jit
@@ -444,7 +449,7 @@ def bounded_sums(pressure, top, first, stop):
         for j in range(pressure.shape[1]):
             p = pressure[i, j]
             if p >= top:
-                saturated += p
+                saturated += top
             elif p > 0:
                 between += p
                 room += top - p
@@ -457,6 +462,24 @@ def spread_load(pressure, top, share, first, stop):
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
             pressure[i, j] = _settled(pressure[i, j], 0.0, top, share)
+
+
+@jit
+def pushed_sum(pressure, gap, level, stiffness, top, first, stop):
+    """Σ of p + stiffness · (level − gap), cut at 0 and `top`, over rows first … stop−1."""
+    total = 0.0
+    for i in range(first, stop):
+        for j in range(pressure.shape[1]):
+            total += min(max(pressure[i, j] + stiffness * (level - gap[i, j]), 0.0), top)
+    return total
+
+
+@jit
+def push_rows(pressure, gap, level, stiffness, top, first, stop):
+    """p = p + stiffness · (level − gap), cut at 0 and `top`, in rows first … stop−1."""
+    for i in range(first, stop):
+        for j in range(pressure.shape[1]):
+            pressure[i, j] = min(max(pressure[i, j] + stiffness * (level - gap[i, j]), 0.0), top)
 
 
 @jit

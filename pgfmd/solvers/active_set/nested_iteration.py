@@ -59,7 +59,8 @@ def _begin(problem: ContactProblem, start: np.ndarray) -> State:
     """The state of a given pressure, made feasible.  Collective."""
     grid, top = problem.grid, problem.law.highest
     pressure = np.minimum(start * (problem.load / grid.reduction.sum(start)), top)
-    carry(grid, pressure, problem.load, top)
+    if not carry(grid, pressure, problem.load, top):
+        pressure[...] = problem.mean_pressure
     between = int(grid.reduction.sum((pressure > 0) & (pressure < top)))
     return State(pressure, np.empty(grid.local_shape), between=between)
 
@@ -178,7 +179,8 @@ def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> S
         set_kernels.start_rows(*fields, problem.heights[rows], reach, pressure[rows], gap[rows])
 
     grid.threads.share(begin, grid.local_shape[0], grid.band)
-    carry(grid, pressure, problem.load, top)
+    if not carry(grid, pressure, problem.load, top):
+        pressure[...] = problem.mean_pressure
     state = State(pressure, gap, found.between > MOSTLY * coarse.grid.size)
     state.between = round(found.between / coarse.grid.size * grid.size)
     if state.opened:

@@ -28,6 +28,11 @@ class PressureSteps(Relaxation):
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
+    @property
+    def pixel_stiffness(self) -> float:
+        """Pressure of a pixel over its displacement under that.  Collective at first."""
+        return 1 / self.means[0] if self.means[0] > 0 else 1.0
+
     def free(self) -> None:
         """Give the memory of coarser transforms back.  Collective."""
         self.inner.free()
@@ -49,4 +54,4 @@ class PressureSteps(Relaxation):
         change, steps = system.solve(wanted, MOST_INNER)
         system.points.add(state.pressure, change)
         state.iterations += steps
-        make_feasible(system.points, state.pressure, self.load, self.top)
+        make_feasible(system.points, (state.pressure, state.gap), self.load, self.top, self.pixel_stiffness)
