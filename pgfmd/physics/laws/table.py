@@ -5,12 +5,14 @@ from __future__ import annotations
 from pgfmd.options.section import Kinds
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.hardness import Hardness
 
 LAWS = Kinds(
     "wall",
     (
         HardWall,
         ExponentialWall,
+        Hardness,
     ),
     default=HardWall,
 )

@@ -1,0 +1,57 @@
+"""The wall of limited hardness: contact saturates, as where asperities flow.  0 ≤ p ≤ σ_Y, and gap = 0 in between.
+
+The pressure minimises the same energy as under the hard wall, over 0 ≤ p ≤ σ_Y: φ(p) = 0 there.  Where p = σ_Y the
+solid is let in: the gap is negative.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numba
+import numpy as np
+
+from pgfmd.options.rules import POSITIVE
+from pgfmd.options.section import key
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.law import Units
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hardness(HardWall):
+    """A hard wall that gives way where the pressure reaches `hardness`."""
+
+    kind: ClassVar[str] = "hardness"
+    methods: ClassVar[tuple[str, ...]] = ("active-set",)
+
+    hardness: float = key(POSITIVE, about="σ_Y, the largest pressure that a point bears", needed=True, example=0.1)
+
+    @property
+    def highest(self) -> float:
+        """σ_Y."""
+        return self.hardness
+
+    def in_units(self, units: Units) -> Hardness:
+        """p̂ ≤ σ_Y over the unit of pressure."""
+        return Hardness(hardness=self.hardness / units.pressure)
+
+    def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
+        """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is σ_Y."""
+        return finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def finish_rows(pressure, gap, level, top, unit, height):
+    """p = unit · p and gap = height · (gap − level), cut to 0, ≥ 0 or ≤ 0 by the bound at which p is; returns the
+    largest part that is cut off.
+    """
+    largest = 0.0
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            p, away = pressure[i, j], gap[i, j] - level
+            right = max(away, 0.0) if p <= 0 else min(away, 0.0) if p >= top else 0.0
+            largest = max(largest, abs(away - right))
+            gap[i, j] = height * right
+            pressure[i, j] = unit * min(p, top)
+    return largest

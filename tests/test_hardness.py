@@ -1,0 +1,134 @@
+"""The wall of limited hardness, 0 ≤ p ≤ σ_Y, against a quadratic-programme solver, its limits, and its certificate."""
+
+import math
+
+import numpy as np
+import pytest
+from reference import Contact, Real, Solid, Unable
+
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
+from pgfmd.surfaces.self_affine import self_affine
+
+pytestmark = pytest.mark.mpi
+
+MODULUS = 8 / 3
+
+
+def solved(grid, heights, load, hardness, tolerance=1e-20, solid=None):
+    """The contact of this rank's heights; a hard wall if the hardness is infinite."""
+    law = Hardness(hardness=hardness) if hardness < math.inf else HardWall()
+    problem = ContactProblem(grid, heights, solid or Elasticity(MODULUS), law, load)
+    return solve_contact(problem, Solver(tolerance=tolerance))
+
+
+def whole(grid, slab):
+    """The complete field on every rank."""
+    return grid.fetch(slab, 0, grid.shape[0])
+
+
+def random_contact(seed: int):
+    """Heights of up to 16², white or self-affine, a load from light to full contact, a hardness of 1 to 300 times the
+    load, a half-space or a slab; and the reference of it."""
+    random = np.random.default_rng(seed)
+    shape = tuple(int(n) for n in random.choice([8, 12, 16], 2))
+    heights = random.standard_normal(shape)
+    if random.random() < 0.5:
+        waves = np.hypot(np.fft.fftfreq(shape[0])[:, None] * shape[0], np.fft.rfftfreq(shape[1]) * shape[1])
+        heights = np.fft.irfft2(np.fft.rfft2(heights) / np.maximum(waves, 1) ** random.uniform(0.5, 2), s=shape)
+        heights /= heights.std()
+    load = 10 ** random.uniform(-4, 1)
+    hardness = load * 10 ** random.uniform(0.0005, 2.5)
+    thickness = math.inf if random.random() < 0.6 else 10 ** random.uniform(-0.5, 1.5)
+    return heights, load, hardness, thickness, Contact(heights, solid=Solid(1.0, thickness))
+
+
+@pytest.mark.parametrize("batch", [pytest.param(b, marks=pytest.mark.long if b else ()) for b in range(6)])
+def test_random_contacts_by_brute_force(comm, batch):
+    """Pressures and gaps to 1e-8 of their largest value, by a dense solver in extended precision; and loosely solved,
+    a certificate that is not below the true error, to 1e-15 of rounding."""
+    for seed in range(50 * batch, 50 * batch + 50):
+        heights, load, hardness, thickness, contact = random_contact(seed)
+        try:
+            exact = contact.hard(load, hardness)
+        except Unable:
+            continue
+        grid, solid = SlabGrid(comm, heights.shape), Elasticity(1.0, thickness)
+        found = solved(grid, heights[grid.rows].copy(), load, hardness, solid=solid)
+        expected, unit = exact.x.astype(float).reshape(heights.shape) * load, load * float(contact.pixel)
+        assert found.certified_error <= 1e-20
+        assert np.abs(whole(grid, found.pressure) - expected).max() <= 1e-8 * expected.max(), seed
+        loose = whole(grid, solved(grid, heights[grid.rows].copy(), load, hardness, 1e-5, solid).pressure)
+        x, most = exact.x, Real(hardness) / Real(load)
+        change, gap = loose.astype(Real).ravel() / Real(load) - x, contact.compliance @ x - contact.heights / unit
+        between = (x > 0) & (x < most)
+        if between.any():
+            gap = np.where(between, 0, gap - gap[between].mean())
+            lost = gap @ change + change @ (contact.compliance @ change) / 2
+            certified = solved(grid, heights[grid.rows].copy(), load, hardness, 1e-5, solid).certified_error
+            assert lost <= (certified + 1e-15) * (x @ (contact.compliance @ x)), seed
+            gaps = np.where(between, 0, gap).astype(float).reshape(heights.shape) * unit
+            assert np.abs(whole(grid, found.gap) - gaps).max() <= 1e-8 * (np.abs(gaps).max() + np.ptp(heights)), seed
+
+
+@pytest.mark.parametrize("load", [0.002, 0.02])
+def test_a_hardness_that_is_not_reached_is_a_hard_wall(comm, load):
+    """σ_Y above the largest pressure changes nothing, to 1e-9 of that (both are certified to 1e-20)."""
+    grid = SlabGrid(comm, (96, 80))
+    heights = self_affine(grid, 0.8, 4.0, 0.031, 3)
+    hard = solved(grid, heights, load, math.inf)
+    highest = grid.reduction.max(hard.pressure)
+    soft = solved(grid, heights, load, 1.01 * highest)
+    assert grid.reduction.max(np.abs(hard.pressure - soft.pressure)) <= 1e-9 * highest
+    assert soft.mean_gap == pytest.approx(hard.mean_gap, rel=1e-9)
+
+
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.999, 0.99999])
+def test_at_a_load_of_the_hardness_all_points_bear_it(comm, part):
+    """p̄ → σ_Y: f_c ≥ p̄/σ_Y, and pressures differ from σ_Y by what is missing."""
+    grid = SlabGrid(comm, (64, 80))
+    heights, hardness = self_affine(grid, 0.5, 1.0, 0.031, 3), 1e-3
+    found = solved(grid, heights, part * hardness, hardness)
+    assert found.certified_error <= 1e-20
+    assert grid.reduction.max(found.pressure) <= hardness
+    assert grid.reduction.sum(found.pressure > 0) >= part * grid.size
+    assert grid.reduction.sum(hardness - found.pressure) == pytest.approx((1 - part) * hardness * grid.size, rel=1e-4)
+
+
+@pytest.mark.parametrize("hardness", [0.01, 0.03, 0.08])
+@pytest.mark.parametrize("load", [0.0005, 0.004])
+def test_rough_surfaces(comm, load, hardness):
+    """On 256² with coarse grids, and most points at a bound or few of them: p is between its bounds and carries the
+    load; u − h is constant in between, larger where p = 0, smaller where p = σ_Y, as transforms written here again say;
+    the certificate is met."""
+    grid = SlabGrid(comm, (256, 256))
+    heights = self_affine(grid, 0.8, 4.0, 0.031, 2)
+    found = solved(grid, heights, load, hardness, 1e-16)
+    p = found.pressure
+    assert found.certified_error <= 1e-16
+    assert 0 <= grid.reduction.min(p) and grid.reduction.max(p) <= hardness
+    assert grid.reduction.sum(p) == pytest.approx(load * grid.size, rel=1e-12)
+    q = np.sqrt(grid.q_squared())
+    u = grid.backward(grid.forward(p) * np.divide(2 / MODULUS, q, out=np.zeros_like(q), where=q > 0))
+    between, gap = (p > 0) & (p < hardness), u - heights
+    level = grid.reduction.sum(gap[between]) / grid.reduction.sum(between)
+    small = 1e-6 * math.sqrt(grid.reduction.sum(heights**2) / grid.size)
+    assert grid.reduction.max(np.abs(gap - level)[between]) < small
+    assert grid.reduction.min(gap[p == 0]) > level - small
+    assert grid.reduction.max(gap[p == hardness]) < level + small
+    assert np.allclose(found.gap, np.where(between, 0, gap - level), rtol=0, atol=2 * small)
+
+
+def test_more_than_the_hardness_is_refused(comm):
+    """A mean pressure of σ_Y or more has no solution."""
+    grid = SlabGrid(comm, (16, 16))
+    heights = self_affine(grid, 0.8, 4.0, 0.031, 3)
+    for load in (0.1, 0.2):
+        with pytest.raises(InputError, match="0.1"):
+            solved(grid, heights, load, 0.1)
