@@ -194,6 +194,20 @@ def test_restart_continues(comm, shared_tmp_path):
         assert result.completed == 0 and result.earlier.job is None
 
 
+def test_a_load_that_was_left_out_is_pending(comm, shared_tmp_path):
+    """A run that skipped a load, which no pressure reached, and was broken off after a later one goes on with it."""
+    folder = shared_tmp_path / "out"
+    with writer(comm, folder) as result:
+        write_load(result, 1)
+    comm.Barrier()
+    assert Results(folder).fields(0) == [] and Results(folder).fields(1) == ["gap", "pressure"]
+    comm.Barrier()
+    with writer(comm, folder, mode="restart") as result:
+        assert result.pending == [0, 2]
+        write_load(result, 0)
+        assert result.pending == [2]
+
+
 def test_two_runs_in_one_folder_are_refused(comm, shared_tmp_path):
     """While a run holds its folder, another one is refused, with who holds it; afterwards it is not."""
     with writer(comm, shared_tmp_path / "out"):

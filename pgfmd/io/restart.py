@@ -27,9 +27,10 @@ _FIELD_FILE = re.compile(r"(height|load_\d{4,})\.h5")
 class EarlierResults:
     """Results that are to be continued.
 
-    completed: loads; job: the effective job (None: there is nothing to continue); inputs: digests of the files that it
-    names; version: that of the program, and of the file format; fields: names by load; folder: where their files are;
-    damaged: names (`load_0002`, `height`) of files that are missing or damaged; state: the file that says all this
+    completed: loads up to the last one that is written; job: the effective job (None: there is nothing to continue);
+    inputs: digests of the files that it names; version: that of the program, and of the file format; fields: names by
+    load that is written; folder: where their files are; damaged: names (`load_0002`, `height`) of files that are
+    missing or damaged; state: the file that says all this
     """
 
     completed: int = 0
@@ -86,7 +87,7 @@ def read(directory: Path) -> EarlierResults:
                     job=str(file.attrs["effective_toml"]),
                     inputs=json.loads(file.attrs.get("inputs", "{}")),
                     version=f"{file.attrs['softwareVersion']}, format {file.attrs['format_version']}",
-                    fields={name: list(file[name].attrs["fields"]) for name in names},
+                    fields={name: list(file[name].attrs["fields"]) for name in names if name in file},
                     folder=str(file.attrs.get("fields_folder", FIELDS_FOLDER)),
                     state=state,
                 )

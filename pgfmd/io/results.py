@@ -81,7 +81,8 @@ class Results:
         if load is None:
             return ["height"] if self._field_file("height").exists() else []
         with self._open(OBSERVABLES_FILE) as file:
-            return [str(name) for name in file[load_name(self._index(load))].attrs["fields"]]
+            group = file.get(load_name(self._index(load)))  # none if a run skipped a load and was broken off
+            return [] if group is None else [str(name) for name in group.attrs["fields"]]
 
     def field(self, name: str, load: int | None = None, rows: slice = slice(None)) -> np.ndarray:
         """Rows of a field, shape (rows, ny): "height" without a load, the others with one."""

@@ -97,6 +97,7 @@ class ResultWriter:
         self.earlier, self.replacing, self._fields = from_root(comm, self._enter)
         self.completed = self.earlier.completed
         self._links = self.earlier.links()
+        self._written = self.earlier.fields.keys() - self.earlier.damaged
         try:
             with raise_together(comm):  # a folder that only rank 0 sees is of no use to a collective write
                 if self.collective and not (self.directory / atomic.LOCK_NAME).exists():
@@ -138,8 +139,7 @@ class ResultWriter:
     @property
     def pending(self) -> list[int]:
         """The loads that are still to be solved: not completed, or their fields damaged."""
-        damaged = self.earlier.damaged
-        return [i for i in range(self.origin.loads) if i >= self.completed or load_name(i) in damaged]
+        return [index for index in range(self.origin.loads) if load_name(index) not in self._written]
 
     def begin(self) -> None:
         """Remove what runs left that were broken off; write observables.h5 without loads, unless others' results are
@@ -194,7 +194,7 @@ class ResultWriter:
         from_root(self.comm, self._replace if self.replacing else self._revise_observables, add)
         self.replacing = False
         self.completed = max(self.completed, index + 1)
-        self.earlier.damaged.discard(name)
+        self._written.add(name)
 
     def finish(self, phases: dict[str, float] | None = None) -> None:
         """Mark the run as complete; `phases` are seconds by name, of rank 0.  Collective."""

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 from mpi4py import MPI
+from mpi4py.util import dtlib
 
 from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
@@ -153,7 +154,7 @@ def pass_on(comm: MPI.Comm, bottom: np.ndarray, before: np.ndarray, top: np.ndar
     if comm.size == 1:
         before[...], after[...] = bottom, top
         return
-    kind = MPI._typedict[top.dtype.char]
+    kind = dtlib.from_numpy_dtype(top.dtype)
     previous, following = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
     comm.Sendrecv([bottom, kind], following, recvbuf=[before, kind], source=previous)
     comm.Sendrecv([top, kind], previous, recvbuf=[after, kind], source=following)
