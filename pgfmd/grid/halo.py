@@ -13,22 +13,22 @@ from pgfmd.grid.slab_grid import SlabGrid
 
 
 class RowWindow:
-    """Rows low … high−1 (global, periodic) of a field on `grid`, of which this rank's own are written by the caller.
-    Collective to make.
+    """Rows low … high−1 (global, periodic) of a field on `grid`, widened where it lacks rows of this rank's slab.  The
+    caller writes the rows of its slab; `exchange` fetches the others.  Collective to make.
 
-    Attributes: low; rows (high − low, ny), widened to hold all own rows; own: those, a view of `rows`.
+    Attributes: low; rows (high − low, ny), both after widening; own: the rows of the slab, a view of `rows`.
     """
 
     def __init__(self, grid: SlabGrid, low: int, high: int, dtype: DTypeLike = np.float32) -> None:
         comm = grid.comm
         first, stop = grid.rows.start, grid.rows.stop
-        self.comm, self.kind = comm, dtlib.from_numpy_dtype(dtype)
+        self.comm, self._datatype = comm, dtlib.from_numpy_dtype(dtype)
         self.low, high = min(low, first), max(high, stop)
         self.rows = np.zeros((high - self.low, grid.shape[1]), dtype)
         self.own = self.rows[first - self.low : stop - self.low]
-        # What each rank lacks, in pieces (owner, its local rows, where they go), found once.
+        # The rows that each rank lacks, as pieces (owner, rows local to the owner, place in `rows`).
         wanted = comm.allgather([(self.low, first), (stop, high)])
-        self._sent = [
+        self._sends = [
             (target, rows)
             for target, ranges in enumerate(wanted)
             for piece in ranges
@@ -40,20 +40,22 @@ class RowWindow:
             for piece in wanted[comm.rank]
             for owner, rows, at in _pieces(piece[0], piece[1], grid.starts)
         ]
-        self._copied = [(rows, at) for owner, rows, at in mine if owner == comm.rank]
-        self._received = [(owner, rows.stop - rows.start, at) for owner, rows, at in mine if owner != comm.rank]
+        self._copies = [(rows, at) for owner, rows, at in mine if owner == comm.rank]
+        self._receives = [(owner, rows.stop - rows.start, at) for owner, rows, at in mine if owner != comm.rank]
 
     def exchange(self) -> None:
-        """Bring the rows around the own ones up to date.  Collective."""
-        requests = [self.comm.Irecv([self.rows[at : at + n], self.kind], owner) for owner, n, at in self._received]
-        requests += [self.comm.Isend([self.own[rows], self.kind], target) for target, rows in self._sent]
-        for rows, at in self._copied:
+        """Fetch the rows below and above those of the slab from the ranks that own them.  Collective."""
+        requests = [self.comm.Irecv([self.rows[at : at + n], self._datatype], owner) for owner, n, at in self._receives]
+        requests += [self.comm.Isend([self.own[rows], self._datatype], target) for target, rows in self._sends]
+        for rows, at in self._copies:
             self.rows[at : at + rows.stop - rows.start] = self.own[rows]
         MPI.Request.Waitall(requests)
 
 
 def _pieces(low: int, high: int, starts: np.ndarray) -> Iterator[tuple[int, slice, int]]:
-    """The periodic range low … high−1 cut at the edges of slabs: (owner, local rows, first row as asked)."""
+    """The periodic range low … high−1 cut at the edges of slabs: (owner, rows local to the owner, first row in the
+    numbering of the range).
+    """
     nx = int(starts[-1])
     while low < high:
         row = low % nx

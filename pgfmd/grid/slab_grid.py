@@ -25,18 +25,18 @@ from pgfmd.grid.transpose import Strips, make_strips
 from pgfmd.parallel.collectives import Reduction, fetch_rows, slab, slab_starts
 from pgfmd.parallel.threads import Threads, threads_per_rank
 
-BAND = 1 << 16  # points of a field that stay in cache together with those of a few others
+BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into the cache together
 
 
 class SlabGrid:
     """A periodic grid whose rows are distributed over the ranks of `comm`.  Collective to make; memory for transforms
-    comes on first use.
+    is allocated on first use.
 
     Attributes
     ----------
     comm, shape (nx, ny), lengths (lx, ly), spacing (ax, ay), pixel_area
     rows: slice of the global rows that this rank holds;  starts: first row of each rank, and nx
-    local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx);  band: rows that stay in cache
+    local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx);  band: number of rows in a band (`BAND`)
     qx (1, nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
     transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
     """
@@ -50,8 +50,9 @@ class SlabGrid:
         transform: str = "blocked",
         shared: bool | None = None,
     ) -> None:
-        """lengths: the number of points if None.  threads: of this rank, `threads_per_rank` if None.  transform: one of
-        `cell.TRANSFORMS`.  shared: whether blocked transforms may use memory that ranks share, None where they can.
+        """lengths: None means the numbers of points (spacing 1).  threads: number of threads of this rank, None means
+        `threads_per_rank()`.  transform: one of `cell.TRANSFORMS`.  shared: False keeps blocked transforms from using
+        memory that ranks share; otherwise they use it where all ranks are on one node.
         """
         nx, ny = (int(n) for n in shape)
         if min(nx, ny) < 1:
@@ -73,28 +74,28 @@ class SlabGrid:
         self.qx = (2 * np.pi / self.lengths[0] * np.fft.fftfreq(nx, 1 / nx))[None, :]
         self.qy = (2 * np.pi / self.lengths[1] * ky)[:, None]
         self.hermitian_weight = np.where((ky == 0) | (2 * ky == ny), 1.0, 2.0)[:, None]
-        # Small blocks are not worth waking a thread for.
+        # A small slab is not worth waking threads for.
         threads = self.asked_threads = threads_per_rank() if threads is None else threads
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
-        self._transform, self._shared = transform, shared
+        self._transform_name, self._shared = transform, shared
         self._strips: Strips | None = None
-        self._made: dict[np.dtype, Transform | LibraryTransform] = {}
+        self._planned: dict[np.dtype, Transform | LibraryTransform] = {}
 
     def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
         """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
         return self.qx**2 + self.qy[first:stop] ** 2
 
     def transform(self, dtype: DTypeLike = np.float64) -> Transform | LibraryTransform:
-        """The passes in that precision, planned on first use.  Collective then."""
+        """The transform in that precision, planned on first use.  Collective on first use."""
         dtype = np.dtype(dtype)
-        if dtype not in self._made and self._transform == "mpi4py-fft":
-            self._made[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
-        elif dtype not in self._made:
+        if dtype not in self._planned and self._transform_name == "mpi4py-fft":
+            self._planned[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
+        elif dtype not in self._planned:
             if self._strips is None:
                 self._strips = make_strips(self.comm, self.shape, self._shared)
-            self._made[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
-        return self._made[dtype]
+            self._planned[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
+        return self._planned[dtype]
 
     def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Spectrum (nky_local, nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""
@@ -124,8 +125,10 @@ class SlabGrid:
     def read_spectrum(
         self, fill: Rows, action: Columns, dtype: DTypeLike = np.float64, count: int | None = None
     ) -> None:
-        """Pass the spectrum of the rows that `fill` makes through `action(block, first, stop)`, block by block; if a
-        `count` is given, only the first ky of this rank.  Collective.
+        """Transform the rows that `fill` writes; call `action(block, first, stop)` on each block of their spectrum.
+        Collective.
+
+        count: the action is called for the first `count` ky of this rank only.
         """
         transform = self.transform(dtype)
         self.transforms += transform.cost / 2
@@ -139,10 +142,11 @@ class SlabGrid:
         dtype: DTypeLike = np.float64,
         between: Callable[[], None] | None = None,
     ) -> None:
-        """Hand the field whose spectrum `action(block, first, stop)` writes to `drain`, row block by row block.
+        """Transform the spectrum that `action(block, first, stop)` writes; hand the field to `drain`, block by block.
         Collective.
 
-        between: called when all of the spectrum is written; may be collective.  No 1/N is applied.
+        between: called once, when this rank has written its part of the spectrum and before `drain` gets the first
+        row; may be collective.  No 1/N is applied.
         """
         transform = self.transform(dtype)
         self.transforms += transform.cost / 2
@@ -152,8 +156,8 @@ class SlabGrid:
         transform.rows_backward(drain)
 
     def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:
-        """Rows from `fill`, their spectrum changed in place by `action`, back to rows for `drain`; no 1/N.
-        Collective.
+        """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform it back, hand
+        the rows to `drain`.  No 1/N is applied.  Collective.
         """
         transform = self.transform(dtype)
         self.transforms += transform.cost
@@ -164,25 +168,25 @@ class SlabGrid:
     def coarse(self, factor: int = 2) -> SlabGrid:
         """The grid of the same cell with 1/factor of the points each way (rounded up).
 
-        Once its slabs would be thin it is held whole by every rank, which then all do the same work: no messages at
-        all.
+        Where its slabs would be thin, each rank holds the whole coarse grid.  All ranks then do the same work, and no
+        message is sent.
         """
         shape = -(-self.shape[0] // factor), -(-self.shape[1] // factor)
         thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
         comm = MPI.COMM_SELF if thin else self.comm
-        return SlabGrid(comm, shape, self.lengths, self.asked_threads, self._transform, self._shared)
+        return SlabGrid(comm, shape, self.lengths, self.asked_threads, self._transform_name, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for other ones.
+        """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for a different range.
         Collective.
         """
         return fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
 
     def free(self) -> None:
-        """Give the transform memory back (it returns on next use).  Collective."""
-        for transform in self._made.values():
+        """Free the memory of the transforms; the next use allocates it again.  Collective."""
+        for transform in self._planned.values():
             transform.free()
-        self._made = {}
+        self._planned = {}
         if self._strips is not None:
             self._strips.free()
             self._strips = None

@@ -11,16 +11,16 @@ from pgfmd.parallel.collectives import fetch_rows, slab_starts
 
 
 def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
-    """The field's modes below the coarse grid's Nyquist frequency, on the coarse grid (nx_coarse_local, ny_coarse).
+    """The field (nx_coarse_local, ny_coarse) on the coarse grid, of its modes below that grid's Nyquist frequencies.
     Collective.
 
     The coarse grid may be distributed over the same ranks or held whole by each.  dtype: precision of the transforms.
     """
     nx, ny = coarse.shape
-    kind = np.result_type(dtype, np.complex64)
-    rows, kept = (nx - 1) // 2, (ny - 1) // 2 + 1  # highest |kx|, number of ky; Nyquist modes are left out
-    starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), kept)
-    mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), kind)
+    complex_dtype = np.result_type(dtype, np.complex64)
+    kx_max, ky_count = (nx - 1) // 2, (ny - 1) // 2 + 1  # Nyquist modes are left out
+    starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), ky_count)
+    mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), complex_dtype)
     scale = np.asarray(1 / fine.size, dtype)[()]
 
     def fill(first: int, stop: int, block: np.ndarray) -> None:
@@ -28,13 +28,13 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLi
 
     def keep(block: np.ndarray, first: int, stop: int) -> None:
         part = mine[first:stop]
-        np.multiply(block[:, : rows + 1], scale, out=part[:, : rows + 1])
-        part[:, rows + 1 : nx - rows] = 0
-        if rows:
-            np.multiply(block[:, -rows:], scale, out=part[:, -rows:])
+        np.multiply(block[:, : kx_max + 1], scale, out=part[:, : kx_max + 1])
+        part[:, kx_max + 1 : nx - kx_max] = 0
+        if kx_max:
+            np.multiply(block[:, -kx_max:], scale, out=part[:, -kx_max:])
 
     fine.read_spectrum(fill, keep, dtype, len(mine))
-    low, high = (min(k, kept) for k in (coarse.columns.start, coarse.columns.stop))
+    low, high = (min(ky, ky_count) for ky in (coarse.columns.start, coarse.columns.stop))
     spectrum = fetch_rows(fine.comm, mine, starts, low, high, fine.threads)
     out = np.empty(coarse.local_shape)
 
@@ -58,19 +58,19 @@ class Interpolation:
 
     def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
         margin = 2
-        at = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
-        low, high = int(np.floor(at[0])) - margin, int(np.floor(at[-1])) + margin + 2
+        positions = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
+        low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
         self._fields = [coarse.fetch(field, low, high) for field in fields]
-        self._x = _weights(at - low)
+        self._x = _weights(positions - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
-        self._room = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
+        self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
 
     def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
         """Rows first … stop−1 (local to the fine grid; at most its `band`) of field number `which`, shape
-        (stop − first, ny_fine), which stay until that thread asks for others.
+        (stop − first, ny_fine).  The next call of that thread overwrites them.
         """
         index, weights = self._x
-        out = self._room[thread, which, : stop - first]
+        out = self._buffer[thread, which, : stop - first]
         kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
         return out
 

@@ -42,7 +42,7 @@ class _Worker:
         self.columns_backward = plan(self.block, self.block, False)
         for array in (self.rows, self.half, self.block):
             array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
-        self.whole_half, self.whole_block = with_padding(self.half), with_padding(self.block)
+        self.padded_half, self.padded_block = with_padding(self.half), with_padding(self.block)
 
 
 class Transform:
@@ -54,13 +54,16 @@ class Transform:
         self.complex = np.result_type(self.real, np.complex64)
         nx, ny = shape
         self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
-        budget = ROW_BLOCK * min(threads.count, 2)  # threads take turns at the interpreter between blocks
-        self.row_block = _block(budget, ny * self.real.itemsize, strips.rows, threads.count)
+        # Larger with threads: between blocks they wait for the interpreter's lock.
+        budget = ROW_BLOCK * min(threads.count, 2)
+        self.row_block = _rows_per_block(budget, ny * self.real.itemsize, strips.rows, threads.count)
         itemsize = self.complex.itemsize
-        self.column_block = _block(COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize)
+        self.column_block = _rows_per_block(
+            COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize
+        )
         self.threads = threads
         self.workers = [_Worker(self) for _ in range(threads.count)]
-        self.cost = self.real.itemsize / 8
+        self.cost = self.real.itemsize / 8  # of a transform pair, in double-precision equivalents
 
     def rows_forward(self, fill: Rows) -> None:
         """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  Collective."""
@@ -69,17 +72,17 @@ class Transform:
             worker = self.workers[thread]
             fill(first, stop, worker.rows[: stop - first])
             worker.rows_forward()
-            self.strips.put(self.views, first, worker.whole_half[: stop - first])
+            self.strips.put(self.views, first, worker.padded_half[: stop - first])
 
         self.strips.begin(self.complex)
         self.threads.share(one, self.strips.rows, self.row_block)
         self.strips.to_columns(self.complex)
 
     def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
-        """`action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, block by block.
+        """Call `action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, by blocks.
 
-        With `forward=False` the action makes the spectrum (collective then: other ranks may still read the strips);
-        with `backward=False` it only reads it.
+        forward=False: the action writes a new spectrum.  The call is then collective: it waits until no rank reads the
+        strips any more.  backward=False: the action only reads the spectrum.
         """
         if not forward:
             self.strips.begin(self.complex)
@@ -88,12 +91,12 @@ class Transform:
             worker = self.workers[thread]
             block = worker.block[: stop - first]
             if forward:
-                kernels.gather_columns(self.strip, self.shape[0], first, stop - first, worker.whole_block)
+                kernels.gather_columns(self.strip, self.shape[0], first, stop - first, worker.padded_block)
                 worker.columns_forward()
             action(block, first, stop)
             if backward:
                 worker.columns_backward()
-                kernels.scatter_columns(worker.whole_block, self.shape[0], first, stop - first, self.strip)
+                kernels.scatter_columns(worker.padded_block, self.shape[0], first, stop - first, self.strip)
 
         self.threads.share(one, self.strips.width if count is None else count, self.column_block)
 
@@ -102,7 +105,7 @@ class Transform:
 
         def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
-            self.strips.get(self.views, first, worker.whole_half[: stop - first])
+            self.strips.get(self.views, first, worker.padded_half[: stop - first])
             worker.rows_backward()
             drain(first, stop, worker.rows[: stop - first])
 
@@ -110,12 +113,14 @@ class Transform:
         self.threads.share(one, self.strips.rows, self.row_block)
 
     def free(self) -> None:
-        """The memory goes with the strips."""
+        """Frees nothing: the large arrays are those of the strips, which `SlabGrid` frees."""
 
 
-def _block(budget: int, row_bytes: int, count: int, threads: int, multiple: int = 1) -> int:
-    """Rows of one block: as many as the budget of bytes allows, but blocks are equal, as many for each thread, since
-    also a part of one is transformed whole; and a `multiple`, so that no two write to one cache line.
+def _rows_per_block(budget: int, row_bytes: int, count: int, threads: int, multiple: int = 1) -> int:
+    """How many of `count` rows (or columns) make one block of about `budget` bytes.
+
+    All blocks are equally large and each thread gets equally many, since a partly filled block takes the time of a full
+    one.  The number is rounded up to a `multiple`, so that no two blocks write to one cache line.
     """
     blocks = max(1, -(-count // max(1, budget // row_bytes)))  # also where a rank has nothing
     rows = -(-count // (-(-blocks // threads) * threads))

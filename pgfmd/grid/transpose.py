@@ -22,11 +22,11 @@ from numpy.typing import DTypeLike
 from pgfmd.grid import kernels
 from pgfmd.parallel.collectives import slab_starts
 
-TILE = 256  # bytes of a row in one tile: longer runs in the passes along rows, or along columns if it were less
+TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
 
 Counts = tuple[np.ndarray, np.ndarray]
-"""Bytes for each rank, and where they begin."""
+"""Bytes of each rank's part of a buffer, and the offsets of the parts."""
 
 
 def row_stride(count: int, itemsize: int) -> int:
@@ -40,18 +40,20 @@ def row_stride(count: int, itemsize: int) -> int:
 
 def padded(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
     """The bytes `raw` seen as rows of that shape, each padded to `row_stride`."""
-    return _with_strides(raw, shape, dtype)[:, : shape[1]]
+    return _rows_and_padding(raw, shape, dtype)[:, : shape[1]]
 
 
-def _with_strides(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
-    """The same with the padding: contiguous, so that compiled loops know their strides."""
+def _rows_and_padding(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
+    """The bytes `raw` seen as rows of that shape with their padding.  The array is contiguous, so that compiled loops
+    know its strides.
+    """
     dtype = np.dtype(dtype)
     stride = row_stride(shape[1], dtype.itemsize)
     return raw[: shape[0] * stride * dtype.itemsize].view(dtype).reshape(shape[0], stride)
 
 
 def aligned_bytes(count: int) -> np.ndarray:
-    """That many bytes of new memory, from a cache line on."""
+    """`count` bytes of new memory that begin on a cache line."""
     return _from_cache_line(np.empty(count + ALIGNMENT, np.uint8))[:count]
 
 
@@ -60,8 +62,10 @@ def _from_cache_line(raw: np.ndarray) -> np.ndarray:
 
 
 def aligned(shape: tuple[int, int], dtype: DTypeLike, apart: bool = True) -> np.ndarray:
-    """A new array of that shape whose rows start on cache lines, and unless `apart` is False on different cache sets
-    (without it, rows that fill whole cache lines make a contiguous array, which compiled loops are faster on).
+    """A new array of that shape whose rows start on cache lines.
+
+    apart: rows are padded, so that they start on different cache sets.  Without it, rows that fill whole cache lines
+    are not padded: compiled loops are faster on a contiguous array.
     """
     dtype = np.dtype(dtype)
     if not apart and shape[1] * dtype.itemsize % ALIGNMENT == 0:
@@ -77,10 +81,11 @@ def with_padding(array: np.ndarray) -> np.ndarray:
 class Strips(ABC):
     """The strips of all ranks: the largest array of a transform, shared by the transforms of both precisions.
 
-    `put` moves blocks of transformed rows in, `to_columns` completes the transpose; `to_rows` and `get` lead back.
+    `put` moves blocks of transformed rows in, `to_columns` completes the transpose; `to_rows` and `get` are the way
+    back.
     """
 
-    first_row: int  # of this rank in the arrays that `put` and `get` use
+    first_row: int  # where the rows of this rank begin in the arrays `views`
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         self.comm, self.nx = comm, shape[0]
@@ -91,12 +96,12 @@ class Strips(ABC):
         self.width = int(self.widths[comm.rank])
 
     def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """Row-transformed rows `half`, from local row `first` on, into the `views`."""
+        """Copy the row-transformed rows `half`, the first of which is local row `first`, into the `views`."""
         for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
             kernels.rows_to_tiles(half, start, width, self.first_row + first, view)
 
     def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """The rows `half`, from local row `first` on, out of the `views`."""
+        """Copy the rows `half`, the first of which is local row `first`, out of the `views`."""
         for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
             kernels.tiles_to_rows(view, self.first_row + first, half, start, width)
 
@@ -125,7 +130,6 @@ class Strips(ABC):
         """Give the memory back.  Collective."""
 
 
-
 class SharedStrips(Strips):
     """Strips in memory that all ranks see: the ranks of one node, or one rank alone.  The transpose is done by stores
     and loads; no message is sent.
@@ -133,7 +137,7 @@ class SharedStrips(Strips):
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
-        self.first_row = int(self.row_starts[comm.rank])  # of this rank in every strip
+        self.first_row = int(self.row_starts[comm.rank])
         count = self.nbytes(comm.rank)
         if comm.size == 1:
             self.window: MPI.Win | None = None
@@ -145,7 +149,7 @@ class SharedStrips(Strips):
         self.raw = [_from_cache_line(buffer) for buffer in buffers]
 
     def tiles(self, rank: int, itemsize: int) -> tuple[int, int, int]:
-        """Shape of the strip of `rank`.  One row more keeps tiles off the same cache sets."""
+        """Shape of the strip of `rank`.  It has one row more than nx, so that tiles start on different cache sets."""
         columns = TILE // itemsize
         return -(-int(self.widths[rank]) // columns), self.nx + 1, columns
 
@@ -166,7 +170,7 @@ class SharedStrips(Strips):
         return self.views(dtype)[self.comm.rank]
 
     def meet(self, dtype: np.dtype | None = None) -> None:
-        """All ranks have done their part, and see that of the others.  Collective."""
+        """Wait until all ranks have written their part; then each sees what the others wrote.  Collective."""
         if self.window is not None:
             self.window.Sync()
             self.comm.Barrier()
@@ -188,54 +192,56 @@ class ExchangedStrips(Strips):
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
-        self.first_row = 0  # of this rank in what is packed
+        self.first_row = 0
         self.own = aligned_bytes(self.nbytes(comm.rank, self.nx))
         sizes = [self.nbytes(rank, self.rows) for rank in range(comm.size)]
         self.packed = aligned_bytes(sum(sizes))
 
     def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
-        """Bytes of so many rows of the strip of `rank`."""
+        """Bytes of that many rows of the strip of `rank`."""
         return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
 
     def _counts(self, itemsize: int) -> tuple[Counts, Counts]:
-        """Bytes for and from each rank, and where they start."""
-        out = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
-        back = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
-        return (out, np.cumsum(out) - out), (back, np.cumsum(back) - back)
+        """Counts of the packed rows, by the rank whose strip a part belongs to, and of this rank's strip, by the rank
+        whose rows a part holds.
+        """
+        packed = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
+        strip = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
+        return (packed, np.cumsum(packed) - packed), (strip, np.cumsum(strip) - strip)
 
     def views(self, dtype: np.dtype) -> list[np.ndarray]:
         """The packed block for each rank."""
         (counts, starts), _ = self._counts(dtype.itemsize)
         blocks = [self.packed[start : start + count] for start, count in zip(starts, counts, strict=True)]
         return [
-            _with_strides(raw, (self.rows, int(width)), dtype)[None]
+            _rows_and_padding(raw, (self.rows, int(width)), dtype)[None]
             for raw, width in zip(blocks, self.widths, strict=True)
         ]
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank."""
-        return _with_strides(self.own, (self.nx, self.width), dtype)[None]
+        return _rows_and_padding(self.own, (self.nx, self.width), dtype)[None]
 
     def begin(self, dtype: np.dtype) -> None:
         """Nothing to wait for."""
 
     def to_columns(self, dtype: np.dtype) -> None:
         """Packed blocks to strips.  Collective."""
-        out, back = self._counts(dtype.itemsize)
-        self._alltoall(self.packed, out, self.own, back, dtype)
+        packed, strip = self._counts(dtype.itemsize)
+        self._alltoall(self.packed, packed, self.own, strip, dtype)
 
     def to_rows(self, dtype: np.dtype) -> None:
         """Strips to packed blocks.  Collective."""
-        out, back = self._counts(dtype.itemsize)
-        self._alltoall(self.own, back, self.packed, out, dtype)
+        packed, strip = self._counts(dtype.itemsize)
+        self._alltoall(self.own, strip, self.packed, packed, dtype)
 
     def _alltoall(
         self, source: np.ndarray, sent: Counts, target: np.ndarray, received: Counts, dtype: np.dtype
     ) -> None:
         # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
-        out, back = ([parts // dtype.itemsize for parts in pair] for pair in (sent, received))
-        kind = dtlib.from_numpy_dtype(dtype)
-        self.comm.Alltoallv([source.view(dtype), *out, kind], [target.view(dtype), *back, kind])
+        send, receive = ([numbers // dtype.itemsize for numbers in counts] for counts in (sent, received))
+        datatype = dtlib.from_numpy_dtype(dtype)
+        self.comm.Alltoallv([source.view(dtype), *send, datatype], [target.view(dtype), *receive, datatype])
 
     def free(self) -> None:
         """Give the memory back."""

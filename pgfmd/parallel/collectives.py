@@ -22,8 +22,8 @@ T = TypeVar("T")
 
 
 def slab(count: int, size: int, rank: int) -> slice:
-    """Rows of `rank` when `count` rows are split over `size` ranks: the remainder goes to the first ranks, as in
-    mpi4py-fft.
+    """Rows of `rank` when `count` rows (or columns) are split over `size` ranks: the remainder goes to the first ranks,
+    as in mpi4py-fft.
     """
     base, extra = divmod(count, size)
     start = rank * base + min(rank, extra)
@@ -94,7 +94,7 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
 
 
 def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
-    """`function(*arguments)` evaluated on rank 0, its value on every rank; its error too.  Collective."""
+    """Call `function(*arguments)` on rank 0; return its value, or raise its error, on every rank.  Collective."""
     value: Any = None
     failure: Exception | None = None
     if comm.rank == 0:
@@ -114,8 +114,9 @@ def fetch_rows(
     """Rows first … stop−1 (global, periodic) of a field of which each rank holds rows starts[rank] …
     starts[rank+1]−1.  Collective.
 
-    Each rank may ask for another range, also for rows that it holds itself, beyond the edges (they wrap), or for more
-    than one period.  Returns a new array of shape (stop − first, …).  threads: share the copies of own rows.
+    Each rank may ask for a different range.  The range may contain rows of the rank's own, cross the edge of the cell
+    (rows wrap around) and be longer than a period.  Returns a new array of shape (stop − first, …).  threads: they copy
+    the rows that the rank holds itself.
     """
     total = int(starts[-1])
     out = np.empty((max(stop - first, 0), *local.shape[1:]), local.dtype)
@@ -154,8 +155,8 @@ def _items(rows: np.ndarray) -> list:
 
 
 def overlaps(low: int, high: int, start: int, stop: int, total: int) -> Iterator[tuple[int, int, int]]:
-    """Pieces (offset in the request, length, first global row) of the periodic range low … high−1 inside start …
-    stop−1.
+    """The pieces of the periodic range low … high−1 that lie within start … stop−1 of `total` rows: (offset from low,
+    length, first global row).
     """
     for shift in range((low - stop) // total, (high - start) // total + 1):
         begin, end = max(low, start + shift * total), min(high, stop + shift * total)

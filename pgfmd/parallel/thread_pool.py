@@ -1,9 +1,9 @@
-"""Helping threads that stay awake for a while, and that nobody waits for unless they are at work.
+"""Helper threads that stay awake for a while after a task; the caller waits only for those that have begun to work.
 
-To wake a sleeping thread takes longer than most of what it is woken for, on a virtual machine whose cores fall idle
-many times longer.  So a helper that has nothing to do first watches for work, without the interpreter's lock and giving
-way to whoever wants its core.  Where its core is taken away before it has begun, the caller does all the work itself.
-All grids share the helpers of a process, or those of one would be awake while those of another work.
+Waking a sleeping thread takes longer than most tasks, and many times longer on a virtual machine whose cores fall idle.
+A helper without a task therefore first polls for the next one.  It holds no interpreter lock meanwhile, and yields its
+core to any thread that wants it.  If no helper has begun before the caller is done, the caller does all the work.  All
+grids of a process share its helpers; else the helpers of one grid would poll while those of another work.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-TURNS = 30000  # for which to watch: about ten milliseconds
+POLLS = 30000  # before a helper falls asleep: about ten milliseconds
 
-_give_way = numba.types.ExternalFunction("sched_yield", numba.types.intc())
+_yield_core = numba.types.ExternalFunction("sched_yield", numba.types.intc())
 
 
 @numba.njit(nogil=True, cache=True)
-def _watch(number: np.ndarray, value: float, turns: int) -> None:
-    """Until number[0] is no longer `value`, or so many turns are over."""
-    for _ in range(turns):
+def _poll(number: np.ndarray, value: float, polls: int) -> None:
+    """Return when number[0] differs from `value`, at the latest after that many polls."""
+    for _ in range(polls):
         if number[0] != value:
             break
-        _give_way()
+        _yield_core()
 
 
-class _Number:
-    """One thread sets it, another waits until it changes."""
+class _WatchedNumber:
+    """A number that one thread sets and for whose change another waits."""
 
     def __init__(self) -> None:
         self._value = np.zeros(1, np.int64)
@@ -47,21 +47,21 @@ class _Number:
                 self._changed.notify()
 
     def wait(self, old: int) -> int:
-        """What it is once it is no longer `old`."""
-        _watch(self._value, old, TURNS)
+        """Wait until the number differs from `old`; return it."""
+        _poll(self._value, old, POLLS)
         if self.get() == old:
             with self._changed:
-                self._asleep = True  # before the last look, so that either it sees the change or `set` the sleeper
+                self._asleep = True  # before the check below: either it sees the change, or `set` sees the flag
                 self._changed.wait_for(lambda: self.get() != old)
                 self._asleep = False
         return self.get()
 
 
 class _Helper:
-    """A thread: the number of the task that it is asked for, and whether it is at work."""
+    """A thread with two numbers: `asked` counts the tasks given to it, `busy` is 1 while it works and else 0."""
 
     def __init__(self, work: Callable[[], None]) -> None:
-        self.asked, self.busy = _Number(), _Number()
+        self.asked, self.busy = _WatchedNumber(), _WatchedNumber()
         self._work = work
         threading.Thread(target=self._help, daemon=True).start()
 
@@ -80,15 +80,17 @@ class Team:
     def __init__(self) -> None:
         self._task: tuple[Callable[[int], None] | None, int] = None, 0
         self._failures: list[BaseException] = []
-        self._used = threading.Lock()
+        self._in_use = threading.Lock()
         self._helpers: list[_Helper] = []
 
     def run(self, work: Callable[[int], None], count: int) -> None:
-        """`work(thread)` in the caller, and in each of `count` − 1 helpers that is there before the caller is done; so
-        `work` shares out what is left to do.  An exception ends in the caller when all have finished.  While another
-        thread, or the work itself, uses the team, the caller works alone.
+        """Call `work(0)` in the caller, and `work(thread)` in each of `count` − 1 helpers that begins before the
+        caller's own call returns.  Since a helper may come late or not at all, `work` shares out what is left to do.
+
+        Returns, or raises an exception of the work, when all have finished.  While another thread, or the work itself,
+        uses the team, the caller works alone.
         """
-        if not self._used.acquire(blocking=False):
+        if not self._in_use.acquire(blocking=False):
             return work(0)
         try:
             self._task = work, count
@@ -99,18 +101,18 @@ class Team:
             try:
                 work(0)
             finally:
-                self._task = None, 0  # before the look at who is at work: who comes later finds none
+                self._task = None, 0  # before the check who is busy: a helper that begins later finds no task
                 for helper in self._helpers:
                     helper.busy.wait(1)
                 failures, self._failures = self._failures, []
             if failures:
                 raise failures[0]
         finally:
-            self._used.release()
+            self._in_use.release()
 
     def _take_part(self, thread: int) -> None:
         work, count = self._task
-        if work is not None and thread < count:  # else it was asked for an earlier task
+        if work is not None and thread < count:  # else the task for which it was asked is over
             try:
                 work(thread)
             except BaseException as failure:  # belongs to the caller, whatever it is
@@ -119,7 +121,7 @@ class Team:
 
 @functools.cache
 def team() -> Team:
-    """The one of this process."""
+    """The team of this process, made on first use."""
     return Team()
 
 
