@@ -7,6 +7,7 @@ imported when first used, so that `import pgfmd` needs no MPI.  A whole job: `fr
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.parallel.private_cache import keep_compiled_code
@@ -19,7 +20,7 @@ _HOMES = {"solve": "pgfmd.api", "surface": "pgfmd.api", "Results": "pgfmd.io.res
 keep_compiled_code()
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)

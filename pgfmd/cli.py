@@ -23,10 +23,14 @@ import time
 import traceback
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
 
 from pgfmd import __version__
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
 from pgfmd.options.text import printable
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 INTERRUPTED = 130
@@ -65,7 +69,7 @@ def _show(text: str) -> None:
 class _Parser(argparse.ArgumentParser):
     """An argument parser whose complaint is one line, like every other wrong input."""
 
-    def error(self, message: str):
+    def error(self, message: str) -> NoReturn:
         raise InputError(f"{message} (see {self.prog} --help)")
 
 
@@ -115,7 +119,7 @@ def _folder(text: str) -> str:
     return text
 
 
-def _new(options) -> str:
+def _new(options: argparse.Namespace) -> str:
     from pgfmd.job.job import SECTIONS
     from pgfmd.options.reference import example, reference
 
@@ -123,7 +127,7 @@ def _new(options) -> str:
     return reference(tables) if options.kinds == ["all"] else example(tables, *options.kinds)
 
 
-def _check(options) -> str:
+def _check(options: argparse.Namespace) -> str:
     from pgfmd.job.job import load
     from pgfmd.run import estimate
     from pgfmd.run.memory import largest_memory, readable
@@ -137,7 +141,7 @@ def _check(options) -> str:
     return f"{options.job}: valid{limit}\n{estimate.report(job, options.ranks)}"
 
 
-def _info(options) -> str:
+def _info(options: argparse.Namespace) -> str:
     from pgfmd.io import results
 
     found = results.Results(options.directory)
@@ -162,7 +166,7 @@ def _plot(words: list[str]) -> str:
         raise InputError(f"plot: {error}") from None
 
 
-def _run(options) -> int:
+def _run(options: argparse.Namespace) -> int:
     """The run itself; its exit code.  Collective."""
     try:
         from mpi4py import MPI
@@ -186,7 +190,7 @@ def _run(options) -> int:
     return 0
 
 
-def _leave(comm, error: BaseException) -> int:
+def _leave(comm: MPI.Comm, error: BaseException) -> int:
     """End all ranks with the error's exit code; rank 0 says why.  Aborts ranks that do not come.  Collective."""
     from mpi4py import MPI
 
@@ -231,7 +235,7 @@ def _launched_rank() -> int:
     return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), 0)
 
 
-def _log_on_root(rank: int):
+def _log_on_root(rank: int) -> None:
     """Log messages of rank 0 to stderr, with the time, warnings of libraries among them; silence on the others."""
     warnings.showwarning = lambda message, kind, *_: log.warning("%s: %s", kind.__name__, message)
     log = logging.getLogger("pgfmd")

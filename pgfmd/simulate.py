@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 
@@ -17,7 +17,7 @@ from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.provenance import Origin
-from pgfmd.io.writer import Form, ResultWriter
+from pgfmd.io.writer import Form, Mode, ResultWriter
 from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
@@ -30,7 +30,7 @@ from pgfmd.run.progress import Progress
 from pgfmd.run.stop import Interruptions
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import Loads
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, State
 
 log = logging.getLogger("pgfmd")
 
@@ -53,7 +53,7 @@ def simulate(
     form = Form(
         grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT
     )
-    mode = "overwrite" if overwrite else "restart" if restart else "new"
+    mode: Mode = "overwrite" if overwrite else "restart" if restart else "new"
     with (
         ResultWriter(comm, directory, origin, form, mode) as writer,
         Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
@@ -129,14 +129,16 @@ def solve(
 class _Steps:
     """What happens between two steps of a solver: progress is shown, checkpoints are written, the run may stop."""
 
+    index: int
+    progress: Progress
+
     def __init__(self, job: Job, grid: SlabGrid, interruptions: Interruptions, checkpoints: Checkpoints):
         self.count, self.tolerance = len(job.load.targets), job.solver.tolerance
         self.grid, self.interruptions, self.checkpoints = grid, interruptions, checkpoints
-        self.index = self.progress = None
         self.transforms = 0.0
 
     @contextmanager
-    def of_load(self, index: int):
+    def of_load(self, index: int) -> Iterator[None]:
         """While load number `index` is solved.  Collective."""
         self.index, self.transforms = index, self.grid.transforms
         self.progress = Progress(self.grid.comm.rank, f"load {index + 1}/{self.count}", self.grid.shape, self.tolerance)
@@ -146,7 +148,7 @@ class _Steps:
         finally:
             self.progress.close()
 
-    def see(self, mean_pressure: float, level: SlabGrid, state) -> None:
+    def see(self, mean_pressure: float, level: SlabGrid, state: State) -> None:
         """The monitor of a solver at that load.  Collective, on grids that are distributed like the finest one."""
         transforms = level.transforms - (self.transforms if level is self.grid else 0.0)
         self.progress.step(level.shape, state.error, state.contact / level.size, transforms)
@@ -159,7 +161,7 @@ class _Steps:
         """The load is solved, not yet written.  Collective."""
         self.interruptions.between_steps(partial(self._save, solution.mean_pressure, solution))
 
-    def _save(self, mean_pressure: float, found) -> None:
+    def _save(self, mean_pressure: float, found: State | ContactSolution) -> None:
         """A checkpoint of a state's or solution's pressure; solvers have units of their own.  Collective."""
         pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
@@ -179,11 +181,11 @@ def _report(comm: MPI.Comm, index: int, count: int, row: dict, errors: Mapping |
 class _Phases:
     """Wall seconds by name."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
-    def __call__(self, name: str):
+    def __call__(self, name: str) -> Iterator[None]:
         began = time.perf_counter()
         yield
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began

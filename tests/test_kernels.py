@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pgfmd.grid import kernels
+from pgfmd.physics.laws.hard import finish_rows
 from pgfmd.solvers.active_set import kernels as set_kernels
 
 rng = np.random.default_rng(5)
@@ -162,7 +163,7 @@ def test_blocks_of_blocks(start):
     kernels.sum_over_blocks(field, start, 3, sums)
     assert np.allclose(sums, expected, rtol=1e-14)
     mean, out = means[rows[:, None], columns], np.empty((9, 7))
-    kernels.rest_in_blocks(field, shares, weights, means, start, 3, out)
+    kernels.rest_in_blocks((field, shares, weights), means, start, 3, out)
     assert np.allclose(out, weights * (field * shares - mean), rtol=1e-13, atol=1e-15)
     expected = field + shares * mean
     kernels.add_from_blocks(means, shares, start, 3, field)
@@ -183,7 +184,7 @@ def test_finish_rows():
     """p and the gap in other units, the gap nowhere negative and 0 in contact; how far it was from that."""
     p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
     pressure, opened = p.copy(), gap.copy()
-    violation = kernels.finish_rows(pressure, opened, 0.05, 3.0, 2.0)
+    violation = finish_rows(pressure, opened, 0.05, 3.0, 2.0)
     assert np.allclose(pressure, 3 * p, rtol=1e-15)
     assert np.allclose(opened, np.where(p > 0, 0, 2 * np.maximum(gap - 0.05, 0)), rtol=1e-14)
     assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14)

@@ -182,24 +182,6 @@ def interpolate_rows(
 
 
 @jit
-def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float) -> float:
-    """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
-    where p > 0 and level − gap elsewhere, as they were.
-    """
-    largest = 0.0
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            away = gap[i, j] - level
-            closed = pressure[i, j] > 0
-            wrong = abs(away) if closed else -away
-            if wrong > largest:
-                largest = wrong
-            gap[i, j] = 0.0 if closed else height * max(away, 0.0)
-            pressure[i, j] *= unit
-    return largest
-
-
-@jit
 def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) -> None:
     """sums[(start + i) // size, j // size] += field[i, j] — whole rows first, which compilers make fast."""
     line = np.zeros(sums.shape[1] * size, sums.dtype)
@@ -225,9 +207,12 @@ def _repeat(means: np.ndarray, size: int, line: np.ndarray) -> None:
 
 @jit
 def rest_in_blocks(
-    sums: np.ndarray, shares: np.ndarray, weights: np.ndarray, means: np.ndarray, start: int, size: int, out: np.ndarray
+    fields: tuple[np.ndarray, np.ndarray, np.ndarray], means: np.ndarray, start: int, size: int, out: np.ndarray
 ) -> None:
-    """out[i, j] = weights[i, j] (sums[i, j] shares[i, j] − means[(start + i) // size, j // size])"""
+    """out[i, j] = weights[i, j] (sums[i, j] shares[i, j] − means[(start + i) // size, j // size]), for fields (sums,
+    shares, weights).
+    """
+    sums, shares, weights = fields
     line, current = np.empty(out.shape[1], out.dtype), -1
     for i in range(out.shape[0]):
         if (start + i) // size != current:

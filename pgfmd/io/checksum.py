@@ -52,7 +52,7 @@ class SealedArray:
 
     def add(self, sums: np.ndarray, first: int, rows: np.ndarray) -> None:
         """Add the contiguous `rows`, as they are in the file from row `first` on, to the sums of their blocks."""
-        data = memoryview(rows.reshape(len(rows), -1).view(np.uint8)).cast("B")
+        data = rows.reshape(len(rows), -1).view(np.uint8).data.cast("B")
         for number, row in enumerate(range(first, first + len(rows))):
             crc = zlib.crc32(data[number * self.row_bytes : (number + 1) * self.row_bytes])
             sums[row // self.block] = (int(sums[row // self.block]) + (2 * row + 1) * crc) % 2**64

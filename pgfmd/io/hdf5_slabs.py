@@ -11,6 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -19,6 +20,9 @@ from mpi4py import MPI
 from pgfmd.io import atomic, checksum
 from pgfmd.io.checksum import SealedArray
 from pgfmd.parallel.collectives import from_root, raise_together, slab
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer, WriteableBuffer
 
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
 LIBVER = ("v108", "v110")
@@ -161,10 +165,10 @@ class _Blank(io.RawIOBase):
     def tell(self) -> int:
         return self._raw.tell()
 
-    def readinto(self, buffer) -> int:
+    def readinto(self, buffer: WriteableBuffer) -> int:
         return self._raw.readinto(buffer)
 
-    def write(self, data) -> int:
+    def write(self, data: ReadableBuffer) -> int:
         count = self._raw.write(data)
         self.size = max(self.size, self._raw.tell())
         return count
@@ -207,7 +211,7 @@ def _write_through_root(comm: MPI.Comm, path: Path, rows: slice, fields: dict[st
     """The slabs go to rank 0 in turn, in blocks of rows; rank 0 writes.  Collective."""
     slabs = comm.gather((rows.start, rows.stop))
     with raise_together(comm):
-        if comm.rank == 0:
+        if slabs is not None:
             _receive(comm, path, slabs, fields, note)
             return
         for name, field in fields.items():
@@ -219,9 +223,9 @@ def _write_through_root(comm: MPI.Comm, path: Path, rows: slice, fields: dict[st
 
 def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: dict[str, Field], note: Note) -> None:
     """Rank 0's side: it takes every block even after a failure, so that nobody is left waiting."""
-    failure = None
+    failure: Exception | None = None
 
-    def attempt(function: Callable, *arguments):
+    def attempt(function: Callable, *arguments: Any) -> Any:
         nonlocal failure
         if failure is None:
             try:
@@ -247,7 +251,7 @@ def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: d
         raise failure
 
 
-def _put(file: h5py.File, name: str, rows: slice, block: np.ndarray):
+def _put(file: h5py.File, name: str, rows: slice, block: np.ndarray) -> None:
     file[name][rows] = block
 
 

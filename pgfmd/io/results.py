@@ -6,6 +6,7 @@ import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -65,12 +66,14 @@ class Results:
     @property
     def shape(self) -> tuple[int, int]:
         """Grid points (nx, ny)."""
-        return tuple(int(count) for count in self.provenance["shape"])
+        nx, ny = self.provenance["shape"]
+        return int(nx), int(ny)
 
     @property
     def lengths(self) -> tuple[float, float]:
         """Cell (lx, ly)."""
-        return tuple(float(length) for length in self.provenance["lengths"])
+        lx, ly = self.provenance["lengths"]
+        return float(lx), float(ly)
 
     def load(self, index: int) -> Mapping[str, Mapping[str, np.ndarray]]:
         """Curves and tables of one load, read when accessed: load(0)["stress_spectrum"]["q"]; -1 is the last load."""
@@ -130,7 +133,7 @@ class _Groups(Mapping):
             table = {key: dataset[()] for key, dataset in file[self._name][title].items()}
         return modern(title, table, self._results.provenance["format_version"], self._results.shape)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[str]:
         with self._results._open(OBSERVABLES_FILE) as file:
             return iter(list(file[self._name]))
 
@@ -138,7 +141,7 @@ class _Groups(Mapping):
         return len(list(iter(self)))
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     """An HDF5 attribute as a Python value."""
     return value.item() if isinstance(value, np.generic) else value.tolist() if isinstance(value, np.ndarray) else value
 

@@ -48,6 +48,8 @@ from pgfmd.parallel.collectives import from_root, raise_together
 
 log = logging.getLogger("pgfmd")
 
+Mode = Literal["new", "overwrite", "restart"]
+
 
 @dataclass(frozen=True)
 class Form:
@@ -88,7 +90,7 @@ class ResultWriter:
         directory: str | os.PathLike,
         origin: Origin,
         form: Form,
-        mode: Literal["new", "overwrite", "restart"] = "new",
+        mode: Mode = "new",
     ):
         self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
         self.collective = hdf5_slabs.is_collective(comm)
@@ -209,7 +211,7 @@ class ResultWriter:
     def __enter__(self) -> ResultWriter:
         return self
 
-    def __exit__(self, kind, error, trace) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Give the folder free.  Not collective: it also runs where one rank alone has failed."""
         if self._folder is None:
             return

@@ -46,9 +46,8 @@ class Job:
         self.load.check_law(self.wall)
 
 
-SECTIONS: dict[str, type[Section] | Kinds] = {
-    kind.where: kind for kind in (Cell, SURFACES, Solid, LAWS, Load, Solver, Output, Run)
-}
+_SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, Solid, LAWS, Load, Solver, Output, Run)
+SECTIONS = {kind.where: kind for kind in _SECTIONS}
 
 
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:

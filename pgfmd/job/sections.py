@@ -29,7 +29,7 @@ class Solid(Section):
     lame_mu: float | None = key(POSITIVE, about="μ")
     young: float | None = key(POSITIVE, about="E, with poisson")
     poisson: float | None = key(number(above=-1, below=0.5), about="ν")
-    contact_modulus: float | None = key(POSITIVE, about="E' = E/(1 − ν²)")
+    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)")
     thickness: float = key(number(above=0, infinite=True), math.inf, "of a slab; inf is a half-space")
     base: str = key(
         choice("bonded", "free", "sliding"), "bonded", "of a slab: bonded, under a constant stress, or sliding"

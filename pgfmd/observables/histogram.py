@@ -35,7 +35,6 @@ class Histogram(Observable):
     layout = {
         "pressure_histogram": _layout("{pressure}", "the pressure over the contact"),
         "pressure_histogram_log": _layout("{pressure}", "the pressure over the contact, bins even in its logarithm"),
-        "gap_histogram": _layout("{length}", "the gap over all points, those where it is 0 left out"),
         "pressure_moments": {
             "order": Dataset("1", "n of ⟨σⁿ⟩_c / σ_c^n", ("order",)),
             "value": Dataset("1", "moments over the contact, σ_c = p̄/f_c", ("order",)),
@@ -44,6 +43,7 @@ class Histogram(Observable):
             "width": Dataset("{pressure}", "s of the distribution N(σ; p̄, s) − N(σ; −p̄, s) that fits best"),
             "residual": Dataset("1", "rms deviation of the fit over the rms density"),
         },
+        "gap_histogram": _layout("{length}", "the gap over all points, those where it is 0 left out"),
     }
 
     bins: int = key(

@@ -71,7 +71,7 @@ def keep_compiled_code() -> None:
         with contextlib.suppress(ImportError):
             from numba.core.dispatcher import Dispatcher
 
-            Dispatcher.enable_caching = lambda _: None
+            setattr(Dispatcher, "enable_caching", lambda _: None)  # noqa: B010  (a method, to a type checker)
         return
     os.environ["NUMBA_CACHE_DIR"] = str(folder / "kernels")
     if sys.modules.get("numba"):  # imported already: it has read the variable
@@ -83,11 +83,11 @@ def announce_compiling() -> None:
     from numba.core import event
 
     class Compiling(event.Listener):
-        def on_start(self, _) -> None:
+        def on_start(self, _: event.Event) -> None:
             event.unregister("numba:compile", self)
             log.info("compiling for this machine: some seconds, the first time only")
 
-        def on_end(self, _) -> None:
+        def on_end(self, _: event.Event) -> None:
             pass
 
     event.register("numba:compile", Compiling())

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
 from pgfmd.grid import kernels
@@ -32,7 +34,7 @@ class Elasticity:
     base: str = "bonded"
     poisson: float = 0.25
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not (self.contact_modulus > 0 and math.isfinite(self.contact_modulus)):
             raise InputError(f"contact_modulus = {self.contact_modulus!r}: must be positive and finite")
         if not self.thickness > 0:
@@ -103,14 +105,14 @@ class Elasticity:
         stiffness = self.stiffness(q)
         return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
 
-    def apply_compliance(self, grid: SlabGrid, dtype, factor: float) -> Columns:
+    def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> Columns:
         """Column action ũ ← factor · compliance(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
             scale = 2 * factor / self.contact_modulus * min(grid.spacing)
             return _act_by_q(grid, dtype, kernels.divide_by_q, scale)
         return multiply(grid, dtype, lambda q: factor * self.compliance(q))
 
-    def apply_stiffness(self, grid: SlabGrid, dtype, factor: float) -> Columns:
+    def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> Columns:
         """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
             scale = factor * self.contact_modulus / 2 / min(grid.spacing)
@@ -118,23 +120,23 @@ class Elasticity:
         return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
 
 
-def _act_by_q(grid: SlabGrid, dtype, kernel, scale: float) -> Columns:
+def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) -> Columns:
     """Column action by a kernel that takes squares of wave numbers, here over those of the smaller spacing."""
     real, step = np.dtype(dtype), min(grid.spacing)
     qx_squared, qy_squared = (((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0]))
-    scale = real.type(scale)
+    factor = np.asarray(scale, real)[()]
 
-    def act(block: np.ndarray, first: int, stop: int):
-        kernel(block.view(real).reshape(*block.shape, 2), qx_squared, qy_squared[first:stop], scale)
+    def act(block: np.ndarray, first: int, stop: int) -> None:
+        kernel(block.view(real).reshape(*block.shape, 2), qx_squared, qy_squared[first:stop], factor)
 
     return act
 
 
-def multiply(grid: SlabGrid, dtype, function) -> Columns:
+def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], np.ndarray]) -> Columns:
     """Column action that multiplies each mode by `function(|q|)`."""
     real = np.dtype(dtype)
 
-    def action(block: np.ndarray, first: int, stop: int):
+    def action(block: np.ndarray, first: int, stop: int) -> None:
         block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
 
     return action

@@ -39,7 +39,7 @@ def report(comm: MPI.Comm, per_rank: float) -> None:
     """
     here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
     found = comm.gather(here)
-    if comm.rank == 0:
+    if found is not None:
         mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
         form = "with MPI" if h5py.get_config().mpi else "without MPI"
         log.info("pgfmd %s, commit %s", __version__, git_commit()[:12])
@@ -55,7 +55,7 @@ def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> 
     """
     ranks = Counter(node for node, *_ in found)
     memory = {node: available for node, _, _, available in found}
-    threads = Counter()
+    threads: Counter[str] = Counter()
     cores: dict[str, set[int]] = {node: set() for node in ranks}
     for node, bound, count, _ in found:
         threads[node] += count

@@ -10,6 +10,8 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
@@ -55,7 +57,7 @@ class Interruptions:
         self._steps, self._progress = 0, False
         self._signal = 0
         self._earlier_stop = _version(self.stop_file)
-        self._handlers: dict[int, object] = {}
+        self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Interruptions:
         if self.comm.rank == 0:
@@ -66,11 +68,11 @@ class Interruptions:
             self._handlers = {number: signal.signal(number, self._note) for number in heeded}
         return self
 
-    def __exit__(self, *error) -> None:
+    def __exit__(self, *error: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
-    def _note(self, number: int, frame) -> None:
+    def _note(self, number: int, frame: FrameType | None) -> None:
         self._signal = number
         if number == signal.SIGINT:
             signal.signal(number, signal.default_int_handler)
@@ -126,7 +128,7 @@ class Interruptions:
             return self.stop_file
         return self.batch_stop_file if self.batch_stop_file.exists() else None
 
-    def _reason(self, number: int) -> Stopped:
+    def _reason(self, number: int) -> Stopped | NoProgress:
         reason = signal.Signals(number).name if number else f"the file {self._stop_file()}"
         if number or self._stop_file():
             return Stopped(f"stopped by {reason}; go on with {self.resumption}")

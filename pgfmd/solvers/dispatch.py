@@ -13,7 +13,7 @@ from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
 from pgfmd.solvers.options import Solver
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, Monitor
 
 SOLVERS: dict[str, Callable[..., ContactSolution]] = {
     "active-set": solve_hard_wall,
@@ -29,7 +29,7 @@ def solve_contact(
     problem: ContactProblem,
     options: Solver = Solver(),  # noqa: B008  (frozen)
     start: np.ndarray | None = None,
-    monitor: Callable | None = None,
+    monitor: Monitor | None = None,
     overwrite_heights: bool = False,
 ) -> ContactSolution:
     """The contact by the method that the options name, to their tolerance.  Collective.

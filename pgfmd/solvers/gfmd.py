@@ -17,16 +17,14 @@ the part of inertia.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.relaxation import WallRelaxation, WallState
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, Monitor
 
 INERTIA = 1.8  # of the full step: relaxation factor
 INTERVAL = 10  # steps between certificates, which take a convolution each
@@ -36,7 +34,7 @@ def solve_gfmd(
     problem: ContactProblem,
     tolerance: float = 1e-6,
     start: np.ndarray | None = None,
-    monitor: Callable[[SlabGrid, WallState], None] | None = None,
+    monitor: Monitor | None = None,
     overwrite_heights: bool = False,
     max_steps: int = 10000,
 ) -> ContactSolution:
@@ -68,7 +66,7 @@ class Dynamics:
         self.modes = np.zeros(self.grid.spectral_shape, np.complex128)
         self.displacement, self.force = np.zeros(self.grid.local_shape), np.ones(self.grid.local_shape)
 
-    def run(self, tolerance: float, max_steps: int, monitor=None) -> WallState:
+    def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> WallState:
         """Steps until the certified error of the wall's force is at most `tolerance`; else SolverError.  Collective."""
         state = WallState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
         level, best = 0.0, math.inf
@@ -95,17 +93,17 @@ class Dynamics:
         """One time step; `state.pressure` becomes the wall's answer.  Collective."""
         displacement, force, target = self.displacement, self.force, state.gap
 
-        def fill(first: int, stop: int, rows: np.ndarray):
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
             rows[...] = force[first:stop]
 
-        def move(block: np.ndarray, first: int, stop: int):
+        def move(block: np.ndarray, first: int, stop: int) -> None:
             modes = self.modes[first:stop]
             block += self.spring * modes
             block *= self.mobility[first:stop]
             modes += INERTIA * (block - modes)
             block *= 1 / self.grid.size
 
-        def drain(first: int, stop: int, rows: np.ndarray):
+        def drain(first: int, stop: int, rows: np.ndarray) -> None:
             part = displacement[first:stop]
             change = rows - part
             target[first:stop] = force[first:stop] / self.spring + self.heights[first:stop] - rows - change

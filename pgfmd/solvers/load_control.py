@@ -94,7 +94,8 @@ class Loads:
     def _search(self, target: float) -> ContactSolution:
         """Solve until the target is met, by more than the solution's own error.  Collective."""
         control, tolerance = self.control, max(LOOSE, self.tolerance)
-        search, best = _Search(self._first_guess(target)), (math.inf, None)
+        search = _Search(self._first_guess(target))
+        best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
             found = self._tried(search.at, tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)

@@ -13,7 +13,7 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, State
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # that single precision holds powers of it
@@ -30,7 +30,7 @@ class Dimensionless:
     """A contact problem with heights about their mean and over their rms value, pressures over their mean.  Collective
     to make.
 
-    problem: the dimensionless one, or None where `uniform`, the solution, needs no solver: without a load, without
+    problem: the dimensionless one; there is none where `uniform` is the solution, and not None: without a load, without
     roughness, or under a law that hardly feels it.  Wave numbers, and so lengths in the plane, keep their unit.
 
     Under a light load, points far below the highest one cannot touch.  How far below they lie does not matter, so that
@@ -46,7 +46,7 @@ class Dimensionless:
         self._transforms = grid.transforms
         self._heights = made = dimensionless(physical, overwrite_heights)
         heights, height = made.field, made.unit
-        self.problem = self.uniform = None
+        self.uniform: ContactSolution | None = None
         if physical.mean_pressure == 0 or made.rms * UNIFORM <= law.range:
             self.uniform = self._uniform(heights, height)
             return
@@ -73,7 +73,9 @@ class Dimensionless:
             np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds, 0.0, approach, 0.0
         )
 
-    def solution(self, state, energy: float, tolerance: float, coarse_transforms: float = 0.0) -> ContactSolution:
+    def solution(
+        self, state: State, energy: float, tolerance: float, coarse_transforms: float = 0.0
+    ) -> ContactSolution:
         """The physical solution of a dimensionless state, whose fields become its own.  Collective.
 
         state: pressure, gap, level, error and iterations of the solver; energy: ½⟨p̂ û⟩ per point.  Raises SolverError
@@ -213,7 +215,7 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
         size = depth
         mean, spread = lay(size)
 
-    def centre(_: int, first: int, stop: int):
+    def centre(_: int, first: int, stop: int) -> None:
         part = out[first:stop]
         part -= mean
         part /= spread

@@ -13,7 +13,8 @@ from pgfmd.options.text import show
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
 
-METHODS = tuple(dict.fromkeys(method for law in LAWS.choices for method in law.methods))
+_LAWS = (law for law in LAWS.choices if issubclass(law, ContactLaw))
+METHODS = tuple(dict.fromkeys(method for law in _LAWS for method in law.methods))
 
 
 @dataclass(frozen=True, kw_only=True)

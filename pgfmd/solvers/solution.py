@@ -3,9 +3,30 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+
+from pgfmd.grid.slab_grid import SlabGrid
+
+
+class State(Protocol):
+    """What every solver knows while it is at work: pressure and gap (nx_local, ny) in units of its own, the level that
+    gaps count from, the certified error, the points in contact, iterations.
+    """
+
+    pressure: np.ndarray
+    gap: np.ndarray
+    level: float
+    error: float
+    contact: int
+    iterations: int
+
+
+Monitor = Callable[[SlabGrid, State], None]
+"""(grid, state): called after each outer step."""
 
 
 @dataclass

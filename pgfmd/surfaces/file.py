@@ -17,7 +17,7 @@ from pgfmd.options.section import key, wrong
 from pgfmd.options.text import printable
 from pgfmd.surfaces.measurement import named
 from pgfmd.surfaces.mirror import folded
-from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.surface import Surface, path_key
 
 if TYPE_CHECKING:
     from mpi4py import MPI
@@ -41,12 +41,9 @@ class FromFile(Surface):
     """
 
     kind = "file"
-    path: str = key(
-        text(),
-        None,
+    path: str = path_key(
         ".npy, HDF5 (file.h5:dataset), text, or what SurfaceTopography reads; relative to the job's folder",
-        needed=True,
-        example="heights.npy",
+        "heights.npy",
     )
     dataset: str | None = key(text(), None, "of an HDF5 file; the same as the part of the path after the colon")
     first_axis: str = key(

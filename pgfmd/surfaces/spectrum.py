@@ -11,9 +11,9 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.options.rules import integer, text
+from pgfmd.options.rules import integer
 from pgfmd.options.section import key
-from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.surface import Surface, path_key
 from pgfmd.surfaces.text import read_table
 
 if TYPE_CHECKING:
@@ -34,12 +34,9 @@ class FromSpectrum(Surface):
     """
 
     kind = "spectrum"
-    path: str = key(
-        text(),
-        None,
+    path: str = path_key(
         "text of two columns, or .npy (m, 2): q (radians per length), increasing, and C (length⁴), all > 0",
-        needed=True,
-        example="spectrum.csv",
+        "spectrum.csv",
     )
     seed: int = key(integer(0), 1, 'one seed is one surface, on any grid; its numbers are those of "self-affine"')
 

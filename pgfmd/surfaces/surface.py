@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pgfmd.grid.cell import Cell
-from pgfmd.options.section import Section
+from pgfmd.options.rules import text
+from pgfmd.options.section import Section, key
 
 if TYPE_CHECKING:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
+
+
+def path_key(about: str, example: str) -> Any:
+    """The field of a surface that a file holds: its path."""
+    return key(text(), None, about, needed=True, example=example)
 
 
 @dataclass(frozen=True, kw_only=True)

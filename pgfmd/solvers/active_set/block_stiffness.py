@@ -80,8 +80,8 @@ class BlockStiffness:
             size, smooth = max(self.blocks.shape), np.zeros((1, 1), np.float32)
 
         def fill(first: int, stop: int, rows: np.ndarray):
-            part = (array[first:stop] for array in (residuals, self.shares, self.weights))
-            kernels.rest_in_blocks(*part, smooth, start + first, size, rows)
+            part = residuals[first:stop], self.shares[first:stop], self.weights[first:stop]
+            kernels.rest_in_blocks(part, smooth, start + first, size, rows)
 
         def act(block: np.ndarray, first: int, stop: int):
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.stiffness[first:stop])
