@@ -1,25 +1,26 @@
-"""A wall at imposed load: minimise J(p) = ½⟨p, Gp⟩ − ⟨p, h⟩ over 0 ≤ p ≤ σ with Σ p = P (G: compliance, h: heights,
-σ: hardness; infinite for a wall that is merely hard).
+"""A wall at imposed load: minimise J(p) = ½⟨p, Gp⟩ − ⟨p, h⟩ over 0 ≤ p ≤ σ_Y with Σ p = P (G: compliance, h:
+heights, σ_Y: largest pressure, infinite for a hard wall).
 
 `Relaxation.relax` solves on one grid by a primal–dual active set (Hintermüller, Ito, Kunisch 2002,
-doi:10.1137/S1052623401383558), whose unknowns are the pressures between the bounds (`primal`) or, where these are most,
-the gaps of the other points (`dual`).  Each step takes a feasible state, computes its response by full transforms,
+doi:10.1137/S1052623401383558).  The unknowns are the pressures of the points between the bounds (`primal`) or, if most
+points are, the gaps of the others (`dual`).  Each step computes the response to a feasible state by full transforms,
 chooses the unknowns, solves for them by conjugate gradients in single precision with a particle–mesh response, and
 makes the state feasible again.
 
 The stop is a certificate.  For a feasible p with gap g = Gp − h, any level λ, and any field ρ with
 
-    ρ = g − λ  where 0 < p < σ,        ρ ≤ g − λ  where p = 0,        ρ ≥ g − λ  where p = σ,
+    ρ = g − λ  where 0 < p < σ_Y,        ρ ≤ g − λ  where p = 0,        ρ ≥ g − λ  where p = σ_Y,
 
-the energy error is bounded, with K = G⁻¹ (stiffness; the mean, q = 0, is left out), by
+the energy error is bounded by
 
-    ½‖p − p*‖²_G ≤ J(p) − J(p*) ≤ ½⟨ρ, Kρ⟩:
+    ½‖p − p*‖²_G ≤ J(p) − J(p*) ≤ ½⟨ρ, Kρ⟩,
 
-with d = p* − p, whose sum is 0, J(p*) − J(p) = ⟨g − λ, d⟩ + ½⟨d, Gd⟩ ≥ ⟨ρ, d⟩ + ½⟨d, Gd⟩ ≥ −½⟨ρ, Kρ⟩.  It is of second
-order in the error of the gap, as the energy error itself is, and takes half a transform.  Off the unknowns the best ρ
-is a smooth continuation: the mean over neighbours, one pixel wide, halves the bound of rough surfaces (5.7 to 2.7 times
-the error for H = .3, λ_s = a, half in contact; least possible 1).  A gap that is computed with an error e adds ‖e‖_K to
-‖ρ‖_K (`Relaxation.rounding`).
+where p* is the solution and K = G⁻¹ the stiffness (without the mode q = 0).  Proof: d = p* − p has sum 0, so that
+J(p*) − J(p) = ⟨g − λ, d⟩ + ½⟨d, Gd⟩ ≥ ⟨ρ, d⟩ + ½⟨d, Gd⟩ ≥ −½⟨ρ, Kρ⟩.  The bound is of second order in the error of the
+gap, like the energy error itself, and costs half a transform.  Where p is at a bound, ρ may be chosen, and smooth
+fields give the lowest bound: next to the unknowns, the mean of their ρ over the eight neighbours halves it on rough
+surfaces (from 5.7 to 2.7 times the error for H = .3, λ_s = a, half in contact; at best 1).  An error e of the computed
+gap adds ‖e‖_K to ‖ρ‖_K (`Relaxation.rounding`).
 
 Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights over their rms value.
 """
@@ -40,25 +41,27 @@ from pgfmd.solvers.active_set.contact_set import pass_on
 
 Precision = type[np.float32] | type[np.float64]
 
-LEAST_CUT, MOST_CUT = 0.2, 0.14  # factors by which a step reduces the residual, at errors above 4 % and below 2 %
-SHARE = 0.7  # of the logarithm of the last reduction of the error, taken for that of the residual in the next step
-MARGIN = 0.15  # of the error allowed, at which the last step aims
+LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
+CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
+MARGIN = 0.15  # the last step aims at this part of the tolerance
 MOST_INNER, MOST_OUTER = 300, 200
-STUCK = 3  # steps without halving the least error, after which gaps in single precision may be why
+STUCK = 3  # steps without halving the least error, before double precision is taken
 PATIENCE = 12  # steps without halving the least error, before giving up
-SINGLE = 1e-3  # of ‖ρ‖_K, which is summed in single precision
-ROUNDING = 1.0, 1.8  # of a convolution over that of its numbers, per √log₂ N: at most .7 (1.3 with large primes in N)
-UNSEEN = 0.01  # of the error aimed at: rounding below it does not show
-COLUMNS = 16  # of the spectrum at a time, so that what NumPy makes on the way stays in cache
+SINGLE = 1e-3  # relative error of ‖ρ‖_K, which is summed in single precision
+ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ N, without and with primes above 13 in
+# N: measured at most .7 and 1.3
+UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
+COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
 @dataclass
 class State:
-    """Pressure and gap (nx_local, ny) on one grid, with the level at which contact lies.
+    """Pressure and gap (nx_local, ny) on one grid.
 
-    opened: the gap is 0 wherever the pressure lies between its bounds, and not merely Gp − h.  energy: ½⟨p, Gp⟩;
-    error: of the energy over 2 · energy, certified or estimated; contact, between: number of points with p > 0, and of
-    those below the upper bound; pressure_error: ‖Kρ‖/‖p‖, once certified.
+    level: λ, the gap Gp − h of points in contact.  opened: false if `gap` is Gp − h; true if it is measured from λ and
+    set to 0 wherever the pressure lies between its bounds.  energy: ½⟨p, Gp⟩.  error: of the energy over 2 · energy,
+    certified or estimated.  contact: number of points with p > 0; between: of those with 0 < p < σ_Y.  iterations: of
+    conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, set by a certificate.
     """
 
     pressure: np.ndarray
@@ -74,13 +77,12 @@ class State:
 
 
 class Relaxation:
-    """Relaxation of a dimensionless problem.  `exact`: errors are certified; else, on grids that only begin a finer
-    one, estimated.
+    """Relaxation of a dimensionless problem.  exact: whether errors are certified; on coarse grids, whose solution only
+    starts the next finer one, they are estimated.
 
-    Attributes: squares, Σ p² and Σ u² of the last response; heights_squared, Σ h² where p > 0.
+    Attributes: top, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, Σ h² where
+    p > 0.
     """
-
-    neutral = True  # whether unknowns are found up to a constant
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
@@ -106,25 +108,25 @@ class Relaxation:
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
             rounding = self.rounding(precision) / (2 * state.energy) if self.exact and state.energy > 0 else 0.0
-            clear = precision is np.float64 or rounding <= UNSEEN * tolerance
+            negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
-            if self.exact and clear and estimate <= tolerance:
+            if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
             self.settle(state)
             if monitor is not None:
                 monitor(state)
-            if clear and state.error <= tolerance:
+            if negligible and state.error <= tolerance:
                 return state
             patience = PATIENCE if estimate < 0.5 * best else patience - 1
             best = min(best, state.error)
             if patience == 0:
                 break
-            single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience > PATIENCE - STUCK
-            if precision is np.float32 and not single:
+            stay_single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience > PATIENCE - STUCK
+            if precision is np.float32 and not stay_single:
                 precision = np.float64
                 if estimate <= tolerance:
-                    continue  # look again before working on
-            wanted = self.cut(estimate, before, tolerance) * LEAST_CUT ** (1 - patience / PATIENCE)
+                    continue  # certify in double precision before another step
+            wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (1 - patience / PATIENCE)
             before = estimate
             self.improve(state, system, wanted)
         raise SolverError(
@@ -133,40 +135,42 @@ class Relaxation:
         )
 
     @staticmethod
-    def cut(estimate: float, before: float, tolerance: float) -> float:
-        """Factor by which the next step reduces the residual: not below what the unknowns that change will leave, as
-        the last error tells and the one before, nor more than the tolerance asks for.
+    def next_cut(estimate: float, before: float, tolerance: float) -> float:
+        """Factor by which the next step multiplies the residual of its system.
+
+        A smaller factor is wasted if the change of the set of unknowns, which the last two errors predict, leaves more
+        than that, or if the tolerance asks for less.
         """
         if not estimate < math.inf:
             return LEAST_CUT
         changes = min(LEAST_CUT, max(MOST_CUT, math.sqrt(estimate)))
         if before < math.inf:
-            changes = min(changes, (estimate / before) ** SHARE)
+            changes = min(changes, (estimate / before) ** CUT_POWER)
         return max(changes, math.sqrt(MARGIN * tolerance / max(estimate, tolerance)))
 
     def goal(self, estimate: float, tolerance: float) -> float:
-        """Error down to which a grid is solved that only begins a finer one, by that of its own beginning."""
+        """Tolerance for a coarse grid, from the estimated error of its start."""
         return tolerance
 
     def look(self, state: State, precision: Precision) -> ConjugateGradients:
-        """Computes the response of a feasible state, and chooses the unknowns: the system that improves them.
-        Collective.
+        """Computes the response to a feasible state, and chooses the unknowns.  Returns the system whose solution
+        improves them.  Collective.
         """
         raise NotImplementedError
 
     def settle(self, state: State) -> None:
-        """Makes the pressure that was looked at feasible, where it is not.  Collective."""
+        """Makes the pressure that `look` computed feasible, if it is not.  Collective."""
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
         """Reduce the residual of the system by the factor `wanted`, and make the state feasible.  Collective."""
         raise NotImplementedError
 
     def free(self) -> None:
-        """Give the memory of coarser transforms back.  Collective."""
+        """Frees the transforms of the inner solver.  Collective."""
         raise NotImplementedError
 
     def measure(self, state: State) -> None:
-        """Level, energy and contact of a pressure and its gap Gp − h; Σ p².  Collective."""
+        """Sets the state's level, energy and counts from a pressure and its gap Gp − h, and Σ p².  Collective."""
         pressure, gap, heights, top = state.pressure, state.gap, self.heights, self.top
         parts = self.grid.threads.collect(
             lambda a, b: set_kernels.contact_sums(pressure, gap, heights, top, a, b), len(gap)
@@ -177,11 +181,11 @@ class Relaxation:
         state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
         if between:
             state.level = float(work / load)
-        else:  # any between those of points that bear all they can and points that bear nothing
+        else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 will do
             state.level = (self.grid.reduction.max(highest) + self.grid.reduction.min(lowest)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
-        """gap = Gp − h for the state's pressure, of either sign.  Collective."""
+        """Sets the state's gap to Gp − h, which may have either sign.  Collective."""
         squares: dict[int, float] = {}
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
@@ -196,8 +200,8 @@ class Relaxation:
     def certify(self, state: State, precision: Precision) -> float:
         """A bound of the energy error over 2 · energy, rounding included.  Collective.
 
-        Sets `state.pressure_error`: p* − p is −Kρ where all points are unknowns, and less elsewhere; of 144 solutions
-        the true error was .2 to 1.1 of that, .9 in the median (`tests/test_hard_wall`).
+        Sets `state.pressure_error` = ‖Kρ‖/‖p‖.  If every point is an unknown, p* − p = −Kρ; else it is an estimate: in
+        144 solutions the true error was .2 to 1.1 of it, in the median .9 (`tests/test_hard_wall`).
         """
         parts: dict[int, list[float]] = {}
         multiply, fields, level = self.stiffness[np.float32], (state.pressure, state.gap), state.level
@@ -224,12 +228,13 @@ class Relaxation:
         return ((1 + SINGLE) * math.sqrt(square) + math.sqrt(self.rounding(precision))) ** 2 / (2 * state.energy)
 
     def rounding(self, precision: Precision) -> float:
-        """A bound of ½‖e‖²_K for the error e of a gap that was computed in that precision.  Collective at first.
+        """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective at first.
 
-        Errors of transforms are white, in the response as in what it answers: those of the displacement count by the
-        mean of K over all modes, those of the pressure by that of G.  Heights are known to their last digits.
+        Rounding errors of transforms are white, in the input and in the output.  So ½‖e‖²_K is the mean of K over all
+        modes times the squared error of the displacement, plus the mean of G times that of the pressure, plus the
+        rounding of the heights themselves, in double precision.
         """
-        factor = ROUNDING[any(pow(30030, 64, n) for n in self.grid.shape)]  # primes above 13, the largest in 30030
+        factor = ROUNDING[any(pow(30030, 64, n) for n in self.grid.shape)]  # whether a prime above 13 divides n
         factor *= math.sqrt(math.log2(2 * self.grid.size))
         unit, digits = factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
         squares = unit**2 * float(self.means @ self.squares) + digits**2 * self.means[1] * self.heights_squared

@@ -1,13 +1,12 @@
-"""The wall by the gaps of the points whose pressure is at a bound: minimise ½⟨g, Kg⟩ + ⟨p̄ + Kh, g⟩ over gaps g that
-are ≥ 0 (p = 0), ≤ 0 (p = σ) or 0 (between).
+"""The active-set step whose unknowns are the gaps of the points with a pressure at a bound: minimise
+½⟨g, Kg⟩ + ⟨p̄ + Kh, g⟩ over gaps g that are ≥ 0 where p = 0, ≤ 0 where p = σ_Y, and 0 where 0 < p < σ_Y.
 
-This is the dual programme; its gradient p = p̄ + K(h + g) is the pressure.  K, the stiffness, falls off as r⁻³, so that
-where most points bear a pressure between the bounds and the others are few, a handful of conjugate gradients suffice:
-they bring the pressure of these to its bound.  Then gaps of the wrong sign are cut, and points with a pressure beyond
-the bounds join.
+This is the dual programme; its gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients bring the pressure of
+the unknowns to its bound.  The stiffness K falls off as r⁻³, so that they converge in a few iterations if the unknowns
+are few.  Then gaps of the wrong sign are cut, and points with a pressure beyond a bound become unknowns.
 
-A state is certified by a pressure, which is p' = p̄ + K(h + g) settled: brought between its bounds, at them where
-there is a gap, and made to carry the load.  If it changes by c, its gap is g + Gc.
+The certificate needs a feasible pressure.  So p = p̄ + K(h + g) is settled: set to its bound where the gap is not 0, cut
+to its bounds elsewhere, and changed to bear the load.  If settling changes p by c, the gap becomes g + Gc.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from pgfmd.solvers.active_set.feasible import share_of_load
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
 
-SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes compliance for constant
-LEAST = 0.1  # of the stencil's centre: the smallest response to a wave, so that it is positive definite
+SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
+LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
 
 
 class GapSteps(Relaxation):
     """Relaxation that costs least where most pressures lie between their bounds.
 
-    Attributes: share, how the pressure that was looked at is settled (`share_of_load`); mean, of h + g.
+    Attributes: share, how settling changes the pressure that `look` computed (`share_of_load`); mean, that of h + g.
     """
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
@@ -44,11 +43,11 @@ class GapSteps(Relaxation):
         self.share, self.mean = (1.0, 0.0, 0.0), 0.0
 
     def free(self) -> None:
-        """Give the memory of coarser transforms back.  Collective."""
+        """Frees the transforms of the mesh.  Collective."""
         self.inner.free()
 
     def look(self, state: State, precision: Precision) -> ConjugateGradients:
-        """The pressure of the gap; the system brings it to its bounds where there is a gap.  Collective."""
+        """Computes the pressure from the gap.  The system brings it to its bound on the unknowns.  Collective."""
         if not state.opened:
             self.compute_gap(state, precision)
             self.measure(state)
@@ -68,13 +67,15 @@ class GapSteps(Relaxation):
         return ConjugateGradients(points.beyond(*fields, top), self.inner, self.preconditioner, False)
 
     def open_gap(self, state: State) -> None:
-        """From the gap Gp − h to one that is 0 where the pressure lies between its bounds."""
+        """Makes the gap Gp − h feasible: measured from the level, 0 where the pressure lies between its bounds."""
         fields, level, top = (state.pressure, state.gap), state.level, self.top
         self.grid.threads.deal(lambda a, b: set_kernels.open_rows(*fields, level, top, a, b), len(state.gap))
         state.opened = True
 
     def compute_pressure(self, state: State, precision: Precision) -> float:
-        """p = p̄ + K(h + g) for the state's gap, of any size.  Returns the mean of h + g.  Collective."""
+        """Sets the state's pressure to p̄ + K(h + g), which may lie beyond its bounds.  Returns the mean of h + g.
+        Collective.
+        """
         mean, sums, squares = self.load / self.grid.size, {}, {}
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
@@ -89,7 +90,7 @@ class GapSteps(Relaxation):
         return float(total) / self.grid.size
 
     def settle(self, state: State) -> None:
-        """Settles the pressure of an open gap."""
+        """Settles the pressure, unless a certificate has done so."""
         if state.opened:
             fields = state.pressure, state.gap
             self.grid.threads.deal(
@@ -97,7 +98,7 @@ class GapSteps(Relaxation):
             )
 
     def certify(self, state: State, precision: Precision) -> float:
-        """As for pressures, once the pressure is settled and the gap has reacted to that.  Collective."""
+        """Settles the pressure, makes the gap Gp − h again, and certifies them as `Relaxation` does.  Collective."""
         fields = state.pressure, state.gap
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
@@ -114,8 +115,8 @@ class GapSteps(Relaxation):
         return super().certify(state, precision)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
-        """Bring the pressure closer to its bounds on the set by the factor `wanted`, and make the gap feasible.
-        Collective.
+        """Reduces the distance of the pressure from its bounds on the unknowns by the factor `wanted`, and makes the
+        gap feasible.  Collective.
         """
         if not state.opened:  # a certificate has changed the gap
             self.open_gap(state)
@@ -127,7 +128,7 @@ class GapSteps(Relaxation):
 
 
 class NearCompliance:
-    """An approximate inverse of the stiffness on a set: the compliance with long waves screened, cut to a few
+    """An approximate inverse of the stiffness on a set: the compliance, screened at long waves and truncated to two
     pixels.
     """
 
@@ -139,7 +140,7 @@ class NearCompliance:
         padded[: len(kernel), : len(kernel)] = kernel
         waves = np.fft.fft2(np.roll(padded, (-RADIUS, -RADIUS), (0, 1))).real
         centre = kernel[RADIUS, RADIUS]
-        kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # oblong pixels need it
+        kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # needed for oblong pixels
         self.stencil = Stencil(grid, kernel)
 
     def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:

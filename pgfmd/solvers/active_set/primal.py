@@ -1,5 +1,7 @@
-"""The wall by the pressures between their bounds: on these points the gap is made constant by conjugate gradients;
-then pressures beyond a bound are cut, and points whose gap drives them away from a bound join.
+"""The active-set step whose unknowns are the pressures between their bounds.
+
+Conjugate gradients make the gap constant on these points.  Then pressures beyond a bound are cut, and points that their
+gap drives away from a bound become unknowns.
 """
 
 from __future__ import annotations
@@ -14,9 +16,9 @@ from pgfmd.solvers.active_set.feasible import make_feasible
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 
-PART = 0.05  # of the error that a grid begins with: long waves that it leaves cost most on the next one
-LOOSEST = 2e-2  # error of a grid that begins a finer one
-FINEST = 1e-8  # and the least: what single precision reaches on any grid
+PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most on the next grid
+LOOSEST = 2e-2  # largest tolerance of a coarse grid
+FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 
 
 class PressureSteps(Relaxation):
@@ -30,27 +32,29 @@ class PressureSteps(Relaxation):
 
     @property
     def pixel_stiffness(self) -> float:
-        """Pressure of a pixel over its displacement under that.  Collective at first."""
+        """Pressure on a single pixel over the displacement that it causes there.  Collective at first."""
         return 1 / self.means[0] if self.means[0] > 0 else 1.0
 
     def free(self) -> None:
-        """Give the memory of coarser transforms back.  Collective."""
+        """Frees the transforms of the mesh and of the blocks.  Collective."""
         self.inner.free()
         self.preconditioner.free()
 
     def goal(self, estimate: float, tolerance: float) -> float:
-        """A part of the error that interpolation from a coarser grid has left: the next one will leave as much."""
+        """A part (`PART`) of the error of the start, which interpolation has left and the next one will leave again."""
         return max(min(PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
     def look(self, state: State, precision: Precision) -> ConjugateGradients:
-        """The gap of the pressure; the system makes it constant where the pressure can change.  Collective."""
+        """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
         self.compute_gap(state, precision)
         self.measure(state)
         points = ContactSet(self.grid, (state.pressure, state.gap), state.level, self.top)
         return ConjugateGradients(points.below(state.level, state.gap), self.inner, self.preconditioner)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
-        """Make the gap flatter on the set by the factor `wanted`, and the pressure feasible.  Collective."""
+        """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
+        feasible.  Collective.
+        """
         change, steps = system.solve(wanted, MOST_INNER)
         system.points.add(state.pressure, change)
         state.iterations += steps
