@@ -638,7 +638,10 @@ def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answ
     # load.gap_tolerance is relative to the approach from first contact or, if less, to the mean gap (or ζ, if more).
     zeta = job["wall"].get("zeta", 0)
     approach = abs(-contact.heights.mean() - exact.mean_gap)
-    size = max(approach if zeta else min(approach, exact.mean_gap), zeta)
+    if control == "displacement":
+        approach = abs(answer.target)
+    bounded = not zeta and (control == "mean_gap" or not contact.solid.mean_compliance)
+    size = max(min(approach, exact.mean_gap) if bounded else approach, zeta)
     room = job["load"]["gap_tolerance"] * size * (1 + 1e-6) + 1e-13 * np.ptp(contact.heights)
     if abs(measure - answer.target) > room:
         return f"reached {float(measure):.9g}, {float((measure - answer.target) / contact.rms):.1e} rms heights off"
