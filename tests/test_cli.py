@@ -269,9 +269,9 @@ def test_estimate_scales():
     """Memory beside that of an empty rank is split over the ranks; files are counted byte for byte: fields × points ×
     width × loads; what is gathered on the way into them counts on several ranks.
     """
-    from pgfmd.run.estimate import EMPTY, estimate
+    from pgfmd.run.estimate import BASE_BYTES, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
-    one, two = (estimate(job, ranks).memory - EMPTY for ranks in (1, 2))
+    one, two = (estimate(job, ranks).memory - BASE_BYTES for ranks in (1, 2))
     assert two - 4 * 48 == pytest.approx(one / 2, rel=1e-6)
     assert estimate(job, 1).files == (1 + 2) * 48 * 4

@@ -156,7 +156,7 @@ class SlabGrid:
         transform.rows_backward(drain)
 
     def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:
-        """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform it back, hand
+        """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform back, and hand
         the rows to `drain`.  No 1/N is applied.  Collective.
         """
         transform = self.transform(dtype)

@@ -34,7 +34,7 @@ def beside(path: Path) -> Path:
 
 
 def commit(path: Path, keep: bool = False) -> None:
-    """Put the finished temporary file of `path` in its place, on the disk before and after the change of name.
+    """Rename the finished temporary file of `path` to `path`; the file is synced to the disk before, the folder after.
 
     keep : the version that it replaces stays as `previous(path)`
     """
@@ -42,7 +42,7 @@ def commit(path: Path, keep: bool = False) -> None:
     if keep and path.exists():
         previous(path).unlink(missing_ok=True)
         try:
-            os.link(path, previous(path))  # so that at no instant there is none
+            os.link(path, previous(path))  # a link, so that `path` exists at every instant
         except OSError:
             os.replace(path, previous(path))  # a file system without hard links
     os.replace(temporary(path), path)
@@ -50,11 +50,11 @@ def commit(path: Path, keep: bool = False) -> None:
 
 
 def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False, anew: bool = False) -> None:
-    """Replace the small, sealed file `path`, in memory, by what `change` makes of its content (none if it is new).
+    """Let `change` modify the content of the small, sealed file `path` (empty for a new file), and replace the file.
 
-    keep : see `commit`;  anew : `change` gets no content although there is some
+    keep : see `commit`;  anew : `change` gets empty content even if the file exists
 
-    HDF5 crashes when a disk is full; Python says so.  Raises OSError, and the old file stays.
+    `change` works in memory, since HDF5 crashes when a disk is full.  Raises OSError then; the old file stays.
     """
     content = io.BytesIO(unsealed(path.read_bytes()) if path.exists() and not anew else b"")
     change(content)
@@ -69,7 +69,7 @@ def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False,
 
 @contextlib.contextmanager
 def named(path: Path) -> Iterator[None]:
-    """An OSError in the block that names no file (full disks do not) names this one."""
+    """Adds `path` to an OSError of the block that names no file, as that of a full disk."""
     try:
         yield
     except OSError as error:
@@ -79,7 +79,7 @@ def named(path: Path) -> Iterator[None]:
 
 
 def reserve(path: Path, size: int) -> None:
-    """Make a file of `size` bytes whose space on the disk is taken; raises OSError if there is not so much."""
+    """Make a file of `size` bytes whose space on the disk is taken; raises OSError if less is free."""
     folder = path.parent
     try:
         with open(path, "wb") as file:
@@ -134,15 +134,15 @@ class OutputFolder:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                holder = os.read(handle, 200).decode(errors="replace").strip()
+                other = os.read(handle, 200).decode(errors="replace").strip()
                 os.close(handle)
-                raise InputError(f"{self.path}: another run writes here ({holder or 'just started'})") from None
+                raise InputError(f"{self.path}: another run writes here ({other or 'just started'})") from None
             except OSError as error:
                 if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
                     os.close(handle)
                     raise
-                # A file system without locks: nothing can be promised, and the run shall not fail for it.
-            # A holder that has just ended removes its file: what we locked must still be what the name means.
+                # A file system without locks: the run goes on unprotected.
+            # A run that has just ended removes its lock file: is the locked file still the one of that name?
             if os.path.exists(name) and os.fstat(handle).st_ino == os.stat(name).st_ino:
                 break
             os.close(handle)
@@ -151,7 +151,7 @@ class OutputFolder:
         return handle
 
     def release(self) -> None:
-        """Give the folder free."""
+        """Remove the lock."""
         (self.path / LOCK_NAME).unlink(missing_ok=True)
         os.close(self._handle)
 

@@ -1,11 +1,11 @@
-"""Checkpoints of a load that is not solved yet: the pressure so far, from which the solver can go on.
+"""Checkpoints of a load that is not solved yet: its latest pressure, from which the solver can continue.
 
     checkpoint.h5               pressure (nx, ny), the load's index, the effective job; sealed
-    .checkpoint.h5.previous     the one before, used if that one is damaged
-    .checkpoint.h5.new          of a run whose results are to replace others, as long as those are there
+    .checkpoint.h5.previous     the checkpoint before it, read if checkpoint.h5 is damaged
+    .checkpoint.h5.new          the checkpoint of a run that is to replace results, until it has replaced them
 
-Files of one rank count are read on any other.  A start that is wrong cannot make a wrong result, since every solver
-certifies what it returns; the seal is what keeps a damaged one from costing time.
+A checkpoint can be read on any number of ranks.  A damaged one cannot make a result wrong, since every solver
+certifies what it returns; it would only cost time, and the seal saves that.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Checkpoints:
     """The checkpoints in a result folder.  Every method is collective.
 
     rows : slice of the global rows of the grid of that `shape` (nx, ny) which this rank holds
-    job : a text that is the same for the same job; checkpoints of another job are left aside
+    job : a text that is the same for the same job; checkpoints of another job are ignored
 
-    aside : write beside the checkpoint that is there, which belongs to results that are still to be replaced
+    aside : `save` writes the file .new, since checkpoint.h5 belongs to results that are still to be replaced
     """
 
     def __init__(self, comm: MPI.Comm, directory: str | os.PathLike, shape: tuple[int, int], rows: slice, job: str):
@@ -68,7 +68,7 @@ class Checkpoints:
         return None
 
     def _belongs(self, path: Path, index: int) -> bool:
-        """Whether there is a checkpoint of that load of this job, good as far as can be told without its numbers."""
+        """Whether the file is a checkpoint of that load of this job with a good seal; the numbers are not read."""
         if not path.exists():
             return False
         _, fault = checksum.read_seal(path)
@@ -79,7 +79,7 @@ class Checkpoints:
             return file.attrs["load"] == index and file.attrs["job"] == self.job
 
     def remove(self) -> None:
-        """Remove all checkpoints; what was beside them takes their place from now on.  Collective."""
+        """Remove all checkpoints; the next one is written to checkpoint.h5 (`aside` becomes False).  Collective."""
         from_root(self.comm, self._remove)
         self.aside = False
 

@@ -50,7 +50,7 @@ class Field:
 
 Create = Callable[[h5py.File, str], h5py.Dataset]
 Note = Callable[[str, int, np.ndarray], None]
-"""(field, its first row, rows as they are in the file): told of each block of this rank that is written."""
+"""note(field name, first global row, rows as they are in the file): each rank calls it once for each of its blocks."""
 
 
 def is_collective(comm: MPI.Comm) -> bool:
@@ -59,7 +59,7 @@ def is_collective(comm: MPI.Comm) -> bool:
 
 
 def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np.dtype) -> h5py.Dataset:
-    """A dataset in one piece, whose place in the file is fixed at once and filled with nothing."""
+    """A contiguous dataset, whose space in the file is allocated at once and not filled."""
     layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     layout.set_layout(h5py.h5d.CONTIGUOUS)
     layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -72,9 +72,9 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
 def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create) -> None:
     """Write a new, sealed file of `fields`; this rank holds the global `rows`.  Collective.
 
-    create(file, name) makes the dataset of a field by `create_dataset`; rank 0 calls it.  The file gets its whole size
-    on the disk before the first number: HDF5 crashes or hangs when a disk is full; so it never meets one.
-    Raises on all ranks what fails on one; OSError if the disk is full.
+    create(file, name) makes the dataset of a field by `create_dataset`; rank 0 calls it.  HDF5 crashes or hangs when a
+    disk is full; so the space of the whole file is reserved before HDF5 writes.  An error on one rank is raised on all
+    of them; OSError if the disk is full.
     """
     count = comm.allreduce(rows.stop - rows.start)
     size = count * sum(field.row_bytes for field in fields.values())
@@ -83,12 +83,12 @@ def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], cre
     sums = {name: array.blank_sums() for name, array in arrays.items()}
     transport = _write_together if is_collective(comm) else _write_through_root
     transport(comm, path, rows, fields, lambda name, first, block: arrays[name].add(sums[name], first, block))
-    arrays = {name: replace(array, sums=_added(comm, sums[name])) for name, array in arrays.items()}
+    arrays = {name: replace(array, sums=_sum_over_ranks(comm, sums[name])) for name, array in arrays.items()}
     from_root(comm, _seal, path, arrays)
 
 
 def replace_by(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create, keep: bool) -> None:
-    """`write` under a temporary name, then put in its place; after a failure nothing is left of it.  Collective.
+    """`write` under a temporary name, then rename; after a failure the temporary file is removed.  Collective.
 
     keep: the version that it replaces stays as `atomic.previous(path)`.  Raises like `write`.
     """
@@ -104,8 +104,8 @@ def replace_by(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field]
 
 
 def read(comm: MPI.Comm, path: Path, rows: slice, name: str) -> tuple[np.ndarray | None, str | None]:
-    """This rank's rows of a field in a sealed file, checked while they are in memory, or what is wrong with the file.
-    Collective.
+    """Read this rank's rows of a field in a sealed file, and check them against the seal: (rows, None), or (None, what
+    is wrong with the file).  Collective.
     """
     seal, fault = from_root(comm, checksum.read_seal, path)
     if seal is None:
@@ -116,7 +116,7 @@ def read(comm: MPI.Comm, path: Path, rows: slice, name: str) -> tuple[np.ndarray
     array = seal.arrays[name]
     sums = array.blank_sums()
     array.add(sums, rows.start, local)
-    fault = array.difference(np.array(_added(comm, sums), np.uint64))
+    fault = array.difference(np.array(_sum_over_ranks(comm, sums), np.uint64))
     return (local if fault is None else None), fault
 
 
@@ -125,33 +125,32 @@ def _seal(path: Path, arrays: dict[str, SealedArray]) -> None:
         checksum.add_seal(path, arrays)
 
 
-def _added(comm: MPI.Comm, sums: np.ndarray) -> list[int]:
+def _sum_over_ranks(comm: MPI.Comm, sums: np.ndarray) -> list[int]:
     """The sums of all ranks, modulo 2⁶⁴.  Collective."""
     comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
     return [int(number) for number in sums]
 
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, SealedArray]:
-    """The file with everything but the numbers, in space that is reserved beforehand; where each field lies.  Rank 0.
-    """
+    """Reserve space; write a file with all but the numbers; returns where each field lies.  Rank 0."""
     atomic.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
-        blank = _Blank(raw)
-        with h5py.File(blank, "w", libver=LIBVER) as file:
+        target = _ReservedFile(raw)
+        with h5py.File(target, "w", libver=LIBVER) as file:
             datasets = [create(file, name) for name in names]
             arrays = {
                 name: checksum.array_at(found.id.get_offset(), found.shape[1] * found.dtype.itemsize, found.shape[0])
                 for name, found in zip(names, datasets, strict=True)
             }
-        raw.truncate(blank.size)
+        raw.truncate(target.size)
     return arrays
 
 
-class _Blank(io.RawIOBase):
-    """A file that has its space on the disk, shown to HDF5 as one of `size` bytes, none at first.
+class _ReservedFile(io.RawIOBase):
+    """A file with reserved space, which HDF5 sees as one of `size` bytes: 0 at first, then what HDF5 has written.
 
-    Opened by its name, HDF5 would cut it to nothing and give the space back; where then 4 to 64 kB are left on the
-    disk, it ends the process by SIGSEGV when it closes the file (HDF5 1.10, 1.14).
+    If HDF5 opened the file by its name, it would truncate it and so give the space back.  Where 4 to 64 kB are then
+    left on the disk, HDF5 1.10 and 1.14 end the process by SIGSEGV when they close the file.
     """
 
     def __init__(self, raw: io.FileIO):
@@ -181,7 +180,7 @@ class _Blank(io.RawIOBase):
 def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note) -> None:
     """Each rank writes its own rows, all at the same time.  Collective.
 
-    Every single call of HDF5 is followed by an agreement: an error that shows on one rank reaches all of them.
+    After each call of HDF5 the ranks agree whether it failed: an error on one rank is raised on all of them.
     """
     with raise_together(comm):
         file = h5py.File(path, "r+", driver="mpio", comm=comm, libver=LIBVER)

@@ -19,7 +19,7 @@ from pgfmd.io.schema import CHECKPOINT_FILE, FIELDS_FILE, FIELDS_FOLDER, OBSERVA
 
 log = logging.getLogger("pgfmd")
 
-FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results that replace others lie in the folder those are not in
+FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # new results use the one that the results they replace do not
 _FIELD_FILE = re.compile(r"(height|load_\d{4,})\.h5")
 
 
@@ -27,10 +27,11 @@ _FIELD_FILE = re.compile(r"(height|load_\d{4,})\.h5")
 class EarlierResults:
     """Results that are to be continued.
 
-    completed: loads up to the last one that is written; job: the effective job (None: there is nothing to continue);
-    inputs: digests of the files that it names; version: that of the program, and of the file format; fields: names by
-    load that is written; folder: where their files are; damaged: names (`load_0002`, `height`) of files that are
-    missing or damaged; state: the file that says all this
+    completed: number of loads up to the last one that is written; job: the effective job (None: there is nothing to
+    continue); inputs: digests of the files that the job names; version: of the program and of the file format; fields:
+    names of the fields of each load that is written; folder: where the files of fields are; damaged: names
+    (`load_0002`, `height`) of files that are missing or damaged; state: the file that was read, observables.h5 or the
+    version before it
     """
 
     completed: int = 0
@@ -56,7 +57,7 @@ class EarlierResults:
         return found
 
     def settle(self) -> None:
-        """Make the version of observables.h5 that was read the present one."""
+        """If the version before was read, put it in the place of observables.h5."""
         if self.state is not None and self.state.name != OBSERVABLES_FILE:
             os.replace(self.state, self.state.with_name(OBSERVABLES_FILE))
 
@@ -102,7 +103,7 @@ def read(directory: Path) -> EarlierResults:
 
 
 def other_folder(directory: Path) -> str:
-    """The folder of fields that the results in observables.h5 do not use; the second one if they cannot be read."""
+    """The one of FIELDS_FOLDERS that the results in observables.h5 do not use; the second if that cannot be read."""
     try:
         content = checksum.unsealed((directory / OBSERVABLES_FILE).read_bytes(), strict=False)
         with h5py.File(io.BytesIO(content), "r") as file:
@@ -113,7 +114,7 @@ def other_folder(directory: Path) -> str:
 
 
 def is_own(path: Path) -> bool:
-    """Whether a file was written by this program: it is sealed or, cut short, its beginning says so."""
+    """Whether this program wrote a file: it is sealed or, if it was cut short, its beginning names the program."""
     if checksum.is_sealed(path):
         return True
     try:
@@ -131,7 +132,7 @@ def own_field_files(folder: Path) -> Iterator[Path]:
 
 
 def refuse_foreign(directory: Path, folder: str) -> None:
-    """Raise InputError if files that are to be written there, fields in `folder`, exist and are not this program's."""
+    """Raise InputError if a file that the run would write (fields in `folder`) exists and is not this program's."""
     fields = (path for path in (directory / folder).glob("*.h5") if _FIELD_FILE.fullmatch(path.name))
     for path in (*(directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, CHECKPOINT_FILE)), *fields):
         if os.path.lexists(path) and not is_own(path) and not is_own(atomic.previous(path)):

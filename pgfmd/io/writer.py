@@ -6,10 +6,10 @@
 
 Every one of them ends in a seal (module `checksum`), so that a damaged file can be recognised.
 
-Results that replace others (`overwrite`) put their fields into fields-2/ where the others have fields/, and the other
-way round.  The others stay whole until the first new load is; then one change of name, that of observables.h5, replaces
-them, and only after it their fields are removed.  fields.h5 is missing for that moment: it never shows fields of which
-observables.h5 does not tell.
+With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
+results stay whole until the first new load is complete.  Then fields.h5 is removed, observables.h5 is replaced by one
+rename, the old fields are removed, and fields.h5 is written anew.  So fields.h5 never links to fields that are not
+those of observables.h5.
 """
 
 from __future__ import annotations
@@ -74,14 +74,15 @@ class Form:
 class ResultWriter:
     """Writes one run's folder; a context manager.  Every method is collective.
 
-    comm : communicator; directory : the folder, made if missing; origin, form : what is kept with the results, and how
+    comm : communicator; directory : the folder, made if missing; origin : what is written about the run;  form : the
+    form of its files
     mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
 
     Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
     written, is in use, or holds results or files that are not to be replaced.
 
-    completed : loads written so far;  earlier : what is to be continued
-    replacing : whether other results are still there, which the first load will replace
+    completed : loads written so far;  earlier : the results that are continued
+    replacing : whether old results are still there, which the first load will replace
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class ResultWriter:
         self.collective = hdf5_slabs.is_collective(comm)
         self._begun = False
         self._folder: atomic.OutputFolder | None = None
-        self.earlier, self.replacing, self._fields = from_root(comm, self._enter)
+        self.earlier, self.replacing, self._fields = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
         self._links = self.earlier.links()
         self._written = self.earlier.fields.keys() - self.earlier.damaged
@@ -111,8 +112,10 @@ class ResultWriter:
             how = "by all ranks together" if self.collective else "through rank 0 (h5py has no MPI)"
             log.info("fields are written %s", how)
 
-    def _enter(self) -> tuple[EarlierResults, bool, str]:
-        """Lock the folder; what is to be continued, whether results are replaced, the folder of fields.  Rank 0."""
+    def _open_folder(self) -> tuple[EarlierResults, bool, str]:
+        """Lock the folder.  Returns the results to continue, whether others are replaced, and the
+        folder of fields.  Rank 0.
+        """
         folder = atomic.OutputFolder(self.directory)
         try:
             found = [
@@ -144,13 +147,13 @@ class ResultWriter:
         return [index for index in range(self.origin.loads) if load_name(index) not in self._written]
 
     def begin(self) -> None:
-        """Remove what runs left that were broken off; write observables.h5 without loads, unless others' results are
-        there or continued.  Collective.
+        """Remove what interrupted runs left behind; then, unless old results are still to be replaced, start or
+        continue observables.h5.  Called again, it does nothing.  Collective.
         """
         if not self._begun:
-            from_root(self.comm, self._clear)
+            from_root(self.comm, self._remove_leftovers)
             if not self.replacing:
-                from_root(self.comm, self._revise_observables, self._describe)
+                from_root(self.comm, self._revise_observables, self._prepare_observables)
             self._begun = True
 
     def write_field(
@@ -172,9 +175,10 @@ class ResultWriter:
         groups: Groups | None = None,
         fields: dict[str, np.ndarray] | None = None,
     ) -> None:
-        """Write one completed load: fields first, then, at once, its row and groups.  Collective.
+        """Write one completed load: first its fields, then its row and groups in one step.  Collective.
 
-        row : values of `schema.LOADS` (missing: NaN); groups : arrays that `form.groups` describes; rank 0 counts
+        row : values of `schema.LOADS` (missing: NaN); groups : arrays that `form.groups` describes, written as rank 0
+        has them
         fields : this rank's slabs (nx_local, ny), same names on all ranks
         Raises OSError on all ranks if it cannot be written.
         """
@@ -212,7 +216,7 @@ class ResultWriter:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Give the folder free.  Not collective: it also runs where one rank alone has failed."""
+        """Release the folder.  Not collective: it also runs where one rank alone has failed."""
         if self._folder is None:
             return
         if self._begun and error is not None:
@@ -226,7 +230,9 @@ class ResultWriter:
     # Rank 0: small files, each replaced as a whole.
 
     def _note_failure(self, error: BaseException) -> None:
-        """Say in observables.h5 how the run ended; or, if the results there are not of this run, leave no trace."""
+        """Write into observables.h5 how the run ended.  If that still holds the old results, remove the new
+        files instead.
+        """
         if self.replacing:
             self._remove_fields(self._fields)
             if not isinstance(error, Stopped):
@@ -236,21 +242,21 @@ class ResultWriter:
         message = (str(error) or type(error).__name__)[:1000]
         self._revise_observables(lambda file: file.attrs.update(status=status, error=message))
 
-    def _clear(self) -> None:
-        """Remove what runs that were broken off left behind, and fields of which observables.h5 does not tell."""
+    def _remove_leftovers(self) -> None:
+        """Remove what interrupted runs left behind, and fields that belong to no results in observables.h5."""
         for draft in (*self.directory.glob(".*.h5.tmp"), *(self.directory / self._fields).glob(".*.h5.tmp")):
             draft.unlink(missing_ok=True)
         if not self._links:
             self._remove_fields(self._fields)
         (self.directory / self._fields).mkdir(exist_ok=True)
         if not self.replacing:
-            self._remove_others()
+            self._remove_replaced()
             self.earlier.settle()
             if self._links:
                 self._write_links()
 
-    def _remove_others(self) -> None:
-        """Remove the fields of other results, and links to them."""
+    def _remove_replaced(self) -> None:
+        """Remove the fields of the replaced results, and the links to them."""
         (self.directory / FIELDS_FILE).unlink(missing_ok=True)
         for folder in set(restart.FIELDS_FOLDERS) - {self._fields}:
             self._remove_fields(folder)
@@ -263,17 +269,17 @@ class ResultWriter:
             (self.directory / folder).rmdir()
 
     def _replace(self, change: Callable[[h5py.File], None]) -> None:
-        """The results of this run, from now on, in place of the others."""
+        """Put the results of this run in the place of the old ones."""
         path = self.directory / OBSERVABLES_FILE
 
         def describe(file: h5py.File) -> None:
-            self._describe(file)
+            self._prepare_observables(file)
             change(file)
 
         (self.directory / FIELDS_FILE).unlink(missing_ok=True)
         atomic.previous(path).unlink(missing_ok=True)
         _revise(path, describe, anew=True)
-        self._remove_others()
+        self._remove_replaced()
         if self._links:
             self._write_links()
 
@@ -281,7 +287,7 @@ class ResultWriter:
         _revise(self.directory / OBSERVABLES_FILE, change, keep=True)
 
     def _link(self, targets: dict[str, tuple[str, str]]) -> None:
-        """Show fields, name → (file, dataset), in fields.h5 as soon as that is of this run.  Collective."""
+        """Add links, name → (file, dataset), to fields.h5, once it is this run's.  Collective."""
         self._links |= targets
         if not self.replacing:
             from_root(self.comm, self._write_links)
@@ -294,7 +300,7 @@ class ResultWriter:
 
         _revise(self.directory / FIELDS_FILE, fill, anew=True)
 
-    def _describe(self, file: h5py.File) -> None:
+    def _prepare_observables(self, file: h5py.File) -> None:
         if self.earlier.job is None:
             file.attrs.update(self._provenance)
         else:
@@ -350,7 +356,7 @@ class ResultWriter:
     def _write_slabs(
         self, name: str, fields: dict[str, np.ndarray], description: str | None = None, units: str | None = None
     ) -> None:
-        """Write the file `name` of fields under a temporary name and put it in its place.  Collective."""
+        """Write `fields` under a temporary name, then rename the file to `name`.  Collective."""
         form, slabs = self.form, {}
         for key, local in fields.items():
             real = np.issubdtype(local.dtype, np.floating)

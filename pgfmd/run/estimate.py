@@ -12,12 +12,12 @@ from pgfmd.run.memory import readable
 from pgfmd.solvers.cost import MOSTLY
 from pgfmd.solvers.cost import cost as solver_cost
 
-FIELDS = 24.0  # bytes per grid point: heights, pressure, gap
-EMPTY = 2.45e8  # bytes of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
-AGGREGATED = 2**25  # bytes that one rank gathers of a field on the way into the file (OMPIO's default)
-MORE = 0.22  # contact area of self-affine surfaces at small loads, over that of Persson's theory, less one
+FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
+BASE_BYTES = 2.45e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
+AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / area of Persson's theory − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
-SOLVES_PER_AREA = 4  # loads tried until one contact area, gap or displacement is met
+SOLVES_PER_TARGET = 4  # contacts solved until a prescribed contact area, gap or displacement is met
 
 
 @dataclass(frozen=True)
@@ -34,23 +34,23 @@ def estimate(job: Job, ranks: int) -> Estimate:
     points = job.grid.n[0] * job.grid.n[1]
     rows = -(-job.grid.n[0] // ranks)
     loads = len(job.load.targets)
-    width = 4 if job.output.precision == "float32" else 8
-    fields = sum(1 if name == "height" else loads for name in job.output.fields)
-    solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_AREA)
+    itemsize = 4 if job.output.precision == "float32" else 8
+    field_count = sum(1 if name == "height" else loads for name in job.output.fields)
+    solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_TARGET)
     solving, measuring = max(solver_costs(job), key=lambda cost: cost.memory), observer_costs(job)
     work = solving.transforms * solves + sum(cost.transforms for cost in measuring) * loads
-    gathered = min(points * width, AGGREGATED) if fields and ranks > 1 else 0
+    gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     return Estimate(
-        memory=EMPTY + gathered + bytes_per_point(job) * rows * job.grid.n[1],
-        files=fields * points * width,
+        memory=BASE_BYTES + gathered + bytes_per_point(job) * rows * job.grid.n[1],
+        files=field_count * points * itemsize,
         seconds=work * points * SECONDS_PER_POINT / ranks,
     )
 
 
 def bytes_per_point(job: Job) -> float:
-    """Bytes per grid point at the peak, over all ranks: while a load is solved, or an observable measured."""
+    """Bytes per grid point at the peak: while a load is solved, or while an observable is measured."""
     costs = solver_costs(job) + observer_costs(job)
-    return FIELDS + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
+    return FIELD_BYTES + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
 
 
 def solver_costs(job: Job) -> list[Cost]:
@@ -65,8 +65,8 @@ def observer_costs(job: Job) -> list[Cost]:
 
 
 def contact_areas(job: Job) -> list[float]:
-    """The relative contact area of each load: that asked for, or by Persson's theory and by how much more there is, or
-    the dearest if neither helps.
+    """The relative contact area of each load: the prescribed one; else that of Persson's theory times 1 + `AREA_EXCESS`
+    (1 − area); where neither is known, the area that costs most.
     """
     targets = job.load.targets
     if job.load.control == "contact_area":
@@ -76,11 +76,13 @@ def contact_areas(job: Job) -> list[float]:
         return [MOSTLY]
     full = job.solid.contact_modulus * slope / math.sqrt(2)
     areas = [math.erf(target / full) for target in targets]
-    return [area * (1 + MORE * (1 - area)) for area in areas]
+    return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
 
 
 def report(job: Job, ranks: int) -> str:
-    """The estimate as text, one line per quantity; raises InputError if the surface's files do not serve the job."""
+    """The estimate as text, one line per quantity; raises InputError if the files of the surface cannot be used for the
+    job.
+    """
     understood = job.surface.check_inputs(job.grid, job.output.length_unit)
     found = estimate(job, ranks)
     nx, ny = job.grid.shape
@@ -90,7 +92,7 @@ def report(job: Job, ranks: int) -> str:
         "surface": ": ".join(filter(None, [job.surface.kind, understood])),
         "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
-        f"({readable(EMPTY)} and {bytes_per_point(job):.0f} bytes per grid point)",
+        f"({readable(BASE_BYTES)} and {bytes_per_point(job):.0f} bytes per grid point)",
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
     }

@@ -1,4 +1,4 @@
-"""Where a run runs: ranks, nodes, cores, threads, memory, libraries; said once, at its start."""
+"""Where a run runs: ranks, nodes, cores, threads, memory, libraries.  Logged once, at its start."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from pgfmd.run.memory import available_memory, largest_memory, readable
 
 log = logging.getLogger("pgfmd")
 
-SURELY = 1.2  # more than a node's memory, times this, no run gets: the estimate is within 15 %
+TOO_MUCH = 1.2  # times a node's memory; an estimate above it is refused, since estimates are within 15 %
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
-    """Raise InputError on all ranks if `per_rank` bytes for each are more than a node has at all.  Collective."""
+    """Raise InputError on all ranks if `per_rank` bytes each exceed the whole memory of a node.  Collective."""
     found = comm.allgather((platform.node(), largest_memory()))
     ranks = Counter(node for node, _ in found)
     for node, largest in found:
-        if ranks[node] * per_rank > SURELY * largest:
+        if ranks[node] * per_rank > TOO_MUCH * largest:
             raise InputError(
                 f"the job takes about {readable(ranks[node] * per_rank)} of memory on {node}, which has "
                 f"{readable(largest)}; take more nodes, or a smaller grid"
@@ -34,8 +34,8 @@ def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
 
 
 def report(comm: MPI.Comm, per_rank: float) -> None:
-    """Log where the run runs, what it is made of, and the memory it needs, `per_rank` bytes; warn where that cannot go
-    well.  Collective.
+    """Log ranks, nodes, threads, libraries and the memory needed, `per_rank` bytes; warn if memory or cores are too
+    few.  Collective.
     """
     here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
     found = comm.gather(here)
@@ -50,8 +50,10 @@ def report(comm: MPI.Comm, per_rank: float) -> None:
 
 
 def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> list[tuple[int, str]]:
-    """Lines with their logging level, from (node, its cores that the rank may use, threads, available bytes) of each
-    rank and bytes per rank.
+    """The lines of the log, each with its level.
+
+    found: of each rank its node, the cores that it may use, its threads, and the bytes available on the node.
+    per_rank: bytes that each rank needs.
     """
     ranks = Counter(node for node, *_ in found)
     memory = {node: available for node, _, _, available in found}

@@ -1,4 +1,4 @@
-"""When to write a checkpoint and when to stop: clock, signals, a STOP file, the time limits.  Alike on all ranks."""
+"""When to write a checkpoint and when to stop: clock, signals, a STOP file, time limits.  All ranks decide alike."""
 
 from __future__ import annotations
 
@@ -51,49 +51,51 @@ class Interruptions:
         self.comm, self.interval, self.now = comm, interval, clock
         self.stop_file, self.batch_stop_file = Path(directory) / STOP_FILE, Path(directory) / BATCH_STOP_FILE
         self.resumption = "--restart"
-        self._began = self._saved = self._seen = self.now()
-        self.end, self.limit = min((self._began + time_limit, "the time limit of the job"), _batch_limit(self._began))
+        self._started = self._last_save = self._last_step = self.now()
+        self.end, self.limit = min(
+            (self._started + time_limit, "the time limit of the job"), _batch_limit(self._started)
+        )
         self._longest_step = self._longest_save = 0.0
         self._steps, self._progress = 0, False
         self._signal = 0
-        self._earlier_stop = _version(self.stop_file)
+        self._earlier_stop = _file_stamp(self.stop_file)
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Interruptions:
         if self.comm.rank == 0:
-            self._earlier_stop = _version(self.stop_file)
+            self._earlier_stop = _file_stamp(self.stop_file)
             self.batch_stop_file.unlink(missing_ok=True)
         if threading.current_thread() is threading.main_thread():
             heeded = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
-            self._handlers = {number: signal.signal(number, self._note) for number in heeded}
+            self._handlers = {number: signal.signal(number, self._on_signal) for number in heeded}
         return self
 
     def __exit__(self, *error: object) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self._signal = number
         if number == signal.SIGINT:
             signal.signal(number, signal.default_int_handler)
 
     def load_begins(self, resumed: bool) -> None:
         """The solution of a load begins, from a checkpoint or not."""
-        self._steps = -1 if resumed else 0  # the first step only looks at what was loaded
+        self._steps = -1 if resumed else 0  # the first step only evaluates the checkpoint
 
     def load_done(self) -> None:
         """A load is written: the interval begins anew."""
-        self._saved, self._progress = self.now(), True
+        self._last_save, self._progress = self.now(), True
 
     def between_steps(self, save: Callable[[], None] | None = None) -> None:
-        """Write a checkpoint by `save()`, itself collective, if it is time to.  Collective.
+        """If it is time, write a checkpoint by `save()`, which is collective, or stop the run.  Collective.
 
-        Raises Stopped on all ranks if the run is to end, after a checkpoint (if there is anything to save); NoProgress
-        if a time limit ends it before a checkpoint could be written that is ahead of where it began.  A checkpoint on
-        the clock that cannot be written is a warning: the run may well end before it is needed.
+        save: None if there is nothing to save.  Raises Stopped on all ranks if the run is to end, after a last
+        checkpoint; NoProgress instead if a time limit ends the run and no checkpoint or load got ahead of where the run
+        began.  If a checkpoint between two others cannot be written, that is only a warning: the run may never need it.
         """
         now = self.now()
-        self._longest_step = max(self._longest_step, now - self._seen)
+        self._longest_step = max(self._longest_step, now - self._last_step)
         worst = np.array([self._verdict(now), self._signal])
         self.comm.Allreduce(MPI.IN_PLACE, worst, MPI.MAX)
         verdict, number = map(int, worst)
@@ -106,9 +108,9 @@ class Interruptions:
                 if verdict == STOP:
                     raise
                 log.warning("no checkpoint could be written, the run goes on: %s", error)
-            self._saved = self.now()
-            self._longest_save = max(self._longest_save, self._saved - now)
-        self._seen = self.now()
+            self._last_save = self.now()
+            self._longest_save = max(self._longest_save, self._last_save - now)
+        self._last_step = self.now()
         if verdict == STOP:
             raise self.comm.bcast(self._reason(number))
 
@@ -120,11 +122,11 @@ class Interruptions:
         margin = SPARE + 2 * self._longest_step + 2 * self._longest_save
         if now + margin > self.end or self._stop_file():
             return STOP
-        return SAVE if now - self._saved >= self.interval else GO_ON
+        return SAVE if now - self._last_save >= self.interval else GO_ON
 
     def _stop_file(self) -> Path | None:
         """The file that asks the run to stop."""
-        if _version(self.stop_file) not in (None, self._earlier_stop):
+        if _file_stamp(self.stop_file) not in (None, self._earlier_stop):
             return self.stop_file
         return self.batch_stop_file if self.batch_stop_file.exists() else None
 
@@ -135,12 +137,12 @@ class Interruptions:
         if self._progress:
             return Stopped(f"stopped by {self.limit}; go on with {self.resumption}")
         return NoProgress(
-            f"{self.limit} is too short: {self.end - self._began:.0f} s are over before a checkpoint could be written "
-            "that is ahead of the last one; give it more, or more ranks"
+            f"{self.limit} is too short: {self.end - self._started:.0f} s passed without a checkpoint "
+            "ahead of the last one; allow more time, or take more ranks"
         )
 
 
-def _version(path: Path) -> tuple[int, int] | None:
+def _file_stamp(path: Path) -> tuple[int, int] | None:
     """What changes when a file is touched; None if there is none."""
     try:
         found = os.stat(path)
