@@ -22,7 +22,8 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
 Solve = Callable[..., ContactSolution]
-"""solve(problem, start=pressure to start from or None) → the contact, for heights that may be overwritten."""
+"""solve(problem, start=pressure to start from, or None): returns the contact; may overwrite the heights of `problem`.
+"""
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class SolvedContact:
 
     @cached_property
     def area(self) -> Area:
-        """Contact area, of the pixels and inside the line."""
+        """The contact area: that of the pixels in contact, and that inside the contact line."""
         return contact_area(self.grid, self.pressure, self.line)
 
     @cached_property
@@ -60,9 +61,9 @@ class SolvedContact:
 
     @property
     def kappa(self) -> float:
-        """f_c E' g_rms / p̄; NaN without a load."""
-        load, modulus = self.solution.mean_pressure, self.problem.solid.contact_modulus
-        return self.area.fraction * modulus * self.surface.rms_slope / load if load > 0 else math.nan
+        """f_c E' g_rms / p̄ (f_c: relative contact area, g_rms: rms slope); NaN at p̄ = 0."""
+        mean, modulus = self.solution.mean_pressure, self.problem.solid.contact_modulus
+        return self.area.fraction * modulus * self.surface.rms_slope / mean if mean > 0 else math.nan
 
     @cached_property
     def stress(self) -> Correlations:
@@ -71,15 +72,15 @@ class SolvedContact:
 
     @cached_property
     def indicator(self) -> Correlations:
-        """The same of the contact: 1 in contact, 0 outside."""
+        """Spectrum, and autocorrelation if asked for, of the contact indicator: 1 in contact, 0 outside."""
         return self.surface.correlate(indicator(self.pressure, 0.0))
 
     @cached_property
     def cross_power(self) -> np.ndarray:
-        """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃: one forward
-        transform, and no spectrum is kept.
+        """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃.  This
+        takes one forward transform and stores no spectrum.
 
-        α makes both fields equally large, so that little is lost in the difference.
+        α makes both fields equally large, so that the difference loses few digits.
         """
         stress, height = self.stress.power, self.surface.correlations.power
         alpha = math.sqrt(stress[1:].sum() / (height[1:].sum() or math.inf))
@@ -87,14 +88,14 @@ class SolvedContact:
             return np.zeros_like(stress)
         heights, pressure = self.surface.heights, self.solution.pressure
 
-        def both(first: int, stop: int, rows: np.ndarray) -> None:
+        def weighted_sum(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(heights[first:stop], alpha, out=rows)
             rows += pressure[first:stop]
 
-        return (correlate(self.grid, both, self.surface.modes).power - stress - alpha**2 * height) / (2 * alpha)
+        return (correlate(self.grid, weighted_sum, self.surface.modes).power - stress - alpha**2 * height) / (2 * alpha)
 
     def labels(self, connectivity: int) -> Labels:
-        """The contact patches."""
+        """The contact patches for that connectivity (4 or 8); found on the first call for it."""
         if connectivity not in self._labels:
             mask = self.pressure > 0
             self._labels[connectivity] = label_patches(self.grid.comm, mask, self.grid.starts, connectivity)
@@ -105,7 +106,8 @@ class SolvedContact:
         return {}
 
     def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
-        """The table of patches on rank 0, empty elsewhere."""
+        """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.
+        """
         line = None if pressure is None or self.line is None else self.line.of_patches(labels)
         table = patch_table(labels, self.grid.spacing, pressure, line)
         if table is None:
@@ -114,7 +116,7 @@ class SolvedContact:
         return {"patch": np.arange(1, len(table.area) + 1), **columns}
 
     def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:
-        """The fields (nx_local, ny) of `schema.FIELDS` of this load that are named."""
+        """The fields (nx_local, ny) of this load, of those in `schema.FIELDS`, that `names` lists."""
         fields = {}
         for name in names:
             if name in ("pressure", "gap"):

@@ -26,8 +26,8 @@ def key(
 ) -> Any:
     """A dataclass field with its rule.
 
-    about: what the key means, for the reference.  needed: it has no default, and an example in the reference instead.
-    A default of None means that the key may be left out.
+    about: what the key means, for the reference.  needed: the key has no default; the reference shows the example
+    instead.  A default of None means that the key may be left out.
     """
     metadata = {"rule": rule, "needed": needed, "about": about, "example": example}
     if isinstance(rule, type):
@@ -42,7 +42,7 @@ class Section:
     """A table of the TOML file.  Making one validates it; raises InputError.
 
     where: the name of the table, as in [where].  kind: the value of the key `kind` that chooses this section among
-    others, "" if it is the only one.  shown: optional keys that an example job gives all the same.
+    others, "" if it is the only one.  shown: optional keys that the example job gives nevertheless.
     """
 
     where: ClassVar[str] = ""
@@ -63,7 +63,7 @@ class Section:
         self.check()
 
     def check(self) -> None:
-        """What several keys of this section must obey together; raises InputError."""
+        """Check keys of this section against each other; raises InputError.  A subclass overrides it."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ class Kinds:
     def choose(self, table: Mapping[str, Any]) -> type[Section]:
         """The section for the keys of a table; raises InputError for a kind that is unknown or missing.
 
-        Among the choices of that kind, or among all if there is a default and no kind is said, it is the one that knows
-        most of the keys and whose needed ones are there.
+        Candidates are the choices of that kind; if the table names no kind and there is a default, all choices.  The
+        one that knows most keys of the table is taken; those with a needed key missing come last.
         """
         if "kind" in table:
             found = [choice for choice in self.choices if choice.kind == table["kind"]]
@@ -100,41 +100,41 @@ class Kinds:
         return max(found, key=lambda choice: (_fits(choice, table), -len(dataclasses.fields(choice))))
 
     def others(self, name: str, table: Mapping[str, Any]) -> list[str]:
-        """The kinds that know a key which the chosen section does not."""
+        """The kinds of sections, other than the chosen one, that have the key `name`."""
         return [choice.kind for choice in self.choices if name in _names(choice) and choice is not self.choose(table)]
 
 
-def _names(kind: type[Section]) -> list[str]:
-    return [field.name for field in dataclasses.fields(kind)]
+def _names(section: type[Section]) -> list[str]:
+    return [field.name for field in dataclasses.fields(section)]
 
 
-def _fits(kind: type[Section], table: Mapping[str, Any]) -> int:
+def _fits(section: type[Section], table: Mapping[str, Any]) -> int:
     """How many keys of the table a section knows; −1 if a needed one is missing."""
-    needed = [field.name for field in dataclasses.fields(kind) if field.metadata["needed"]]
-    return len(table.keys() & set(_names(kind))) if table.keys() >= set(needed) else -1
+    needed = [field.name for field in dataclasses.fields(section) if field.metadata["needed"]]
+    return len(table.keys() & set(_names(section))) if table.keys() >= set(needed) else -1
 
 
 def wrong(section: Section, name: str, allowed: str) -> InputError:
-    """The error for one key: where, its value, what is allowed."""
+    """The error for one key, made of its name, its value, and what is allowed."""
     return InputError(f"{section.where}.{name} = {show(getattr(section, name))}: {allowed}")
 
 
-def build(kind: type[Section] | Kinds, table: Any) -> Section:
+def build(section: type[Section] | Kinds, table: Any) -> Section:
     """A section from a TOML table; raises InputError for unknown keys and wrong values."""
     if not isinstance(table, dict):
-        raise InputError(f"{kind.where} = {show(table)}: must be a table, [{kind.where}]")
-    chosen = kind.choose(table) if isinstance(kind, Kinds) else kind
+        raise InputError(f"{section.where} = {show(table)}: must be a table, [{section.where}]")
+    chosen = section.choose(table) if isinstance(section, Kinds) else section
     fields = {field.name: field for field in dataclasses.fields(chosen)}
     values = {}
     for name, value in table.items():
-        if name == "kind" and isinstance(kind, Kinds):
+        if name == "kind" and isinstance(section, Kinds):
             continue
         if name not in fields:
-            if isinstance(kind, Kinds) and (kinds := kind.others(name, table)):
+            if isinstance(section, Kinds) and (kinds := section.others(name, table)):
                 places = " or ".join(map(show, kinds))
-                raise InputError(f"{kind.where}.{name} = {show(value)}: belongs to kind = {places} only")
-            known = ["kind", *fields] if isinstance(kind, Kinds) else list(fields)
-            raise InputError(f"{kind.where}.{printable(name)} is not known{guess(name, known)}")
+                raise InputError(f"{section.where}.{name} = {show(value)}: belongs to kind = {places} only")
+            known = ["kind", *fields] if isinstance(section, Kinds) else list(fields)
+            raise InputError(f"{section.where}.{printable(name)} is not known{guess(name, known)}")
         rule = fields[name].metadata["rule"]
         values[name] = value if isinstance(rule, Rule) else build(rule, value)
     return chosen(**values)

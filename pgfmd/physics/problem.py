@@ -16,8 +16,8 @@ from pgfmd.physics.laws.law import ContactLaw
 
 @dataclass(frozen=True)
 class ContactProblem:
-    """Heights (nx_local, ny) of a rigid surface on `grid`, pressed at a mean pressure against an elastic solid, with
-    the law by which they touch.
+    """A rigid surface of `heights` (nx_local, ny) on `grid`, pressed at `mean_pressure` against an elastic `solid`;
+    `law` relates pressure and gap.
     """
 
     grid: SlabGrid
@@ -35,7 +35,7 @@ class ContactProblem:
         return dataclasses.replace(self, grid=grid, heights=heights)
 
     def with_law(self, law: ContactLaw) -> ContactProblem:
-        """The same under another law."""
+        """The same problem under another law."""
         return dataclasses.replace(self, law=law)
 
     @property
@@ -44,10 +44,10 @@ class ContactProblem:
         return self.mean_pressure * self.grid.size
 
     def check(self) -> None:
-        """Raises InputError for a mean pressure that the law cannot carry."""
+        """Raise InputError for a mean pressure that the law does not admit."""
         pressure, law = self.mean_pressure, self.law
         if not (pressure > 0 or law.releases and pressure == 0) or math.isinf(pressure):
             least = "not negative" if law.releases else "positive"
             raise InputError(f"mean pressure = {pressure!r}: must be {least} and finite with a wall of kind {law.kind}")
         if not pressure < law.highest:
-            raise InputError(f"mean pressure = {pressure!r}: must be below {law.highest:g}, which the wall bears")
+            raise InputError(f"mean pressure = {pressure!r}: must be below {law.highest:g}, the most the wall bears")

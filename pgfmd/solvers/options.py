@@ -92,7 +92,7 @@ class Load(Section):
         if not law.releases and 0.0 in (self.pressure or ()):
             raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which never lets go")
         if self.pressure and not max(self.pressure) < law.highest:
-            raise wrong(self, "pressure", f"must be below {law.highest:g}, which the wall bears")
+            raise wrong(self, "pressure", f"must be below {law.highest:g}, the most the wall bears")
 
     @property
     def control(self) -> str:

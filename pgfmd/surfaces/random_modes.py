@@ -1,7 +1,7 @@
 """Heights whose Fourier modes are independent Gaussian numbers of given variance.
 
-The number of mode (kx, ky) depends on (seed, kx, ky) alone, so that one seed is one surface on every rank count and on
-every grid.
+The random number of mode (kx, ky) depends on (seed, kx, ky) alone, so that one seed is one surface on every rank count
+and on every grid.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ODD = np.uint64(0xD1342543DE82EF95)
 
 @dataclass(frozen=True)
 class RandomModes:
-    """Modes of one seed; variance: of the modes, not asked beyond k_max, where it must be 0."""
+    """The modes of one seed.  variance: must return 0 for k > k_max, where most modes are skipped."""
 
     grid: SlabGrid
     seed: int
@@ -35,9 +35,10 @@ class RandomModes:
     k_max: float = math.inf
 
     def fill(self, block: np.ndarray, first: int) -> float:
-        """Columns of this rank from number `first` on into `block` (count, nx); Σ k²|h̃|² of them and their conjugates.
+        """Set `block` (count, nx) to the columns of this rank from its number `first` on.  Returns Σ k²|h̃|² over these
+        modes and their conjugates.
 
-        The field of the modes is real: the columns ky = 0 and ny/2 are their own mirror images.
+        Since the heights are real, mode −kx of the columns ky = 0 and ny/2 is the conjugate of mode kx.
         """
         nx, ny = self.grid.shape
         longest = max(self.grid.lengths)
@@ -50,9 +51,9 @@ class RandomModes:
             square_y = (ky * unit_y) ** 2
             if square_y > self.k_max**2:
                 break
-            widest = math.sqrt(self.k_max**2 - square_y) / unit_x + 1
+            kx_max = math.sqrt(self.k_max**2 - square_y) / unit_x + 1
             own_mirror = ky == 0 or 2 * ky == ny
-            for part in _within(nx, widest, own_mirror):
+            for part in _slices_within(nx, kx_max, own_mirror):
                 modes = squares_x[part] + square_y
                 power = _fill(self.seed, kx[part], ky, self.variance(modes), column[part])
                 moment += 0.0 if own_mirror else 2 * float(np.dot(modes, power))
@@ -62,8 +63,9 @@ class RandomModes:
         return moment
 
     def heights(self, factor: Callable[[float], float]) -> np.ndarray:
-        """Heights (nx_local, ny), times the factor that belongs to their spectral rms slope, which is given to `factor`
-        as √Σ k²|h̃|².  Collective; `factor` may raise, since all ranks give it the same number.
+        """The heights (nx_local, ny) of the modes, multiplied by factor(√Σ k²|h̃|²).  Collective.
+
+        The argument is proportional to the rms slope of the modes and the same on all ranks, so `factor` may raise.
         """
         moments: list[tuple[int, float]] = []
         heights, scale = np.empty(self.grid.local_shape), np.empty(())
@@ -71,19 +73,19 @@ class RandomModes:
         def spectrum(block: np.ndarray, first: int, stop: int) -> None:
             moments.append((first, self.fill(block, first)))
 
-        def know_slope() -> None:
+        def set_scale() -> None:
             scale[...] = factor(math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)])))
 
         def keep(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, scale, out=heights[first:stop])
 
-        self.grid.make_field(spectrum, keep, between=know_slope)
+        self.grid.make_field(spectrum, keep, between=set_scale)
         return heights
 
 
-def _within(nx: int, widest: float, own_mirror: bool) -> list[slice]:
-    """Places of the modes |kx| ≤ widest in a column; without kx < 0 in one whose modes are their own mirror images."""
-    count = min(int(min(widest, nx)), nx // 2) + 1
+def _slices_within(nx: int, kx_max: float, own_mirror: bool) -> list[slice]:
+    """Slices of a column with the modes |kx| ≤ kx_max; without kx < 0 if the column is its own mirror image."""
+    count = min(int(min(kx_max, nx)), nx // 2) + 1
     if own_mirror:
         return [slice(0, count)]
     return [slice(0, nx)] if 2 * count > nx else [slice(0, count), slice(nx - count + 1, nx)]
@@ -102,7 +104,8 @@ def _fill(seed: int, kx: np.ndarray, ky: int, variance: np.ndarray, out: np.ndar
 
 
 def _mirror(column: np.ndarray) -> None:
-    """Modes of ky = 0 or ny/2 from those of kx ≥ 0: conjugates at −kx, real of the same variance at kx = 0 and nx/2."""
+    """Complete a column ky = 0 or ny/2 from its kx ≥ 0: conjugates at −kx; real, of equal variance, at kx = 0 and nx/2.
+    """
     nx = len(column)
     pairs = np.arange(1, (nx + 1) // 2)
     column[nx - pairs] = column[pairs].conj()
@@ -120,9 +123,9 @@ def _mix(z: np.uint64) -> np.uint64:
 
 @numba.njit(nogil=True, cache=True)
 def _uniform(
-    seed: int, kx: np.ndarray, ky: int, radius: np.ndarray, cosine: np.ndarray, sine: np.ndarray
+    seed: int, kx: np.ndarray, ky: int, uniform: np.ndarray, cosine: np.ndarray, sine: np.ndarray
 ) -> None:
-    """For modes kx[i], ky: a number in (0, 1], and cosine and sine of a phase, both evenly distributed.
+    """For modes (kx[i], ky): a number uniform in (0, 1], and cosine and sine of a phase uniform over the circle.
 
     Cosine and sine are Taylor polynomials over an eighth of the circle, exact to 2e-16: a loop without branches and
     calls works on whole vector registers, with bitwise the result of one number at a time.  4.5 ns
@@ -132,7 +135,7 @@ def _uniform(
     row = np.uint64(np.int64(ky)) * _ODD
     for i in range(len(kx)):
         state = _mix(_mix(start ^ (np.uint64(kx[i]) * _GOLDEN)) + row)
-        radius[i] = np.float64(np.int64((_mix(state + _GOLDEN) >> np.uint64(11)) + np.uint64(1))) * 2.0**-53
+        uniform[i] = np.float64(np.int64((_mix(state + _GOLDEN) >> np.uint64(11)) + np.uint64(1))) * 2.0**-53
         turn = np.float64(np.int64(_mix(state + np.uint64(2) * _GOLDEN) >> np.uint64(11))) * 2.0**-53
         quarter = np.floor(4 * turn + 0.5)
         angle = 2 * np.pi * (turn - 0.25 * quarter)
@@ -150,6 +153,6 @@ def _uniform(
         c = c * x - 1.388888888888889e-03
         c = c * x + 4.166666666666666e-02
         c = (c * x - 0.5) * x + 1.0
-        side = np.int64(quarter) & 3
-        cosine[i] = (s if side & 1 else c) * (1 - ((side + 1) & 2))
-        sine[i] = (c if side & 1 else s) * (1 - (side & 2))
+        quadrant = np.int64(quarter) & 3
+        cosine[i] = (s if quadrant & 1 else c) * (1 - ((quadrant + 1) & 2))
+        sine[i] = (c if quadrant & 1 else s) * (1 - (quadrant & 2))

@@ -28,7 +28,9 @@ stop−1 of the slab.  Collective."""
 
 
 class Units(NamedTuple):
-    """From a dimensionless contact to the physical one: p = pressure · p̂, gap = height · (ĝ − level) + offset."""
+    """Factors from a dimensionless contact (p̂, ĝ) to the physical one: p = pressure · p̂, gap = height · (ĝ − level) +
+    offset.
+    """
 
     height: float
     pressure: float
@@ -36,10 +38,11 @@ class Units(NamedTuple):
 
 
 class Certificate(NamedTuple):
-    """What a feasible pressure p and its gap g = Gp − h tell.
+    """What a feasible pressure p and its gap g = Gp − h prove about the solution p*, and sums over all points.
 
-    level: the gap is best measured from there.  bound: of Σ (J(p) − J(p*)).  potential: Σ (p (g − min g) + φ(p));
-    work: Σ p (g + h); contact: number of points that count as touching while a solver is at work.
+    level: the estimate of the constant from which the gap is to be measured.  bound: the upper bound of
+    Σ (J(p) − J(p*)).  potential: Σ (p (g − min g) + φ(p)).  work: Σ p (g + h).  contact: number of points that count as
+    touching while a solver is at work.
     """
 
     level: float
@@ -51,10 +54,11 @@ class Certificate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLaw(Section):
-    """A contact law; its fields are the keys of the table [wall].  Fields of points are (nx_local, ny).
+    """A contact law; its dataclass fields are the keys of the table [wall].  Arrays of points have shape (nx_local,
+    ny).
 
     methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
-    releases: whether it can carry nothing at all; else every load is positive.
+    releases: whether the mean pressure may be 0; otherwise it must be positive.
     """
 
     where: ClassVar[str] = "wall"
@@ -64,7 +68,7 @@ class ContactLaw(Section):
 
     @property
     def highest(self) -> float:
-        """Admissible pressures lie between 0 and this one."""
+        """The largest admissible pressure; the smallest is 0."""
         return math.inf
 
     @property
@@ -77,12 +81,12 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def in_units(self, units: Units) -> ContactLaw:
-        """The law between dimensionless quantities; its gap at p̂ = 1 is 0."""
+        """The law between p̂ and ĝ, with the offset chosen so that ĝ = 0 at p̂ = 1."""
         raise NotImplementedError
 
     def respond(self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int):
-        """The resolvent: sets p with compliance · p − gap(p) = target + level in rows first … stop−1, or the admissible
-        pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
+        """The resolvent: in rows first … stop−1, sets p to the solution of compliance · p − gap(p) = target + level, or
+        to the admissible pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
         """
         raise NotImplementedError
 
@@ -93,11 +97,13 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def contact_above(self, mean: float, mean_square: float) -> float:
-        """The pressure above which a point counts as in contact; mean, mean_square: of the pressure over all points."""
+        """The pressure above which a point counts as in contact.  mean, mean_square: averages of p and p² over all
+        points.
+        """
         return 0.0
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Makes rows of a dimensionless solution physical, in place; returns the largest violation of the law, over the
-        unit of height.
+        """Converts rows of a dimensionless solution to physical units, in place.  Returns the largest violation of the
+        law before that, in units of `units.height`.
         """
         raise NotImplementedError
