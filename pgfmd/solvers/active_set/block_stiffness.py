@@ -1,8 +1,9 @@
 """The stiffness between blocks of pixels in contact, for residuals that are smooth on their scale.
 
-Blocks in contact, weighted by how much of each is, again are a set: cut to it, the stiffness answers a smooth residual
-by loads that do not become small with its wave number, as they should.  So the mean over larger blocks is taken out
-before and after, and treated by the stiffness between these; and so on, each level by the same rule.
+The blocks in contact, weighted by the part of each that is in contact, form a set like that of the points.  Restricted
+to it, the stiffness answers a smooth residual with loads that are too large: they should vanish with the wave number.
+So the mean over larger blocks is removed before and after, and the stiffness between these larger blocks is applied to
+it; and so on, to ever larger blocks.
 """
 
 from __future__ import annotations
@@ -13,19 +14,19 @@ from mpi4py import MPI
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
 
-FEWEST = 64  # blocks per side below which the level beneath reaches far enough
-FACTOR = 4  # blocks per side of one of the next level
-LARGEST = 512  # blocks per side that each rank holds whole: they cross the ranks twice per application
-SOFTENING = 0.125  # side of a block: compliance of its contact, over that of a wave of wave number 1/side
-COLUMNS = 16  # of the spectrum at a time, so that what NumPy makes on the way stays in cache
+FEWEST = 64  # larger blocks are used if there are at least so many per side
+FACTOR = 4  # side of a larger block, in blocks
+LARGEST = 512  # larger blocks per side at most: every rank holds them all, and each application sums them twice
+SOFTENING = 0.125  # compliance of the contact within a block, over that to a wave of wave number 1/side
+COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
 class BlockStiffness:
-    """Loads of blocks in answer to their residuals: symmetric, positive, and right for waves of any length."""
+    """The map from residuals of blocks to their loads: symmetric, positive, accurate for waves of any length."""
 
     def __init__(self, blocks: SlabGrid, side: int, stiffness, pixel: float):
-        """blocks: a grid of them, each `side` pixels of side `pixel` across; stiffness(|q|) of the solid.
-        Collective.
+        """blocks: the grid whose points are the blocks; side: of a block, in pixels; pixel: side of a pixel;
+        stiffness(|q|): of the solid.  Collective.
         """
         self.blocks, self.area = blocks, side**2
         soft = SOFTENING * side / stiffness(np.array(1 / pixel))
@@ -43,25 +44,25 @@ class BlockStiffness:
             lengths = tuple(n * self.factor * step for n, step in zip(shape, blocks.spacing, strict=True))
             coarser = SlabGrid(MPI.COMM_SELF, shape, lengths, blocks.asked_threads)
             self.coarser = BlockStiffness(coarser, side * self.factor, stiffness, pixel)
-        self.counts = self.shares = self.weights = None
+        self.counts = self.inverse_counts = self.weights = None
 
     @property
     def size(self) -> int:
-        """Points of all grids that one application transforms."""
+        """Number of points that one application transforms, over all grids of blocks."""
         return self.blocks.size + (self.coarser.size if self.coarser else 0)
 
     def free(self) -> None:
-        """Give the memory of the transforms back.  Collective."""
+        """Frees the transforms.  Collective."""
         self.blocks.free()
 
     def begin(self, counts: np.ndarray) -> None:
-        """A new set, of so many points in each of this rank's blocks.  Collective."""
-        self.counts, self.shares, self.weights = counts, np.empty_like(counts), np.empty_like(counts)
+        """Prepares for a new set; counts: number of its points in each of this rank's blocks.  Collective."""
+        self.counts, self.inverse_counts, self.weights = counts, np.empty_like(counts), np.empty_like(counts)
 
         def weigh(_: int, first: int, stop: int):
             part = counts[first:stop]
-            np.divide(1, np.maximum(part, 1), out=self.shares[first:stop])
-            # By the fourth root of its share of contact a block takes part in long waves: a few points yield more.
+            np.divide(1, np.maximum(part, 1), out=self.inverse_counts[first:stop])
+            # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
             np.sqrt(np.sqrt(part / self.area), out=self.weights[first:stop])
 
         self.blocks.threads.share(weigh, len(counts), COLUMNS)
@@ -69,18 +70,18 @@ class BlockStiffness:
             self.coarser.begin(self._sums(counts))
 
     def respond(self, residuals: np.ndarray, loads: np.ndarray) -> None:
-        """loads = what the sums of the residual over the points of each block ask for.  Collective."""
+        """loads of the blocks = K_blocks · residuals, which are sums over the points of each block.  Collective."""
         start, threads = self.blocks.rows.start, self.blocks.threads
         if self.coarser:
             size, coarser = self.factor, self.coarser
             smooth, answer = self._sums(residuals), np.empty(coarser.blocks.shape, np.float32)
             coarser.respond(smooth, answer)
-            smooth *= coarser.shares
+            smooth *= coarser.inverse_counts
         else:
             size, smooth = max(self.blocks.shape), np.zeros((1, 1), np.float32)
 
         def fill(first: int, stop: int, rows: np.ndarray):
-            part = residuals[first:stop], self.shares[first:stop], self.weights[first:stop]
+            part = residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
             kernels.rest_in_blocks(part, smooth, start + first, size, rows)
 
         def act(block: np.ndarray, first: int, stop: int):
@@ -92,13 +93,13 @@ class BlockStiffness:
         self.blocks.convolve(fill, act, drain, np.float32)
         if self.coarser:
             answer -= self._sums(loads)
-            answer *= coarser.shares
+            answer *= coarser.inverse_counts
             threads.deal(
                 lambda a, b: kernels.add_from_blocks(answer, self.counts[a:b], start + a, size, loads[a:b]), len(loads)
             )
 
     def _sums(self, values: np.ndarray) -> np.ndarray:
-        """Sums of this rank's values over the blocks of the next level, all of them.  Collective."""
+        """Sums over all larger blocks of the values of all ranks, of which this rank gives its own.  Collective."""
         rows, size = self.blocks.rows, self.factor
         sums = np.zeros(self.coarser.blocks.shape, np.float32)
         low, high = rows.start // size, -(-rows.stop // size)

@@ -11,7 +11,7 @@ from pgfmd.parallel.collectives import Reduction
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 
-PART = 1 << 16  # entries that a thread takes at a time: fewer are not worth waking it for
+PART = 1 << 16  # entries that a thread takes at a time: fewer cost more to hand out than to compute
 
 
 class Operator(Protocol):
@@ -22,42 +22,43 @@ class Operator(Protocol):
 
 
 class Preconditioner(Protocol):
-    """Something like the inverse of an operator."""
+    """An approximate inverse of an operator: symmetric and positive definite."""
 
     def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
         """out = M · residual.  Collective."""
 
 
 class ConjugateGradients:
-    """S A Sᵀ x = residual on a set, for an operator A; if `neutral`, up to a constant and with Σ x = 0.
+    """S A Sᵀ x = residual for an operator A; S restricts to a set.  If `neutral`, Σ x = 0, and the equation holds up to
+    a constant.
 
-    Attributes: square, ⟨residual, M residual⟩ with the preconditioner M, of the residual as it is now.
+    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M.
     """
 
     def __init__(
         self, residual: SetVector, operator: Operator, preconditioner: Preconditioner, neutral: bool = True
     ) -> None:
-        """residual: is overwritten.  Collective."""
+        """`residual` is overwritten.  Collective."""
         self.points, self.residual = residual.points, residual
         self.operator, self.preconditioner = operator, preconditioner
         self.reduction, self.threads = Reduction(self.points.grid.comm), self.points.grid.threads
         count = self.reduction.sum(self.points.count)
-        self.share = 1 / count if neutral and count else 0.0  # of a sum that a point takes off
+        self.inverse_count = 1 / count if neutral and count else 0.0  # sum · inverse_count: the mean to subtract
         self.z, self.mean = SetVector(self.points), 0.0
-        residual.own -= residual.own.dtype.type(self._sums(residual.own, residual.own)[1] * self.share)
+        residual.own -= residual.own.dtype.type(self._sums(residual.own, residual.own)[1] * self.inverse_count)
         self.square = self._precondition()
 
-    def solve(self, reduction: float, most: int) -> tuple[np.ndarray, int]:
-        """x (count,) that reduces the root of `square` by that factor, in at most so many iterations; and their number,
-        each of one application of A.  Collective.
+    def solve(self, wanted: float, most: int) -> tuple[np.ndarray, int]:
+        """Iterates until √`square` is at most `wanted` times its first value, at most `most` times.  Returns x (count,)
+        and the number of iterations; each applies A once.  Collective.
         """
         residual, z, direction = self.residual.own, self.z.own, SetVector(self.points)
         real, d = residual.dtype.type, direction.own
         x, product = np.zeros_like(residual), np.empty_like(residual)
         d[:] = 0
-        before, wanted = math.inf, reduction**2 * self.square
+        before, goal = math.inf, wanted**2 * self.square
         for iteration in range(most):
-            if self.square <= wanted or self.square <= 0:
+            if self.square <= goal or self.square <= 0:
                 return x, iteration
             turn = real(self.square / before), real(self.mean)
             self.threads.share(lambda _, i, j: set_kernels.turn(d, z, *turn, i, j), len(d), PART)  # noqa: B023 (at once)
@@ -66,7 +67,7 @@ class ConjugateGradients:
             curvature, _, total = self._sums(d, product)
             if not curvature > 0:
                 return x, iteration
-            step = real(before / curvature), real(total * self.share)
+            step = real(before / curvature), real(total * self.inverse_count)
             self.threads.share(
                 lambda _, i, j: set_kernels.advance(x, residual, d, product, *step, i, j), len(d), PART  # noqa: B023
             )  # fmt: skip
@@ -74,10 +75,10 @@ class ConjugateGradients:
         return x, most
 
     def _precondition(self) -> float:
-        """z = M · residual; returns their product, once z is made to sum to zero (in `turn`).  Collective."""
+        """z = M · residual, and its mean, which `turn` subtracts.  Returns ⟨residual, z − mean⟩.  Collective."""
         self.preconditioner.apply(self.points, self.residual, self.z)
         square, sum_r, sum_z = self._sums(self.residual.own, self.z.own)
-        self.mean = sum_z * self.share
+        self.mean = sum_z * self.inverse_count
         return square - self.mean * sum_r
 
     def _sums(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
-"""The points in contact of one slab, as compressed rows: vectors on them are short, and no array of the size of the
-grid is needed.
+"""The points of a slab that are unknowns, listed row by row (compressed rows), and vectors on them.
+
+In the primal steps these are the points in contact, hence the name; in the dual ones they are the others.
 """
 
 from __future__ import annotations
@@ -14,17 +15,19 @@ from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 
-HALO = 8  # rows of neighbours: enough for stencils, and for coarser grids whose slabs begin elsewhere
+HALO = 8  # rows of neighbouring ranks: enough for stencils, and for meshes and blocks whose slabs begin elsewhere
 
 
 class ContactSet:
-    """The unknowns of this rank: points whose pressure lies between its bounds 0 and `top`, or at one of them with a
-    gap above or below `level` that drives it away; or if `by_gaps`, points whose gap is not 0, or whose pressure is
+    """The unknowns of this rank.
+
+    These are points whose pressure lies between its bounds 0 and `top`, or at a bound from which the gap drives it
+    (below `level` at 0, above it at `top`).  If `by_gaps`, they are points whose gap is not 0 or whose pressure is
     beyond its bounds.
 
-    Attributes: count of them; columns (count,) int32 and offsets (nx_local + 1,) into it.  `lists` and `extended` are
-    (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set are arrays (count,), or
-    `SetVector`s where neighbours need them.
+    Attributes: count, the number of them; columns (count,) int32, and offsets (nx_local + 1,) of each row in it.
+    `lists` and `extended` are (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set
+    are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
     def __init__(
@@ -63,7 +66,7 @@ class ContactSet:
         return out
 
     def beyond(self, pressure: np.ndarray, gap: np.ndarray, top: float) -> SetVector:
-        """What the pressure (nx_local, ny) lacks of its bound, in single precision, on a set chosen by gaps."""
+        """Bound − pressure (nx_local, ny) in single precision, on a set chosen by gaps."""
         out = SetVector(self)
         self.grid.threads.deal(
             lambda a, b: set_kernels.take_beyond(pressure, gap, self.columns, self.offsets, a, b, top, out.own),
@@ -84,8 +87,8 @@ class ContactSet:
         )
 
     def _plan_halo(self, counts: np.ndarray) -> np.ndarray:
-        """Learn which points lie in the `HALO` rows before and after those of this rank, around the ring, from the
-        `counts` in its rows.  Returns offsets into those rows, its own, and those.  Collective.
+        """Exchanges the `counts` of points per row with the ranks that hold the `HALO` rows before and after this
+        slab (periodic).  Returns the offsets of the rows before, its own, and the rows after.  Collective.
         """
         grid, comm = self.grid, self.grid.comm
         self.thin = min(np.diff(grid.starts)) < HALO
@@ -100,7 +103,7 @@ class ContactSet:
             previous, following = (np.empty_like(ring) for _ in range(2))
             pass_on(comm, ring, previous, ring, following)
             counts = np.concatenate([previous[HALO:], counts, following[:HALO]])
-            self.top, self.bottom = int(self.offsets[HALO]), int(self.offsets[-1 - HALO])
+            self.first_end, self.last_begin = int(self.offsets[HALO]), int(self.offsets[-1 - HALO])
             self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
         return np.concatenate([[0], np.cumsum(counts)])
 
@@ -128,7 +131,7 @@ class ContactSet:
 class SetVector:
     """A vector (count,) on a set, `own`, in one array with the values of the rows before and after those of this rank.
 
-    Slabs thinner than the halo need values of several ranks, and keep none.
+    If a slab is thinner than the halo, the halo spans several ranks, and `exchange` gathers the whole vector instead.
     """
 
     def __init__(self, points: ContactSet, dtype=np.float32):
@@ -140,17 +143,19 @@ class SetVector:
             self.own = self._all[points.before : points.before + points.count]
 
     def exchange(self) -> np.ndarray:
-        """The vector with its halo as it is now, as `ContactSet.extended` lists its points.  Collective."""
+        """The vector with the present values of its halo, in the order of `ContactSet.extended`.  Collective."""
         points, comm = self.points, self.points.grid.comm
         if points.thin:
             return np.concatenate(comm.allgather(self.own))[points.taken]
         before, after = self._all[: points.before], self._all[points.before + points.count :]
-        pass_on(comm, self.own[points.bottom :], before, self.own[: points.top], after)
+        pass_on(comm, self.own[points.last_begin :], before, self.own[: points.first_end], after)
         return self._all
 
 
 def pass_on(comm: MPI.Comm, bottom: np.ndarray, before: np.ndarray, top: np.ndarray, after: np.ndarray) -> None:
-    """`bottom` to the next rank, which receives it as `before`; `top` to the previous one, as `after`.  Collective."""
+    """Sends `bottom` to the next rank, which receives it in `before`, and `top` to the previous one, which receives it
+    in `after`.  Ranks form a ring.  Collective.
+    """
     if comm.size == 1:
         before[...], after[...] = bottom, top
         return

@@ -1,8 +1,8 @@
-"""Pressures brought between their bounds, each region keeping the load that it bears.
+"""Brings pressures between their bounds while each block of pixels keeps its load.
 
-Conjugate gradients on a set that is too large leave tensions near its edges.  To cut them off adds load; if the excess
-were taken off everywhere alike, load would move across the whole surface to where most was cut, and these long waves
-are what an active set corrects last.  So it is taken off the same block of pixels: what is left of the reaction is
+If the set of unknowns is too large, conjugate gradients leave tensions (p < 0) near its edges.  Setting them to 0 adds
+load.  If the excess were subtracted evenly from all points, load would move over long distances to where most was cut,
+and an active set corrects long waves last.  So it is subtracted within the same block: the error that is left is
 short-ranged.
 """
 
@@ -17,18 +17,18 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import ContactSet
 
-SHIFT = 5  # blocks of 2⁵ pixels: more than the width of a rim, less than the waves that matter
+SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 Fields = tuple[np.ndarray, np.ndarray]
 """Pressure and gap (nx_local, ny)."""
-ROUNDING = 1e-13  # of the load, that sums of pressures miss
-CANCELLED = 1e-6  # of what is pushed, the part that is left by tensions below which it is rounding
+ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
+CANCELLED = 1e-6  # part of the pressures that tensions must leave uncancelled: less is rounding, and no load is kept
 
 
 def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, stiffness: float) -> None:
-    """Brings the pressure of the fields (pressure, gap) on the set between 0 and `top`; the sum over each block of
-    pixels is kept where that is possible, but for what makes the whole sum `load`.  Collective.
+    """Brings the pressure on the set between 0 and `top`, and its sum over all points to `load`.  Collective.
 
-    stiffness: of a single pixel.  If all points in contact cannot bear the load, others are pushed by their gap.
+    The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`.  If
+    the points in contact cannot bear the load even at `top`, `push` adds others.  stiffness: of a single pixel.
     """
     pressure = fields[0]
     grid, threads = points.grid, points.grid.threads
@@ -37,7 +37,7 @@ def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, s
     sums = np.zeros((blocks[0], 2, blocks[1]))
 
     def rows(block: int) -> tuple[int, int]:
-        """Of the slab, those that lie in a row of blocks."""
+        """First and last + 1 of the slab's rows in a row of blocks."""
         return max(block << SHIFT, start) - start, min(block + 1 << SHIFT, stop) - start
 
     def measure(_: int, first: int, last: int) -> None:
@@ -51,10 +51,10 @@ def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, s
     touched = start >> SHIFT, (stop - 1 >> SHIFT) + 1
     threads.share(measure, touched[1] - touched[0], 1)
     grid.comm.Allreduce(MPI.IN_PLACE, sums)
-    kept, pushed = np.maximum(sums[:, 0], 0), sums[:, 1]
-    if kept.sum() <= CANCELLED * pushed.sum():
-        kept = pushed
-    factors = kept / np.where(pushed > 0, pushed, 1)
+    kept, bounded = np.maximum(sums[:, 0], 0), sums[:, 1]
+    if kept.sum() <= CANCELLED * bounded.sum():
+        kept = bounded
+    factors = kept / np.where(bounded > 0, bounded, 1)
     if math.isinf(top):
         factors *= load / kept.sum()
     threads.share(cut, touched[1] - touched[0], 1)
@@ -63,12 +63,12 @@ def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, s
 
 
 def push(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:
-    """p + stiffness · (level − gap), cut at 0 and `top`, with the level that makes the sum `load`: a step along the
-    gradient, projected.  Collective.
+    """Replaces p by p + stiffness · (level − gap), cut to 0 and `top`, with the level that makes the sum `load`: a
+    projected gradient step.  Collective.
     """
     pressure, gap = fields
-    reach = top / stiffness
-    low, high = grid.reduction.min(gap) - reach, grid.reduction.max(gap) + reach
+    margin = top / stiffness
+    low, high = grid.reduction.min(gap) - margin, grid.reduction.max(gap) + margin
 
     def total(level: float) -> float:
         parts = grid.threads.collect(
@@ -85,8 +85,8 @@ def push(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: flo
 
 
 def carry(grid: SlabGrid, pressure: np.ndarray, load: float, top: float) -> bool:
-    """Changes the pressures (nx_local, ny) between 0 and `top` so that their sum is `load`, if they can; returns
-    whether.  Collective.
+    """Changes the pressures (nx_local, ny) between 0 and `top` so that their sum is `load`.  Returns False, and
+    changes nothing, if they cannot bear it.  Collective.
     """
     parts = grid.threads.collect(lambda a, b: set_kernels.bounded_sums(pressure, top, a, b), len(pressure))
     sums = grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
@@ -97,10 +97,11 @@ def carry(grid: SlabGrid, pressure: np.ndarray, load: float, top: float) -> bool
 
 
 def share_of_load(sums: np.ndarray, load: float, mean: float) -> tuple[float, float, float]:
-    """How pressures between the bounds change so that all bear the load: a factor, a part of what they lack of the
-    upper bound, and a uniform pressure where neither can do it (else 0).
+    """How to change the pressures between the bounds so that the sum over all points is `load`, as (factor, part,
+    uniform): p becomes factor · p + part · (top − factor · p), or `uniform` everywhere if that is not 0, which it
+    is if no factor and no part can do it.
 
-    sums: Σ p of those between the bounds, Σ p of those at the upper one, and Σ (top − p) of both.
+    sums: Σ p between the bounds, Σ p at the upper one, and Σ (top − p) over both; mean: load over all points.
     """
     between, saturated, room = sums
     missing = load - saturated - between

@@ -1,5 +1,5 @@
-"""Nested iteration for the active set: solve coarse grids first, each a quarter of the work of the next, and start
-from them.
+"""Nested iteration for the active set: the solution on each grid starts the next finer one, which has four times as
+many points.
 
 `solve_hard_wall` is the solver that the rest of the program calls.
 """
@@ -23,9 +23,9 @@ from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
-FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which its contact is another one
-PRESSED = 6.0  # times a bound of the rms pressure at full contact: loads that may well bring it about
-MOSTLY = 0.45  # share of points with a pressure between its bounds above which the others are the better unknowns
+FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
+PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
+MOSTLY = 0.45  # share of points with a pressure between its bounds above which the gaps of the others are the unknowns
 
 Monitor = Callable[[SlabGrid, State], None]
 
@@ -37,21 +37,21 @@ def solve_hard_wall(
     monitor: Monitor | None = None,
     overwrite_heights: bool = False,
 ) -> ContactSolution:
-    """Pressure and gap of a frictionless contact, hard or of limited pressure, at the imposed mean pressure, to a
-    certified relative energy error.  Collective.
+    """Pressure and gap of a frictionless contact with a hard wall, or one of limited hardness, at the imposed mean
+    pressure, to a certified relative energy error.  Collective.
 
     start: a pressure (nx_local, ny) ≥ 0 from a neighbouring load to begin with, instead of coarse grids.  monitor:
-    called after each outer step.  overwrite_heights: use their memory, for heights that nobody needs afterwards.
+    called after each outer step.  overwrite_heights: their memory is used, and they are lost.
     Raises InputError for what is out of range, SolverError if the tolerance cannot be reached.
     """
     units = Dimensionless(problem, overwrite_heights=overwrite_heights)
     if units.uniform is not None:
         return units.uniform
-    levels, scaled, grid = NestedIteration(tolerance, monitor), units.problem, problem.grid
+    nested, scaled, grid = NestedIteration(tolerance, monitor), units.problem, problem.grid
     if start is None:
-        state, extra = levels.solve(scaled)
+        state, extra = nested.solve(scaled)
     else:
-        state, extra = _full_contact(scaled) or levels.relax(scaled, _begin(scaled, start)), 0.0
+        state, extra = _full_contact(scaled) or nested.relax(scaled, _begin(scaled, start)), 0.0
     return units.solution(state, state.energy / grid.size, tolerance, extra)
 
 
@@ -66,13 +66,13 @@ def _begin(problem: ContactProblem, start: np.ndarray) -> State:
 
 
 def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
-    """The exact answer p = p̄ + Kh, if that is nowhere beyond a bound.  Collective.
+    """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective.
 
-    The rms value of Kh takes half a transform, and only a load above it is worth the other half; differences along y,
-    which are free, bound it from below.  A load less than `margin` times that bound is not looked at.
+    It is not tried, and the answer is None, if p̄ is below the rms of Kh, which takes half a transform, or below
+    `margin` times a lower bound of that, which takes none.
     """
-    grid, heights, load = problem.grid, problem.heights, problem.mean_pressure
-    if load < margin * _least_deviation(problem):
+    grid, heights, mean_pressure = problem.grid, problem.heights, problem.mean_pressure
+    if mean_pressure < margin * _least_deviation(problem):
         return None
     squares = []
     action = problem.solid.apply_stiffness(grid, np.float64, 1.0)
@@ -86,7 +86,7 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
 
     grid.read_spectrum(fill, measure)
     deviation = np.sqrt(grid.reduction.sum(squares)) / grid.size
-    if load < deviation:
+    if mean_pressure < deviation:
         return None
     pressure = np.empty(grid.local_shape)
 
@@ -94,8 +94,8 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
         np.divide(rows, grid.size, out=pressure[first:stop])
 
     grid.convolve(fill, action, drain)
-    energy = grid.reduction.dot(pressure, heights) / 2  # before the mean pressure, which may be far larger, is added
-    pressure += load
+    energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
+    pressure += mean_pressure
     if grid.reduction.min(pressure) < 0 or grid.reduction.max(pressure) > problem.law.highest:
         return None
     gap = np.zeros(grid.local_shape)
@@ -103,7 +103,7 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
 
 
 def _least_deviation(problem: ContactProblem) -> float:
-    """A lower bound of the rms value of Kh, as |q| ≥ 2 sin(q_y a/2)/a.  Collective."""
+    """A lower bound of the rms of Kh from differences of heights along y: |q| ≥ 2 |sin(q_y a/2)|/a.  Collective."""
     grid, heights = problem.grid, problem.heights
     parts = grid.threads.collect(lambda a, b: kernels.squares_of_steps(heights[a:b]), grid.local_shape[0])
     q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
@@ -112,13 +112,13 @@ def _least_deviation(problem: ContactProblem) -> float:
 
 
 class NestedIteration:
-    """Solves a problem on its grid from the next coarser one."""
+    """Solves a problem on its grid, starting from the solution on the next coarser one."""
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:
         self.tolerance, self.monitor = tolerance, monitor
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
-        """Relax a state, by the unknowns that are fewer in it.  Collective."""
+        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`MOSTLY`).  Collective."""
         steps = GapSteps if state.between > MOSTLY * problem.grid.size else PressureSteps
         solver = steps(problem, exact)
         seen = None if self.monitor is None else lambda state: self.monitor(problem.grid, state)
@@ -127,7 +127,7 @@ class NestedIteration:
         return state
 
     def solve(self, problem: ContactProblem, exact: bool = True) -> tuple[State, float]:
-        """The solution, and the transforms spent on coarser grids, weighted by size.  Collective."""
+        """The solution, and the transforms spent on coarser grids, in transforms of this one.  Collective."""
         grid = problem.grid
         if (state := _full_contact(problem, PRESSED)) is not None:
             return state, 0.0
@@ -151,7 +151,7 @@ class NestedIteration:
         return state, extra
 
     def coarser(self, problem: ContactProblem) -> ContactProblem | None:
-        """The problem on the next coarser grid, if its answer is a start.  Collective."""
+        """The problem on the next coarser grid, or None if its solution would be no good start.  Collective."""
         if min(problem.grid.shape) <= COARSEST:
             return None
         coarse = problem.grid.coarse()
@@ -162,21 +162,22 @@ class NestedIteration:
 
 
 def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> State:
-    """Start on the finer grid: contact is where the coarse pressure, over one coarse pixel, would close the
-    interpolated gap; there, roughness that only the finer grid has adds to the pressure (`set_kernels.start_rows`).
+    """The state with which the finer grid starts.  Collective.
 
-    So the fine heights decide near the edge of a patch, which comes out to a fraction of a coarse pixel.  Inside,
-    linear interpolation would miss up to 8 % of a wave of eight coarse pixels.
+    A point is in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap
+    to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
+    (`set_kernels.start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.  Inside, pressures
+    interpolated linearly alone would miss up to 8 % of a wave of eight coarse pixels.
     """
     grid, top = problem.grid, problem.law.highest
     found.gap -= found.level
     interpolation = Interpolation(coarse.grid, grid, [found.pressure, found.gap, coarse.heights])
-    reach = max(coarse.grid.spacing) / problem.solid.contact_modulus
+    compliance = max(coarse.grid.spacing) / problem.solid.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
 
     def begin(thread: int, first: int, stop: int) -> None:
         rows, fields = slice(first, stop), (interpolation.rows(which, first, stop, thread) for which in range(3))
-        set_kernels.start_rows(*fields, problem.heights[rows], reach, pressure[rows], gap[rows])
+        set_kernels.start_rows(*fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
 
     grid.threads.share(begin, grid.local_shape[0], grid.band)
     if not carry(grid, pressure, problem.load, top):

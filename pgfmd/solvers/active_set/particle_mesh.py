@@ -1,13 +1,14 @@
-"""The elastic response between the points of a set at a fraction of a transform: particle–mesh, as in Ewald sums.
+"""The elastic response between the points of a set at a fraction of the cost of a transform: particle–mesh, as in
+Ewald sums.
 
-Near: with the factor erf(q/2α) the compliance 2/(E'q) falls off in real space like erfc(αr)/r, and the stiffness E'q/2
-as fast; cut to a few pixels it is summed between points of the set only.  Far: the rest, smooth on the scale of two
-pixels, acts on a mesh of half the side.  Values are spread to it by cubic B-splines, transformed, and interpolated back
-by the same splines, with the influence function that is best for them (Hockney and Eastwood, Computer Simulation Using
-Particles, 1988, section 8).
+Near part: times erf(q/2α), the compliance 2/(E'q) decays in real space like erfc(αr)/r, the stiffness E'q/2 as fast.
+It is truncated to two pixels and summed over points of the set only.  Far part: the rest is smooth on the scale of two
+pixels, and acts on a mesh with half as many points per side.  Values are spread to the mesh by cubic B-splines,
+transformed, multiplied by the influence function that is best for these splines (Hockney and Eastwood, Computer
+Simulation Using Particles, 1988, section 8), and interpolated back by the same splines.
 
-Both parts are symmetric, and their sum differs from the compliance by about a per cent, from the stiffness by a few:
-as good as exact for the inner iterations of a solver whose residuals are computed by full transforms.
+Both parts are symmetric.  Their sum differs from the compliance by about one per cent, from the stiffness by a few per
+cent.  That suffices for inner iterations, for the residuals of the outer ones are computed by full transforms.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
 
-SPLIT = 0.55  # α in 1/pixel: errors of the cut and of the mesh are then about equal
-ROUNDEST = 1.25  # ratio of the two grid spacings up to which a round stencil serves
-COLUMNS = 16  # of the spectrum at a time, so that what NumPy makes on the way stays in cache
-SMALLEST = 256  # points of the shorter side below which transforms cost nothing
+SPLIT = 0.55  # α in 1/pixel: errors of the truncation and of the mesh are then about equal
+MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
+COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
+SMALLEST = 256  # points of the shorter side below which full transforms are as cheap
 
 
 class MeshResponse:
     """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness."""
 
     def __init__(self, grid: SlabGrid, half_space, response):
-        """half_space(|q|), response(|q|): of a half-space, which the near part takes, and of the solid itself."""
+        """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
         self.grid = grid
         shape = tuple(-(-n // 2) for n in grid.shape)
         self.mesh = mesh = SlabGrid(grid.comm, shape, grid.lengths, grid.asked_threads)
@@ -55,17 +56,17 @@ class MeshResponse:
 
     @staticmethod
     def serves(grid: SlabGrid, half_space, response) -> bool:
-        """Whether the split is a good one: for a grid that is large enough, of nearly square pixels, and a solid whose
-        base is not felt at the mesh's wave numbers.
+        """Whether the split pays and is accurate: the grid is large, its pixels are nearly square, and the solid
+        responds like a half-space to short waves.
         """
         large = min(grid.shape) >= SMALLEST and grid.shape[0] >= 2 * grid.comm.size
-        if not large or max(grid.spacing) > ROUNDEST * min(grid.spacing):
+        if not large or max(grid.spacing) > MOST_OBLONG * min(grid.spacing):
             return False
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out (count,) = the response to `values` on the set, there or on `targets`; both float32.  Collective."""
+        """out (count,) = the response on `targets`, or on the set itself, to `values`; both float32.  Collective."""
         targets = targets or points
         mesh, own = self.mesh, self.mesh.rows.start
         extended = values.exchange()
@@ -95,14 +96,14 @@ class MeshResponse:
         self.grid.transforms += 0.5 * mesh.size / self.grid.size
 
     def free(self) -> None:
-        """Give the mesh's memory back.  Collective."""
+        """Frees the transforms of the mesh.  Collective."""
         self.mesh.free()
 
     def _splines(self, first: int) -> tuple[np.ndarray, ...]:
         return self.x_first[first:], self.x_weights[first:], self.y_first, self.y_weights
 
     def _influence(self, kernel: np.ndarray, response) -> np.ndarray:
-        """What the mesh's modes (nky_local, nx) are multiplied by: all that the near part, as it was cut, leaves."""
+        """Factors of the mesh's modes (nky_local, nx): the response less that of the truncated near part."""
         mesh, offsets = self.mesh, np.arange(-RADIUS, RADIUS + 1)
         cos_x, cos_y = (
             np.cos(np.outer(q, step * offsets))
@@ -123,7 +124,7 @@ class MeshResponse:
 
 
 def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First node and cubic B-spline weights (len(at), 4) of the nodes around each position."""
+    """For each position, the first of the four nodes around it and their cubic B-spline weights (len(at), 4)."""
     base = np.floor(at).astype(np.int64)
     t = (at - base)[:, None]
     weights = np.hstack([(1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]) / 6
@@ -131,7 +132,9 @@ def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _spline_response(x: np.ndarray) -> np.ndarray:
-    """Ŵ²/(Σ Ŵ²)² at the frequency x in cycles per node, the sum over its aliases: Ŵ = sinc⁴ is the cubic B-spline's."""
+    """Ŵ²/(Σ Ŵ²)² at the frequency x in cycles per node, with the sum over the aliases of x; Ŵ = sinc⁴ is the transform
+    of the cubic B-spline.
+    """
     s = np.sin(np.pi * x) ** 2
     return np.sinc(x) ** 8 / (1 - 4 / 3 * s + 2 / 5 * s**2 - 4 / 315 * s**3) ** 2
 
@@ -143,15 +146,15 @@ class FullResponse:
         self.action = action
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out (count,) = the response to `values` on the set, there or on `targets`.  Collective."""
+        """out (count,) = the response on `targets`, or on the set itself, to `values`.  Collective."""
         points.convolve(values.own, self.action, out, targets)
 
     def free(self) -> None:
-        """Nothing to give back."""
+        """There is nothing to free."""
 
 
 def inner_response(grid: SlabGrid, half_space, response, action: Columns) -> MeshResponse | FullResponse:
-    """The cheapest that serves; `action` is what full transforms are multiplied by.  Collective."""
+    """A `MeshResponse` if it serves, else a `FullResponse`; `action` multiplies full transforms by A.  Collective."""
     if MeshResponse.serves(grid, half_space, response):
         return MeshResponse(grid, half_space, response)
     return FullResponse(action)

@@ -1,12 +1,13 @@
-"""An approximate inverse of the compliance on a contact set, in levels.
+"""An approximate inverse of the compliance on a contact set: the stiffness, on two or more scales.
 
-Near: the stiffness kernel cut to a few pixels, in real space.  The stiffness E'q/2 falls off as −E'/(4π r³), so a
-disc of radius 2 pixels holds most of it; summed over contact points alone it costs a few per cent of a transform.
-Cut off, its rows have positive sums, so it is positive definite; but it takes long waves for far too stiff.  So most
-of that sum is taken off the diagonal.
+Near part: the stiffness kernel truncated to two pixels, in real space.  The stiffness E'q/2 decays as −E'/(4π r³), so
+that a disc of radius 2 pixels holds most of it; summed over contact points alone it costs a few per cent of a
+transform.  The truncated kernel has positive row sums, which makes it positive definite, but far too stiff to long
+waves.  So most of the row sum is subtracted from the diagonal.
 
-Far: the mean of the residual over blocks of 4 × 4 pixels is taken out before and after the near part, and treated by
-the stiffness between blocks instead (`blocks`).  Both parts are symmetric and positive, and so is their sum.
+Far part: the mean of the residual over each block of 4 × 4 pixels is removed before and after the near part, and the
+stiffness between blocks is applied to it instead (`block_stiffness`).  Both parts are symmetric and positive, and so is
+their sum.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
 
 BLOCK = 4  # pixels: what the near part can bridge
-NEUTRAL = 0.9  # share of the row sum of the near part taken off its diagonal; below 1 it stays positive definite
+NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: below 1 it stays positive definite
 
 
 class MultilevelStiffness:
@@ -32,7 +33,7 @@ class MultilevelStiffness:
     """
 
     def __init__(self, grid: SlabGrid, half_space, stiffness, dtype=np.float32):
-        """half_space(|q|), stiffness(|q|): without and with the slab's base, which the near part would not bear."""
+        """half_space(|q|): stiffness of a half-space, for the near part; stiffness(|q|): of the solid, for the far."""
         kernel = lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(grid, kernel, dtype)
@@ -49,13 +50,13 @@ class MultilevelStiffness:
         self.far.join(points, out)
 
     def free(self) -> None:
-        """Give the memory of its transforms back.  Collective."""
+        """Frees the transforms of the blocks.  Collective."""
         if self.far is not None:
             self.far.stiffness.free()
 
 
 class FarPart:
-    """Between the points of a set and the blocks that they lie in."""
+    """The far part: sums over the points of each block, the stiffness between blocks, and back to the points."""
 
     def __init__(self, grid: SlabGrid, stiffness):
         self.grid = grid
@@ -70,7 +71,7 @@ class FarPart:
         self.sums, self.loads = np.empty((2, *self.blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
-        """The residual less its means over blocks, whose response is kept for `join`.  Collective."""
+        """The residual less its means over blocks, whose loads are kept for `join`.  Collective."""
         if points is not self.points:
             ones = SetVector(points)
             ones.own[:] = 1
@@ -80,7 +81,7 @@ class FarPart:
             self.stiffness.begin(counts)
 
         def means(rows: slice):
-            np.multiply(self.sums[rows], self.stiffness.shares[rows], out=self.window.own[rows])
+            np.multiply(self.sums[rows], self.stiffness.inverse_counts[rows], out=self.window.own[rows])
             np.negative(self.window.own[rows], out=self.window.own[rows])
 
         self._sum(points, residual, self.sums, means)
@@ -90,17 +91,17 @@ class FarPart:
         return self.rest
 
     def join(self, points: ContactSet, values: SetVector) -> None:
-        """`values` get the kept loads, shared out evenly, for their means over blocks.  Collective."""
+        """Replaces the sum of `values` over each block by its kept load, spread evenly over its points.  Collective."""
 
         def change(rows: slice):
             np.subtract(self.loads[rows], self.sums[rows], out=self.window.own[rows])
-            self.window.own[rows] *= self.stiffness.shares[rows]
+            self.window.own[rows] *= self.stiffness.inverse_counts[rows]
 
         self._sum(points, values, self.sums, change)
         self._add(points, values.own, values.own)
 
     def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray, then: Callable[[slice], None]) -> None:
-        """Sums of `values` over this rank's blocks, and what then is to be done on a few rows of them.  Collective."""
+        """out = sums of `values` over this rank's blocks; calls `then` for each few rows of blocks.  Collective."""
         extended = values.exchange()
         start, rows = self.grid.rows.start, self.blocks.rows
 
@@ -115,7 +116,7 @@ class FarPart:
         self.grid.threads.deal(part, len(out), 256 // BLOCK)
 
     def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """out = values + the window's entry for their block, which may be a neighbour's.  Collective."""
+        """out = values + the window's entry for the block of each; edge blocks may be a neighbour's.  Collective."""
         self.window.exchange()
         rows, lists = self.window.rows, points.lists
 

@@ -9,13 +9,13 @@ from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet
 
 RADIUS = 2  # pixels: thirteen points
-ROWS = 32  # evaluated together: with the stencil's reach on each side they stay in cache
+ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
 
 
 def lattice_kernel(grid: SlabGrid, symbol) -> np.ndarray:
     """Real-space values of `symbol(|q|)` on the pixel lattice, (5, 5), zero beyond the radius of 2 pixels.
 
-    From a small grid with the same spacing: beyond a few pixels a short-ranged kernel does not know the cell.
+    They are computed on a grid of 64 × 64 with the same spacing: a short-ranged kernel does not depend on the cell.
     """
     n = 64
     ax, ay = grid.spacing
@@ -35,7 +35,7 @@ class Stencil:
         self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(dtype)
 
     def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None):
-        """out = the kernel applied to a `SetVector` with its halo, on the same set or on `targets`."""
+        """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on `targets` or the set itself."""
         lists = (targets or points).lists
         rows, ny = self.grid.local_shape
 
