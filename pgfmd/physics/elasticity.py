@@ -61,14 +61,14 @@ class Elasticity:
             if self.base == "bonded":
                 k = 3 - 4 * self.poisson
                 # k sinh 2t − 2t = 2t (k − 1) + k (2t)³/6 + …: no cancellation but for ν → ½, where k − 1 → 0 is exact.
-                below = k * np.where(small, _sinh_minus(2 * t) * e, (1 - e * e) / 2 - 2 * t * e)
+                below = k * np.where(small, _sinh_minus(2 * t) * e, rise * (1 + e) / 2 - 2 * t * e)
                 below = below + 2 * (1 - 2 * self.poisson) * 2 * t * e
                 above = k * (1 + e * e) / 2 + (2 * t * t + 5 - 4 * self.poisson * (3 - 2 * self.poisson)) * e
             elif self.base == "free":
                 above = np.where(small, _cosh_rest(2 * t) * e, rise**2 / 2 - 2 * t * t * e)
-                below = (1 - e * e) / 2 + 2 * t * e
+                below = rise * (1 + e) / 2 + 2 * t * e
             else:
-                above, below = (1 - e * e) / 2 + 2 * t * e, rise**2 / 2
+                above, below = rise * (1 + e) / 2 + 2 * t * e, rise**2 / 2
             return np.where(t > 40, 1.0, above / below)
 
     def mean_stiffness(self) -> float:
