@@ -15,14 +15,15 @@ from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 
 EQUAL = 4 * np.finfo(float).eps  # of the largest height: points that differ by less from the highest are as high
-TINY = 1e-300  # so that logarithms of nothing are finite
-FINEST = 1e-24  # certified error below which levels are known to rounding, a few 1e-12, and no better
+TINY = 1e-300  # added as a lower limit, so that logarithms of 0 are finite
+FINEST = 1e-24  # certified error below which the level's error is rounding, a few 1e-12, and not √error
 
 
 class Control:
-    """A quantity that is imposed, and its value for solutions of one surface.  Collective to make.
+    """A quantity that is imposed on one surface, and its value for a solution.  Collective to make.
 
-    summit, height: highest point over the mean, and rms height.  jumps: whether it is not continuous in the load.
+    top: largest height; summit: that above the mean height; rms_height: about the mean.  jumps: whether the quantity is
+    discontinuous in the load.
     """
 
     jumps = False
@@ -32,35 +33,36 @@ class Control:
         heights, reduce = problem.heights, problem.grid.reduction
         mean = reduce.sum(heights) / self.grid.size
         self.top = reduce.max(heights)
-        self.summit, self.height = self.top - mean, math.sqrt(reduce.sum((heights - mean) ** 2) / self.grid.size)
+        self.summit = self.top - mean
+        self.rms_height = math.sqrt(reduce.sum((heights - mean) ** 2) / self.grid.size)
         stiffness = problem.solid.mean_stiffness()
         self.mean_compliance = 1 / stiffness if stiffness > 0 else 0.0
 
     def refuse(self, target: float) -> None:
         """Raises InputError for a target that is wrong input."""
-        if self.height == 0:
+        if self.rms_height == 0:
             name = self.options.control
             raise InputError(f"load.{name}: the surface is flat: its contact is full at any load; impose a pressure")
 
     def check_reachable(self, target: float) -> None:
         """Raises Unreachable for a target that no load gives.  Collective."""
 
-    def lets_go(self, target: float) -> bool:
-        """Whether the target is met without a load."""
+    def met_without_load(self, target: float) -> bool:
+        """Whether the target is met at p̄ = 0."""
         return False
 
     def guess(self, target: float) -> float:
-        """ln p̄ to begin with.  Collective."""
+        """An estimate of ln p̄ at the target.  Collective."""
         raise NotImplementedError
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """How far the load is above what the target wants, in coordinates in which that is nearly straight over ln p̄.
+        """Value less target of the imposed quantity, in a coordinate that is nearly linear in ln p̄ and grows with it.
         Collective.
         """
         raise NotImplementedError
 
     def error(self, found: ContactSolution, target: float) -> float:
-        """By how much the target is missed, over what is allowed.  Collective."""
+        """|Value − target| over the tolerance.  Collective."""
         raise NotImplementedError
 
     @property
@@ -69,7 +71,7 @@ class Control:
         return f"load.gap_tolerance = {self.options.gap_tolerance:g}"
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """By how much, in the same measure, the solution's own error may move it."""
+        """A bound of the change of the value by the solution's own error, over the tolerance, like `error`."""
         return 0.0
 
     def displacement(self, found: ContactSolution) -> float:
@@ -103,7 +105,7 @@ class ContactArea(Control):
     jumps = True
 
     def check_reachable(self, target: float) -> None:
-        """First contact, at no load, has the area of all points that are as high as the highest."""
+        """Raises Unreachable below the area of first contact, all points as high as the highest.  Collective."""
         heights, pixel = self.problem.heights, 1 / self.grid.size
         level = self.top - EQUAL * max(abs(self.top), self.summit)
         least = self.grid.reduction.sum(np.count_nonzero(heights >= level)) * pixel
@@ -124,17 +126,21 @@ class ContactArea(Control):
         return math.log(math.sqrt(2) * self.stress * erfinv(target))
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """The same, for Persson's theory is nearly right up to a factor on the load."""
+        """ln of the ratio of Persson's mean pressures for the area found and for the target: his theory is nearly
+        right but for a factor on the load.  Collective.
+        """
         area = min(max(self.area(found), 0.5 / self.grid.size), 1 - 0.5 / self.grid.size)
         return math.log(erfinv(area) / erfinv(target))
 
     def error(self, found: ContactSolution, target: float) -> float:
-        """Over a share of the target, or a pixel."""
+        """|Area − target| over `area_tolerance` times the target, or over one pixel if that is more.  Collective."""
         return abs(self.area(found) - target) / max(self.options.area_tolerance * target, 1 / self.grid.size)
 
 
 class MeanGap(Control):
-    """Mean gap, to `gap_tolerance`; what grows with the load is the approach from first contact, summit − mean gap."""
+    """Mean gap, to `gap_tolerance`.  The search uses the approach since first contact, summit − mean gap, which grows
+    with the load.
+    """
 
     def __init__(self, problem: ContactProblem, load: Load):
         super().__init__(problem, load)
@@ -142,55 +148,55 @@ class MeanGap(Control):
         self.limit = math.inf if overlap else self.summit  # of the approach
 
     def approach(self, target: float) -> float:
-        """That of a target."""
+        """Approach at a target."""
         return self.summit - target
 
     def reached(self, found: ContactSolution) -> float:
-        """That of a solution."""
+        """Approach of a solution."""
         return found.approach
 
     def refuse(self, target: float) -> None:
-        """At full contact the load is not determined any more, unless the law lets the surfaces overlap."""
+        """Raises InputError for full contact, which leaves the load open, unless the law admits overlap."""
         super().refuse(target)
         if self.approach(target) >= self.limit:
             name = self.options.control
             limit = "above 0" if name == "mean_gap" else f"below {self.limit:g}"
             raise InputError(f"load.{name} = {target:g}: must be {limit}, where contact is full at any load")
 
-    def lets_go(self, target: float) -> bool:
-        """Before first contact."""
+    def met_without_load(self, target: float) -> bool:
+        """Whether the approach ends before first contact."""
         return self.problem.law.releases and self.approach(target) <= 0
 
     def guess(self, target: float) -> float:
-        """The stress of full contact where the mean height is reached, exponentially less before, and more beyond."""
-        beyond = (self.approach(target) - self.summit) / self.height
+        """The stress of full contact if the gap is 0, and exponentially less for larger ones.  Collective."""
+        beyond = (self.approach(target) - self.summit) / self.rms_height
         return math.log(self.stress) + max(-20.0, min(3.0, 2 * beyond))
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """In the logarithm of the approach, and near full contact of what is left of it."""
+        """In ln(approach/(limit − approach)), or in the approach itself if the law never releases the surface."""
         return self._coordinate(self.reached(found)) - self._coordinate(self.approach(target))
 
     def _coordinate(self, approach: float) -> float:
         if not self.problem.law.releases:
-            return approach / self.height
+            return approach / self.rms_height
         left = self.limit - approach
         return math.log(max(approach, TINY)) - (math.log(max(left, TINY)) if left < math.inf else 0.0)
 
     def allowed(self, target: float) -> float:
-        """By how much the approach may miss its target."""
+        """Tolerance of the approach."""
         approach = self.approach(target)
         short = min(abs(approach), self.limit - approach)
         return self.options.gap_tolerance * max(short, self.problem.law.range)
 
     def error(self, found: ContactSolution, target: float) -> float:
-        """Over what is allowed."""
+        """|Approach − target| over its tolerance."""
         return abs(self.reached(found) - self.approach(target)) / self.allowed(target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """A bound of the mean gap's own error, over what is allowed.
+        """A bound of the error of the mean gap, over its tolerance.
 
-        The least energy J*(P) is convex in the load P, and its slope is the level λ* of contact.  A solution p of
-        energy error B bounds it on both sides by its multiples: with E = ½⟨p, Gp⟩ and a law of range ζ
+        The least energy J*(P) is convex in the load P = Σ p, and its slope is the level λ* of contact.  A solution p
+        with energy error B, and its multiples, bound J* from both sides: with E = ½⟨p, Gp⟩ and a law of range ζ
 
             J*(P ± sP) ≤ J(p ± sp) = J(p) ± sPλ + s² (E + ζP/2),    J*(P) ≥ J(p) − B,
 
@@ -204,7 +210,7 @@ class MeanGap(Control):
 
 
 class Displacement(MeanGap):
-    """Approach of the solid's far side, to `gap_tolerance`: that of its surface and its own compression."""
+    """Approach of the solid's far side, to `gap_tolerance`: the approach of its surface plus its compression."""
 
     def __init__(self, problem: ContactProblem, load: Load):
         super().__init__(problem, load)
@@ -216,7 +222,7 @@ class Displacement(MeanGap):
         return target
 
     def reached(self, found: ContactSolution) -> float:
-        """That of the far side."""
+        """Displacement of the far side."""
         return self.displacement(found)
 
 

@@ -20,7 +20,7 @@ SOLVERS: dict[str, Callable[..., ContactSolution]] = {
     "newton": solve_exponential_wall,
     "gfmd": solve_gfmd,
 }
-SMALLEST = 1e-290  # sum of a start whose multiples do not overflow
+SMALLEST = 1e-290  # least sum of a start: the load over it does not overflow
 RESCUE = 4000  # steps of dynamics after another method has failed
 log = logging.getLogger("pgfmd")
 
@@ -32,12 +32,13 @@ def solve_contact(
     monitor: Monitor | None = None,
     overwrite_heights: bool = False,
 ) -> ContactSolution:
-    """The contact by the method that the options name, to their tolerance.  Collective.
+    """The contact, solved by the method and to the tolerance of the options.  Collective.
 
-    start: a pressure (nx_local, ny) that replaces coarse grids, unless it carries nothing or is not finite; it is tried
-    without should that fail, and then method "auto" tries dynamics.  monitor(grid, state): called after outer steps.
-    overwrite_heights: use their memory; then nothing is tried twice.  Raises InputError for a method that the law does
-    not take and values out of range, SolverError if the tolerance cannot be reached.
+    start: a pressure (nx_local, ny) to begin with instead of coarse grids; it is ignored if its sum is 0 or not finite.
+    If the method fails, it is tried once more without the start; if that fails and the method is "auto", dynamics are
+    tried.  monitor(grid, state): called after outer steps.  overwrite_heights: their memory is used, and they are lost;
+    then nothing is tried again.  Raises InputError for a method that the law does not take and for values out of range,
+    SolverError if the tolerance cannot be reached.
     """
     options.check_law(problem.law)
     start = _usable(problem, start)
@@ -58,7 +59,7 @@ def solve_contact(
 
 
 def _usable(problem: ContactProblem, start: np.ndarray | None) -> np.ndarray | None:
-    """A start without its tensions; None if it carries no load that can be scaled.  Collective."""
+    """The start with tensions set to 0, or None if its sum cannot be scaled to the load.  Collective."""
     if start is None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):

@@ -1,7 +1,8 @@
 """Which mean pressure to impose: given, or found from a contact area, a mean gap, or a displacement of the far side.
 
-All of these grow with the load.  It is found by secants in coordinates in which the relation is nearly straight, kept
-inside a bracket; solutions on the way are loose, and start from the one before where that is close enough to help.
+All of these are monotonic in the mean pressure p̄.  It is found by secants, kept inside a bracket, in coordinates in
+which the relation is nearly straight.  Solutions on the way have a loose tolerance, and start from the previous one if
+its p̄ is near.
 """
 
 from __future__ import annotations
@@ -26,18 +27,18 @@ Solver = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 
 NEAR = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
 LOOSE = 1e-5  # certified error of solutions on the way
-SURE = 0.3  # share of a tolerance that the last solution's own error may take
-ROUNDING = 1e-15  # relative width below which a bracket means nothing
-JUMP = 1e-4  # relative width of a bracket of loads across which an area jumps
-STEP = 3.0  # first change of ln p̄ at most
+SURE = 0.3  # part of the target's tolerance that the solution's own error may take
+ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
+JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs at its ends is said to jump
+STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
 log = logging.getLogger("pgfmd")
 
 
 class Loads:
-    """Solutions of one surface, each at a target of what `load` imposes, in any order.  Collective to make.
+    """Solutions for one surface, at targets of the quantity that `load` imposes, in any order.  Collective to make.
 
-    solver: what solves at a given mean pressure
+    solver: solves at a given mean pressure; `solve_contact` if not given.
     """
 
     def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: Solver | None = None):
@@ -59,7 +60,7 @@ class Loads:
         return self.control.displacement(found)
 
     def resume(self, pressure: np.ndarray | None) -> None:
-        """Begin the next target from that pressure (nx_local, ny), of an unfinished solution."""
+        """The next target starts from this pressure (nx_local, ny) of an unfinished solution."""
         self._resumed = pressure
 
     def solution(self, target: float) -> ContactSolution:
@@ -71,7 +72,7 @@ class Loads:
         """
         self.control.refuse(target)
         self._totals = np.zeros(3)
-        if self.name == "pressure" or self.control.lets_go(target):
+        if self.name == "pressure" or self.control.met_without_load(target):
             found = self._at(target if self.name == "pressure" else 0.0, self.tolerance)
         else:
             self.control.check_reachable(target)
@@ -80,7 +81,7 @@ class Loads:
         return dataclasses.replace(found, iterations=int(iterations), transforms=transforms, seconds=seconds)
 
     def _at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
-        """The contact at that mean pressure, from the previous solution where that is near.  Collective."""
+        """The contact at that mean pressure, started from the previous solution if its p̄ is `NEAR`.  Collective."""
         before, start = self.previous, self._resumed
         self._resumed = self.previous = None
         if start is None and before is not None and before.mean_pressure > 0 and mean_pressure > 0:
@@ -92,7 +93,7 @@ class Loads:
         return found
 
     def _search(self, target: float) -> ContactSolution:
-        """Solve until the target is met, by more than the solution's own error.  Collective."""
+        """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
         control, tolerance = self.control, max(LOOSE, self.tolerance)
         search = _Search(self._first_guess(target))
         best: tuple[float, ContactSolution | None] = math.inf, None
@@ -111,17 +112,17 @@ class Loads:
             if finer < tolerance and (error <= max(1.0, unsure) or jumps):
                 tolerance = finer
                 search.restart(1.0 if jumps else search.slope)
-                if error <= max(1.0, unsure):  # on which side of the target it lies is not known
+                if error <= max(1.0, unsure):  # the sign of its distance to the target is not certain
                     continue
             search.add(control.distance(found, target))
         if best[1] is None or not (control.jumps and search.width <= JUMP):
             raise SolverError(f"load.{self.name} = {target:g}: not met to {control.key}; allow more")
         if self.grid.comm.rank == 0:
-            log.info("load.%s = %g: it jumps across that at this load; taken on the nearer side", self.name, target)
+            log.info("load.%s = %g: it jumps across this at one load; the nearer side is taken", self.name, target)
         return best[1]
 
     def _first_guess(self, target: float) -> float:
-        """ln p̄ of the solution that is resumed, or of theory.  Collective."""
+        """ln p̄ of the solution that is resumed, or else the estimate of the control.  Collective."""
         if self._resumed is not None:
             total = self.grid.reduction.sum(self._resumed)
             if 0 < total < math.inf:
@@ -129,7 +130,9 @@ class Loads:
         return self.control.guess(target)
 
     def _tried(self, at: float, tolerance: float, target: float) -> ContactSolution:
-        """The contact at ln p̄; if it fails since the target asks for more than the user, the message says so."""
+        """The contact at ln p̄ = `at`.  If it fails at a tolerance tighter than the user's, the message says that the
+        target needs it.  Collective.
+        """
         try:
             return self._at(math.exp(at), tolerance)
         except SolverError as failure:
@@ -140,9 +143,9 @@ class Loads:
 
 
 class _Search:
-    """The zero of an increasing function of ln p̄, value by value.
+    """Finds the zero of an increasing function of ln p̄: the caller adds the function's value at `at`, again and again.
 
-    at: where it is wanted next;  width: of the bracket so far
+    at: ln p̄ where the value is wanted next.  slope: last estimate of the derivative.
     """
 
     def __init__(self, at: float):
@@ -150,7 +153,7 @@ class _Search:
         self.restart(1.0)
 
     def restart(self, slope: float) -> None:
-        """Forget the values, which were not good enough."""
+        """Forgets all values, which were not accurate enough, and begins with this slope."""
         self.slope = slope
         self.points: list[tuple[float, float]] = []
         self.low: tuple[float, float] | None = None
@@ -159,11 +162,11 @@ class _Search:
 
     @property
     def width(self) -> float:
-        """Of the bracket."""
+        """Width of the bracket; inf as long as there is none."""
         return self.high[0] - self.low[0] if self.low and self.high else math.inf
 
     def add(self, value: float) -> None:
-        """The value at `at`; chooses the next by a secant, inside the bracket and not too far."""
+        """Adds the value at `at`, and moves `at` by a secant, inside the bracket or else by a limited step."""
         self.points.append((self.at, value))
         if value < 0:
             self.low = (self.at, value) if self.low is None or self.at > self.low[0] else self.low
@@ -174,7 +177,8 @@ class _Search:
             self.slope = slope if slope > 0 else self.slope
         trial = self.at - value / self.slope
         if self.low and self.high:
-            # Every fourth step, later every second one, halves the bracket, so that a bent relation cannot creep.
+            # Every fourth step, later every second one, halves the bracket: secants alone converge slowly to a
+            # zero of a strongly curved function.
             inside = self.low[0] < trial < self.high[0] and len(self.points) % (4 if len(self.points) < 10 else 2)
             self.at = trial if inside else (self.low[0] + self.high[0]) / 2
         else:
