@@ -63,11 +63,11 @@ def test_fill_and_drain_rows(points):
     """rows[mask] = values, and values = rows[mask]."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((9, 7), np.nan)
-    set_kernels.fill_rows(values, columns, offsets, 0, rows)
+    set_kernels.fill_rows(values, (columns, offsets), 0, rows)
     assert np.array_equal(rows[mask], values)
     assert not rows[~mask].any()
     back = np.zeros_like(values)
-    set_kernels.drain_rows(rows[2:], columns, offsets, 2, back)
+    set_kernels.drain_rows(rows[2:], (columns, offsets), 2, back)
     assert np.array_equal(back[offsets[2] :], values[offsets[2] :])
 
 
@@ -75,7 +75,7 @@ def test_fill_wrapped(points):
     """The values on the set, zero elsewhere, and two columns from the other side on each side."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((6, 11), np.nan)
-    set_kernels.fill_wrapped(values, columns, offsets, 2, 5, 2, rows)
+    set_kernels.fill_wrapped(values, (columns, offsets), 2, 5, 2, rows)
     dense = np.zeros((9, 7))
     dense[mask] = values
     assert np.array_equal(rows[:5], np.pad(dense, ((0, 0), (2, 2)), mode="wrap")[2:7])
@@ -90,7 +90,7 @@ def test_apply_stencil(density):
     stencil = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
     offsets = np.concatenate([[0], np.cumsum(mask.sum(axis=1))])
     out = np.zeros(offsets[-1])
-    set_kernels.apply_stencil(field, weights, np.nonzero(mask)[1].astype(np.int32), offsets, 0, 9, out)
+    set_kernels.apply_stencil(field, weights, (np.nonzero(mask)[1].astype(np.int32), offsets), 0, 9, out)
     windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-13)
 
@@ -105,10 +105,11 @@ def test_correlate(room):
         for mask in (source, target)
     ]
     out, whole = (np.zeros(target.sum()) for _ in range(2))
+    vector = field[source], (lists[0][0], lists[0][1][halo - 2 :])
     for rows in ((0, 5), (5, 14)):
-        set_kernels.correlate(field[source], *lists[0], halo, weights, np.empty((room, 44)), *lists[1], *rows, out)
+        set_kernels.correlate(vector, weights, np.empty((room, 44)), lists[1], rows, out)
     padded = np.pad(field, ((0, 0), (2, 2)), mode="wrap")[halo - 2 : halo + 16]
-    set_kernels.apply_stencil(padded, weights, *lists[1], 0, 14, whole)
+    set_kernels.apply_stencil(padded, weights, lists[1], 0, 14, whole)
     assert np.array_equal(out, whole)
 
 
@@ -124,10 +125,10 @@ def test_spread_and_interpolate(points):
                 matrix[k, x_first[i] + s + 1, (y_first[j] + t) % 5] += x_weights[i, s] * y_weights[j, t]
     splines = x_first, x_weights, y_first, y_weights
     values, nodes = rng.random(len(columns)), np.zeros((5, 5))
-    set_kernels.spread_points(values, columns, offsets, 0, 9, *splines, 0, nodes)
+    set_kernels.spread_points(values, (columns, offsets), (0, 9), splines, 0, nodes)
     assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13)
     nodes, out = rng.random((7, 5)), np.ones(len(columns))
-    set_kernels.add_interpolated(nodes, -1, columns, offsets, 0, 9, *splines, out)
+    set_kernels.add_interpolated(nodes, -1, (columns, offsets), (0, 9), splines, out)
     assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13)
 
 
@@ -145,11 +146,11 @@ def test_blocks(points):
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
     row_block, column_block = np.arange(9) // 3, np.arange(7) // 3
     sums, expected = np.zeros((3, 3)), np.zeros((3, 3))
-    set_kernels.block_sums(values, columns, offsets, 0, 9, 3, column_block, sums)
+    set_kernels.block_sums(values, (columns, offsets), (0, 9), 3, column_block, sums)
     np.add.at(expected, (rows // 3, columns // 3), values)
     assert np.allclose(sums, expected, rtol=1e-14)
     out = np.zeros_like(values)
-    set_kernels.add_blocks(values, sums, columns, offsets, 0, 9, row_block, column_block, out)
+    set_kernels.add_blocks(values, sums, (columns, offsets), (0, 9), (row_block, column_block), out)
     assert np.allclose(out, values + sums[rows // 3, columns // 3], rtol=1e-14)
 
 
@@ -212,10 +213,10 @@ def test_unknowns_are_listed(fields, by_gaps):
     if by_gaps:
         mask = (gap != 0) | (p < 0) | (p > 1)
     counts = np.zeros(9, np.int64)
-    set_kernels.count_unknowns(p, gap, 0.1, 1.0, by_gaps, 0, 9, counts)
+    set_kernels.count_unknowns((p, gap), 0.1, 1.0, by_gaps, (0, 9), counts)
     assert np.array_equal(counts, mask.sum(axis=1))
     offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
-    set_kernels.list_unknowns(p, gap, 0.1, 1.0, by_gaps, 0, 9, offsets, columns)
+    set_kernels.list_unknowns((p, gap), 0.1, 1.0, by_gaps, (0, 9), (columns, offsets))
     assert np.array_equal(columns, np.nonzero(mask)[1])
 
 
@@ -269,7 +270,7 @@ def test_start_rows():
     """Contact where reach · p exceeds the gap, with the coarse pressure and a part of what new heights add."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
-    set_kernels.start_rows(p, g, coarse, h, 0.3, pressure, gap)
+    set_kernels.start_rows((p, g, coarse), h, 0.3, pressure, gap)
     assert np.array_equal(gap, g - (h - coarse))
     rougher = np.maximum(p + set_kernels.ROUGHER * (h - coarse) / 0.3, 1e-300)
     assert np.allclose(pressure, np.where(0.3 * p > gap, rougher, 0), rtol=1e-14)
@@ -281,18 +282,18 @@ def test_listed_points_are_cut(points):
     mask, offsets, columns = points
     field, part, top = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8]), 0.8
     old, values = field.copy(), np.zeros(offsets[-1], np.float32)
-    set_kernels.take_below(field, columns, offsets, 2, 8, 0.3, values)
+    set_kernels.take_below(field, (columns, offsets), (2, 8), 0.3, values)
     assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
     sums, masked = np.ones((2, 4)), np.where(mask, field, 0)[2:8]
-    set_kernels.sums_in_blocks(field, columns, offsets, 2, 8, 1, top, sums)
+    set_kernels.sums_in_blocks(field, (columns, offsets), (2, 8), 1, top, sums)
     for row, each in zip(sums, (masked, np.clip(masked, 0, top)), strict=True):
         assert np.allclose(row - 1, np.add.reduceat(each.sum(axis=0), (0, 2, 4, 6)), rtol=1e-13)
     chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
     factors = np.array([1.5, 0.5, 2.0, 0.0])
-    set_kernels.cut_and_scale(field, columns, offsets, 2, 8, 1, top, factors)
+    set_kernels.cut_and_scale(field, (columns, offsets), (2, 8), 1, top, factors)
     expected = np.minimum(np.repeat(factors, 2)[:7] * np.maximum(old, 0), top)
     assert np.array_equal(field, np.where(chosen, expected, old))
-    set_kernels.add_to_rows(field, columns, offsets, 2, 8, values)
+    set_kernels.add_to_rows(field, (columns, offsets), (2, 8), values)
     assert np.allclose(field[chosen], expected[chosen] + values[part], rtol=1e-14)
 
 
@@ -303,11 +304,11 @@ def test_gaps_of_unknowns(fields):
     mask = (gap != 0) | (p < 0) | (p > 1)
     offsets, columns = np.concatenate([[0], np.cumsum(mask.sum(axis=1))]), np.nonzero(mask)[1].astype(np.int32)
     values = np.empty(offsets[-1], np.float32)
-    set_kernels.take_beyond(p, gap, columns, offsets, 0, 9, 1.0, values)
+    set_kernels.take_beyond((p, gap), (columns, offsets), (0, 9), 1.0, values)
     bound = np.where((gap < 0) | (gap == 0) & (p > 1), 1.0, 0.0)
     assert np.allclose(values, (bound - p)[mask], rtol=1e-6)
     cut = gap.copy()
-    set_kernels.cut_gaps(bound, cut, columns, offsets, 0, 9)
+    set_kernels.cut_gaps((bound, cut), (columns, offsets), (0, 9))
     assert np.array_equal(cut, np.where(bound == 0, np.maximum(gap, 0), np.minimum(gap, 0)))
 
 
@@ -366,5 +367,5 @@ def test_vectors_of_conjugate_gradients():
     expected = x.copy(), a.copy()
     expected[0][part] += 0.2 * direction[part]
     expected[1][part] -= 0.2 * (b[part] - 0.4)
-    set_kernels.advance(x, a, direction, b, real(0.2), real(0.4), 10, 900)
+    set_kernels.advance(x, a, (direction, b), real(0.2), real(0.4), (10, 900))
     assert np.allclose([x, a], expected, rtol=0, atol=1e-6)

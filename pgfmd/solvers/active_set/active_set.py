@@ -207,7 +207,7 @@ class Relaxation:
         multiply, fields, level = self.stiffness[np.float32], (state.pressure, state.gap), state.level
         ends, edges = np.empty((2, 2, self.grid.shape[1]))
         for row in (0, -1):
-            set_kernels.uneven_row(*(field[row] for field in fields), level, self.top, ends[row])
+            set_kernels.uneven_row(state.pressure[row], state.gap[row], level, self.top, ends[row])
         pass_on(self.grid.comm, ends[1], edges[0], ends[0], edges[1])
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:

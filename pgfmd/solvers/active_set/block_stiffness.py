@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many per side
 FACTOR = 4  # side of a larger block, in blocks
@@ -21,10 +22,20 @@ SOFTENING = 0.125  # compliance of the contact within a block, over that to a wa
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
+def grid_of_blocks(comm: MPI.Comm, grid: SlabGrid, side: int) -> SlabGrid:
+    """The grid of blocks of side² points of another; the last ones may reach beyond its cell.  Collective."""
+    nx, ny = (-(-n // side) for n in grid.shape)
+    return SlabGrid(comm, (nx, ny), (nx * side * grid.spacing[0], ny * side * grid.spacing[1]), grid.asked_threads)
+
+
 class BlockStiffness:
     """The map from residuals of blocks to their loads: symmetric, positive, accurate for waves of any length."""
 
-    def __init__(self, blocks: SlabGrid, side: int, stiffness, pixel: float):
+    counts: np.ndarray
+    inverse_counts: np.ndarray
+    weights: np.ndarray
+
+    def __init__(self, blocks: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
         """blocks: the grid whose points are the blocks; side: of a block, in pixels; pixel: side of a pixel;
         stiffness(|q|): of the solid.  Collective.
         """
@@ -32,19 +43,16 @@ class BlockStiffness:
         soft = SOFTENING * side / stiffness(np.array(1 / pixel))
         self.stiffness = np.empty(blocks.spectral_shape, np.float32)
 
-        def soften(_: int, first: int, stop: int):
+        def soften(_: int, first: int, stop: int) -> None:
             stiff = stiffness(np.sqrt(blocks.q_squared(first, stop)))
             self.stiffness[first:stop] = self.area / blocks.size * stiff / (1 + soft * stiff)
 
         blocks.threads.share(soften, len(self.stiffness), COLUMNS)
         self.factor = max(FACTOR, -(-max(blocks.shape) // LARGEST))
-        shape = tuple(-(-n // self.factor) for n in blocks.shape)
-        self.coarser = None
-        if min(shape) >= FEWEST:
-            lengths = tuple(n * self.factor * step for n, step in zip(shape, blocks.spacing, strict=True))
-            coarser = SlabGrid(MPI.COMM_SELF, shape, lengths, blocks.asked_threads)
+        self.coarser: BlockStiffness | None = None
+        if -(-min(blocks.shape) // self.factor) >= FEWEST:
+            coarser = grid_of_blocks(MPI.COMM_SELF, blocks, self.factor)
             self.coarser = BlockStiffness(coarser, side * self.factor, stiffness, pixel)
-        self.counts = self.inverse_counts = self.weights = None
 
     @property
     def size(self) -> int:
@@ -59,52 +67,52 @@ class BlockStiffness:
         """Prepares for a new set; counts: number of its points in each of this rank's blocks.  Collective."""
         self.counts, self.inverse_counts, self.weights = counts, np.empty_like(counts), np.empty_like(counts)
 
-        def weigh(_: int, first: int, stop: int):
+        def weigh(_: int, first: int, stop: int) -> None:
             part = counts[first:stop]
             np.divide(1, np.maximum(part, 1), out=self.inverse_counts[first:stop])
             # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
             np.sqrt(np.sqrt(part / self.area), out=self.weights[first:stop])
 
         self.blocks.threads.share(weigh, len(counts), COLUMNS)
-        if self.coarser:
-            self.coarser.begin(self._sums(counts))
+        if self.coarser is not None:
+            self.coarser.begin(self._sums(self.coarser, counts))
 
     def respond(self, residuals: np.ndarray, loads: np.ndarray) -> None:
         """loads of the blocks = K_blocks · residuals, which are sums over the points of each block.  Collective."""
-        start, threads = self.blocks.rows.start, self.blocks.threads
-        if self.coarser:
-            size, coarser = self.factor, self.coarser
-            smooth, answer = self._sums(residuals), np.empty(coarser.blocks.shape, np.float32)
+        start, threads, coarser = self.blocks.rows.start, self.blocks.threads, self.coarser
+        if coarser is not None:
+            size, smooth = self.factor, self._sums(coarser, residuals)
+            answer = np.empty(coarser.blocks.shape, np.float32)
             coarser.respond(smooth, answer)
             smooth *= coarser.inverse_counts
         else:
             size, smooth = max(self.blocks.shape), np.zeros((1, 1), np.float32)
 
-        def fill(first: int, stop: int, rows: np.ndarray):
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
             part = residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
             kernels.rest_in_blocks(part, smooth, start + first, size, rows)
 
-        def act(block: np.ndarray, first: int, stop: int):
+        def act(block: np.ndarray, first: int, stop: int) -> None:
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.stiffness[first:stop])
 
-        def drain(first: int, stop: int, rows: np.ndarray):
+        def drain(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, self.weights[first:stop], out=loads[first:stop])
 
         self.blocks.convolve(fill, act, drain, np.float32)
-        if self.coarser:
-            answer -= self._sums(loads)
+        if coarser is not None:
+            answer -= self._sums(coarser, loads)
             answer *= coarser.inverse_counts
             threads.deal(
                 lambda a, b: kernels.add_from_blocks(answer, self.counts[a:b], start + a, size, loads[a:b]), len(loads)
             )
 
-    def _sums(self, values: np.ndarray) -> np.ndarray:
+    def _sums(self, coarser: BlockStiffness, values: np.ndarray) -> np.ndarray:
         """Sums over all larger blocks of the values of all ranks, of which this rank gives its own.  Collective."""
         rows, size = self.blocks.rows, self.factor
-        sums = np.zeros(self.coarser.blocks.shape, np.float32)
+        sums = np.zeros(coarser.blocks.shape, np.float32)
         low, high = rows.start // size, -(-rows.stop // size)
 
-        def part(first: int, stop: int):
+        def part(first: int, stop: int) -> None:
             a, b = max((low + first) * size, rows.start), min((low + stop) * size, rows.stop)
             kernels.sum_over_blocks(values[a - rows.start : b - rows.start], a, size, sums)
 

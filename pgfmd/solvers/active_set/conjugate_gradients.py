@@ -69,7 +69,7 @@ class ConjugateGradients:
                 return x, iteration
             step = real(before / curvature), real(total * self.inverse_count)
             self.threads.share(
-                lambda _, i, j: set_kernels.advance(x, residual, d, product, *step, i, j), len(d), PART  # noqa: B023
+                lambda _, i, j: set_kernels.advance(x, residual, (d, product), *step, (i, j)), len(d), PART  # noqa: B023
             )  # fmt: skip
             self.square = self._precondition()
         return x, most

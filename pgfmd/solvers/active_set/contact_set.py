@@ -10,10 +10,12 @@ import math
 import numpy as np
 from mpi4py import MPI
 from mpi4py.util import dtlib
+from numpy.typing import DTypeLike
 
-from pgfmd.grid.callbacks import Columns
+from pgfmd.grid.callbacks import Columns, Rows
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
+from pgfmd.solvers.active_set.kernels import Fields, Points
 
 HALO = 8  # rows of neighbouring ranks: enough for stencils, and for meshes and blocks whose slabs begin elsewhere
 
@@ -33,7 +35,7 @@ class ContactSet:
     def __init__(
         self,
         grid: SlabGrid,
-        fields: tuple[np.ndarray, np.ndarray],
+        fields: Fields,
         level: float = 0.0,
         top: float = math.inf,
         by_gaps: bool = False,
@@ -41,19 +43,19 @@ class ContactSet:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid = grid
         rows = grid.local_shape[0]
-        which = *fields, level, top, by_gaps
         counts = np.empty(rows, np.int64)
-        grid.threads.deal(lambda a, b: set_kernels.count_unknowns(*which, a, b, counts), rows)
+        grid.threads.deal(lambda a, b: set_kernels.count_unknowns(fields, level, top, by_gaps, (a, b), counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
         offsets = self._plan_halo(counts)
         columns = SetVector(self, np.int32)
         self.columns = columns.own
-        grid.threads.deal(lambda a, b: set_kernels.list_unknowns(*which, a, b, self.offsets, self.columns), rows)
+        lists = self.lists
+        grid.threads.deal(lambda a, b: set_kernels.list_unknowns(fields, level, top, by_gaps, (a, b), lists), rows)
         self.extended = columns.exchange(), offsets
 
     @property
-    def lists(self) -> tuple[np.ndarray, np.ndarray]:
+    def lists(self) -> Points:
         """(columns, offsets) of this rank's points."""
         return self.columns, self.offsets
 
@@ -61,30 +63,25 @@ class ContactSet:
         """level − field (nx_local, ny) on the set, in single precision."""
         out = SetVector(self)
         self.grid.threads.deal(
-            lambda a, b: set_kernels.take_below(field, self.columns, self.offsets, a, b, level, out.own), len(field)
+            lambda a, b: set_kernels.take_below(field, self.lists, (a, b), level, out.own), len(field)
         )
         return out
 
-    def beyond(self, pressure: np.ndarray, gap: np.ndarray, top: float) -> SetVector:
+    def beyond(self, fields: Fields, top: float) -> SetVector:
         """Bound − pressure (nx_local, ny) in single precision, on a set chosen by gaps."""
         out = SetVector(self)
         self.grid.threads.deal(
-            lambda a, b: set_kernels.take_beyond(pressure, gap, self.columns, self.offsets, a, b, top, out.own),
-            len(gap),
+            lambda a, b: set_kernels.take_beyond(fields, self.lists, (a, b), top, out.own), len(fields[0])
         )
         return out
 
-    def cut_gaps(self, pressure: np.ndarray, gap: np.ndarray) -> None:
+    def cut_gaps(self, fields: Fields) -> None:
         """Makes the gap (nx_local, ny) ≥ 0 where there is no pressure and ≤ 0 elsewhere, on the set."""
-        self.grid.threads.deal(
-            lambda a, b: set_kernels.cut_gaps(pressure, gap, self.columns, self.offsets, a, b), len(gap)
-        )
+        self.grid.threads.deal(lambda a, b: set_kernels.cut_gaps(fields, self.lists, (a, b)), len(fields[0]))
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
-        self.grid.threads.deal(
-            lambda a, b: set_kernels.add_to_rows(field, self.columns, self.offsets, a, b, values), len(field)
-        )
+        self.grid.threads.deal(lambda a, b: set_kernels.add_to_rows(field, self.lists, (a, b), values), len(field))
 
     def _plan_halo(self, counts: np.ndarray) -> np.ndarray:
         """Exchanges the `counts` of points per row with the ranks that hold the `HALO` rows before and after this
@@ -107,19 +104,19 @@ class ContactSet:
             self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
         return np.concatenate([[0], np.cumsum(counts)])
 
-    def fill(self, values: np.ndarray):
+    def fill(self, values: np.ndarray) -> Rows:
         """Rows that hold `values` on the set and zero elsewhere (a source for `SlabGrid.convolve`)."""
 
-        def rows(first: int, stop: int, block: np.ndarray):
-            set_kernels.fill_rows(values, self.columns, self.offsets, first, block)
+        def rows(first: int, stop: int, block: np.ndarray) -> None:
+            set_kernels.fill_rows(values, self.lists, first, block)
 
         return rows
 
-    def drain(self, values: np.ndarray):
+    def drain(self, values: np.ndarray) -> Rows:
         """Takes the values on the set out of rows (a sink for `SlabGrid.convolve`)."""
 
-        def rows(first: int, stop: int, block: np.ndarray):
-            set_kernels.drain_rows(block, self.columns, self.offsets, first, values)
+        def rows(first: int, stop: int, block: np.ndarray) -> None:
+            set_kernels.drain_rows(block, self.lists, first, values)
 
         return rows
 
@@ -134,7 +131,7 @@ class SetVector:
     If a slab is thinner than the halo, the halo spans several ranks, and `exchange` gathers the whole vector instead.
     """
 
-    def __init__(self, points: ContactSet, dtype=np.float32):
+    def __init__(self, points: ContactSet, dtype: DTypeLike = np.float32) -> None:
         self.points = points
         if points.thin:
             self.own = np.empty(points.count, dtype)

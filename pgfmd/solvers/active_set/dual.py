@@ -23,7 +23,7 @@ from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 from pgfmd.solvers.active_set.feasible import share_of_load
 from pgfmd.solvers.active_set.particle_mesh import inner_response
-from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
@@ -64,7 +64,7 @@ class GapSteps(Relaxation):
         state.contact, state.level = int(count), 0.0
         points = ContactSet(self.grid, fields, top=top, by_gaps=True)
         state.between = self.grid.size - int(self.grid.reduction.sum(points.count))
-        return ConjugateGradients(points.beyond(*fields, top), self.inner, self.preconditioner, False)
+        return ConjugateGradients(points.beyond(fields, top), self.inner, self.preconditioner, False)
 
     def open_gap(self, state: State) -> None:
         """Makes the gap Gp − h feasible: measured from the level, 0 where the pressure lies between its bounds."""
@@ -102,7 +102,8 @@ class GapSteps(Relaxation):
         fields = state.pressure, state.gap
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            set_kernels.settling_rows(*(field[first:stop] for field in fields), self.top, self.share, rows)
+            pressure, gap = (field[first:stop] for field in fields)
+            set_kernels.settling_rows(pressure, gap, self.top, self.share, rows)
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             set_kernels.settle_rows(*fields, self.top, self.share, first, stop)
@@ -124,7 +125,7 @@ class GapSteps(Relaxation):
         change, steps = system.solve(wanted, MOST_INNER)
         system.points.add(state.gap, change)
         state.iterations += steps
-        system.points.cut_gaps(state.pressure, state.gap)
+        system.points.cut_gaps((state.pressure, state.gap))
 
 
 class NearCompliance:
@@ -132,7 +133,7 @@ class NearCompliance:
     pixels.
     """
 
-    def __init__(self, grid: SlabGrid, half_space):
+    def __init__(self, grid: SlabGrid, half_space: Symbol) -> None:
         """half_space(|q|): compliance of a half-space."""
         screen = SCREENING / np.sqrt(grid.pixel_area)
         kernel = lattice_kernel(grid, lambda q: half_space(np.hypot(q, screen)))

@@ -16,10 +16,9 @@ from mpi4py import MPI
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import ContactSet
+from pgfmd.solvers.active_set.kernels import Fields, Share
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
-Fields = tuple[np.ndarray, np.ndarray]
-"""Pressure and gap (nx_local, ny)."""
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
 CANCELLED = 1e-6  # part of the pressures that tensions must leave uncancelled: less is rounding, and no load is kept
 
@@ -42,11 +41,11 @@ def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, s
 
     def measure(_: int, first: int, last: int) -> None:
         for block in range(touched[0] + first, touched[0] + last):
-            set_kernels.sums_in_blocks(pressure, *points.lists, *rows(block), SHIFT, top, sums[block])
+            set_kernels.sums_in_blocks(pressure, points.lists, rows(block), SHIFT, top, sums[block])
 
     def cut(_: int, first: int, last: int) -> None:
         for block in range(touched[0] + first, touched[0] + last):
-            set_kernels.cut_and_scale(pressure, *points.lists, *rows(block), SHIFT, top, factors[block])
+            set_kernels.cut_and_scale(pressure, points.lists, rows(block), SHIFT, top, factors[block])
 
     touched = start >> SHIFT, (stop - 1 >> SHIFT) + 1
     threads.share(measure, touched[1] - touched[0], 1)
@@ -72,7 +71,7 @@ def push(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: flo
 
     def total(level: float) -> float:
         parts = grid.threads.collect(
-            lambda a, b: set_kernels.pushed_sum(*fields, level, stiffness, top, a, b), len(gap)
+            lambda a, b: set_kernels.pushed_sum(fields, level, stiffness, top, a, b), len(gap)
         )
         return grid.reduction.sum(parts)
 
@@ -80,7 +79,7 @@ def push(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: flo
     while low < level < high and abs((sum_now := total(level)) - load) > ROUNDING * load:
         low, high = (level, high) if sum_now < load else (low, level)
         level = (low + high) / 2
-    grid.threads.deal(lambda a, b: set_kernels.push_rows(*fields, level, stiffness, top, a, b), len(gap))
+    grid.threads.deal(lambda a, b: set_kernels.push_rows(fields, level, stiffness, top, a, b), len(gap))
     carry(grid, pressure, load, top)
 
 
@@ -96,7 +95,7 @@ def carry(grid: SlabGrid, pressure: np.ndarray, load: float, top: float) -> bool
     return share[2] == 0
 
 
-def share_of_load(sums: np.ndarray, load: float, mean: float) -> tuple[float, float, float]:
+def share_of_load(sums: np.ndarray, load: float, mean: float) -> Share:
     """How to change the pressures between the bounds so that the sum over all points is `load`, as (factor, part,
     uniform): p becomes factor · p + part · (top − factor · p), or `uniform` everywhere if that is not 0, which it
     is if no factor and no part can do it.

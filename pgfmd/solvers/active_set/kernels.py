@@ -1,6 +1,7 @@
 """Compiled loops over the points of a set, listed row by row, and over vectors on it: see `kernels` for their rules.
 
-`columns` of the points of row i are columns[offsets[i]:offsets[i + 1]]; values on the set are listed in the same order.
+points: (columns, offsets); columns of the points of row i are columns[offsets[i]:offsets[i + 1]], and values on the set
+are listed in the same order.  part: (first, stop), the rows or entries first … stop−1.  fields: (pressure, gap).
 """
 
 from __future__ import annotations
@@ -9,12 +10,20 @@ import numpy as np
 
 from pgfmd.grid.kernels import jit, u
 
+Points = tuple[np.ndarray, np.ndarray]
+Fields = tuple[np.ndarray, np.ndarray]
+Part = tuple[int, int]
+Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""First node and weights of each row, and of each column."""
+Share = tuple[float, float, float]
+
 _APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
 
 
 @jit
-def fill_rows(values, columns, offsets, first, rows):
+def fill_rows(values: np.ndarray, points: Points, first: int, rows: np.ndarray) -> None:
     """rows[:] = 0; rows[i, columns[k]] = values[k] for the points k of row first + i."""
+    columns, offsets = points
     for i in range(rows.shape[0]):
         row = rows[i]
         row[:] = 0
@@ -23,10 +32,11 @@ def fill_rows(values, columns, offsets, first, rows):
 
 
 @jit
-def fill_wrapped(values, columns, offsets, first, count, margin, rows):
+def fill_wrapped(values: np.ndarray, points: Points, first: int, count: int, margin: int, rows: np.ndarray) -> None:
     """rows[i, margin + columns[k]] = values[k] for the points k of row first + i, i < count, 0 elsewhere; `margin`
     columns on either side repeat those of the other.
     """
+    columns, offsets = points
     ny = rows.shape[1] - 2 * margin
     for i in range(count):
         row = rows[i]
@@ -40,8 +50,9 @@ def fill_wrapped(values, columns, offsets, first, count, margin, rows):
 
 
 @jit
-def drain_rows(rows, columns, offsets, first, values):
+def drain_rows(rows: np.ndarray, points: Points, first: int, values: np.ndarray) -> None:
     """values[k] = rows[i, columns[k]] for the points k of row first + i."""
+    columns, offsets = points
     for i in range(rows.shape[0]):
         row = rows[i]
         for k in range(offsets[first + i], offsets[first + i + 1]):
@@ -49,8 +60,9 @@ def drain_rows(rows, columns, offsets, first, values):
 
 
 @jit
-def _thirteen(flat, p, s, a, b, c, d, e, f):
+def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> float:
     """The stencil around flat index p of rows s apart.  Unsigned indices spare the test for negative ones."""
+    a, b, c, d, e, f = weights
     centre = a * flat[u(p)] + b * (flat[u(p - 1)] + flat[u(p + 1)]) + c * (flat[u(p - 2)] + flat[u(p + 2)])
     corners = (flat[u(p - s - 1)] + flat[u(p - s + 1)]) + (flat[u(p + s - 1)] + flat[u(p + s + 1)])
     across = d * (flat[u(p - s)] + flat[u(p + s)]) + f * (flat[u(p - 2 * s)] + flat[u(p + 2 * s)])
@@ -58,15 +70,19 @@ def _thirteen(flat, p, s, a, b, c, d, e, f):
 
 
 @jit
-def apply_stencil(rows, weights, columns, offsets, first, count, values):
+def apply_stencil(
+    rows: np.ndarray, weights: np.ndarray, points: Points, first: int, count: int, values: np.ndarray
+) -> None:
     """values[k] = Σ_st w[s, t] rows[i + 2 + s, columns[k] + 2 + t] for the points k of row first + i, rows i < count.
 
     weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are zero.  Points that lie close
     are evaluated together with what lies between them: a loop over contiguous memory is several times faster.
     """
+    columns, offsets = points
     flat, stride = rows.reshape(-1), rows.shape[1]
     line = np.empty(stride, values.dtype)
     a, b, c, d, e, f = weights
+    six = (a, b, c, d, e, f)
     for i in range(count):
         base = (i + 2) * stride + 2
         k, end = offsets[first + i], offsets[first + i + 1]
@@ -76,32 +92,46 @@ def apply_stencil(rows, weights, columns, offsets, first, count, values):
                 stop += 1
             if stop - k < _FEW:
                 for m in range(k, stop):
-                    values[m] = _thirteen(flat, base + columns[m], stride, a, b, c, d, e, f)
+                    values[m] = _thirteen(flat, base + columns[m], stride, six)
             else:
                 for m in range(columns[stop - 1] - start + 1):
-                    line[m] = _thirteen(flat, base + start + m, stride, a, b, c, d, e, f)
+                    line[m] = _thirteen(flat, base + start + m, stride, six)
                 for m in range(k, stop):
                     values[m] = line[u(columns[m] - start)]
             k = stop
 
 
 @jit
-def correlate(values, columns, offsets, halo, weights, rows, targets, target_offsets, first, stop, out):
-    """`apply_stencil` to `values` on one set, listed with so many rows of halo, for the points in rows first … stop−1
-    of another; as many rows at a time as `rows` has room for.
+def correlate(
+    vector: tuple[np.ndarray, Points],
+    weights: np.ndarray,
+    rows: np.ndarray,
+    targets: Points,
+    part: Part,
+    out: np.ndarray,
+) -> None:
+    """`apply_stencil` to a vector (values, points) on one set, whose rows are listed from two before the first on, for
+    the points of another in rows first … stop−1; as many rows at a time as `rows` has room for.
     """
+    values, points = vector
+    first, stop = part
     batch = rows.shape[0] - 4
     for low in range(first, stop, batch):
         count = min(batch, stop - low)
-        fill_wrapped(values, columns, offsets, low + halo - 2, count + 4, 2, rows)
-        apply_stencil(rows, weights, targets, target_offsets, low, count, out)
+        fill_wrapped(values, points, low, count + 4, 2, rows)
+        apply_stencil(rows, weights, targets, low, count, out)
 
 
 @jit
-def spread_points(values, columns, offsets, first, stop, x_first, x_weights, y_first, y_weights, mesh_row, mesh):
+def spread_points(
+    values: np.ndarray, points: Points, part: Part, splines: Splines, mesh_row: int, mesh: np.ndarray
+) -> None:
     """mesh[x_first[i] + s − mesh_row, y_first[k] + t] += x_weights[i, s] y_weights[k, t] values[k] for the points k of
     the rows first ≤ i < stop and s, t < 4; rows outside `mesh` are left out, columns wrap.
     """
+    columns, offsets = points
+    first, stop = part
+    x_first, x_weights, y_first, y_weights = splines
     ny = mesh.shape[1]
     line = np.empty(ny + 4, mesh.dtype)
     for i in range(first, stop):
@@ -126,10 +156,15 @@ def spread_points(values, columns, offsets, first, stop, x_first, x_weights, y_f
 
 
 @jit
-def add_interpolated(mesh, mesh_row, columns, offsets, first, stop, x_first, x_weights, y_first, y_weights, values):
+def add_interpolated(
+    mesh: np.ndarray, mesh_row: int, points: Points, part: Part, splines: Splines, values: np.ndarray
+) -> None:
     """values[k] += Σ_st x_weights[i, s] y_weights[k, t] mesh[x_first[i] + s − mesh_row, y_first[k] + t] for the points
     k of the rows first ≤ i < stop; columns wrap.
     """
+    columns, offsets = points
+    first, stop = part
+    x_first, x_weights, y_first, y_weights = splines
     ny = mesh.shape[1]
     line = np.empty(ny + 4, mesh.dtype)
     for i in range(first, stop):
@@ -152,8 +187,12 @@ def add_interpolated(mesh, mesh_row, columns, offsets, first, stop, x_first, x_w
 
 
 @jit
-def block_sums(values, columns, offsets, first, stop, size, column_block, sums):
+def block_sums(
+    values: np.ndarray, points: Points, part: Part, size: int, column_block: np.ndarray, sums: np.ndarray
+) -> None:
     """sums[(i − first) // size, column_block[columns[k]]] += values[k] for the points k of rows first … stop−1."""
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         line = sums[(i - first) // size]
         for k in range(offsets[i], offsets[i + 1]):
@@ -161,8 +200,18 @@ def block_sums(values, columns, offsets, first, stop, size, column_block, sums):
 
 
 @jit
-def add_blocks(values, table, columns, offsets, first, stop, row_block, column_block, out):
-    """out[k] = values[k] + table[row_block[i], column_block[columns[k]]]"""
+def add_blocks(
+    values: np.ndarray,
+    table: np.ndarray,
+    points: Points,
+    part: Part,
+    blocks: tuple[np.ndarray, np.ndarray],
+    out: np.ndarray,
+) -> None:
+    """out[k] = values[k] + table[row_block[i], column_block[columns[k]]]; blocks: these two."""
+    columns, offsets = points
+    first, stop = part
+    row_block, column_block = blocks
     for i in range(first, stop):
         line = table[row_block[i]]
         for k in range(offsets[i], offsets[i + 1]):
@@ -170,7 +219,7 @@ def add_blocks(values, table, columns, offsets, first, stop, row_block, column_b
 
 
 @jit
-def _unknown(p, g, level, top, by_gaps):
+def _unknown(p: float, g: float, level: float, top: float, by_gaps: bool) -> bool:
     """Whether a point is an unknown.
 
     Of the pressure: between its bounds 0 and `top`, or at one of them with a gap that drives it away from there.  Of
@@ -182,8 +231,10 @@ def _unknown(p, g, level, top, by_gaps):
 
 
 @jit
-def count_unknowns(pressure, gap, level, top, by_gaps, first, stop, counts):
+def count_unknowns(fields: Fields, level: float, top: float, by_gaps: bool, part: Part, counts: np.ndarray) -> None:
     """counts[i] = number of unknowns in row i."""
+    pressure, gap = fields
+    first, stop = part
     for i in range(first, stop):
         row, above, total = pressure[i], gap[i], 0
         for j in range(row.size):
@@ -192,8 +243,11 @@ def count_unknowns(pressure, gap, level, top, by_gaps, first, stop, counts):
 
 
 @jit
-def list_unknowns(pressure, gap, level, top, by_gaps, first, stop, offsets, columns):
+def list_unknowns(fields: Fields, level: float, top: float, by_gaps: bool, part: Part, points: Points) -> None:
     """The columns of the points that `count_unknowns` counts."""
+    pressure, gap = fields
+    first, stop = part
+    columns, offsets = points
     for i in range(first, stop):
         row, above, k = pressure[i], gap[i], offsets[i]
         if k == offsets[i + 1]:
@@ -205,7 +259,7 @@ def list_unknowns(pressure, gap, level, top, by_gaps, first, stop, offsets, colu
 
 
 @jit
-def subtract_heights(displacement, heights, gap):
+def subtract_heights(displacement: np.ndarray, heights: np.ndarray, gap: np.ndarray) -> float:
     """gap = u − h; returns Σ u²."""
     squares = 0.0
     for i in range(gap.shape[0]):
@@ -217,7 +271,7 @@ def subtract_heights(displacement, heights, gap):
 
 
 @jit
-def add_heights(heights, gap, displacement):
+def add_heights(heights: np.ndarray, gap: np.ndarray, displacement: np.ndarray) -> tuple[float, float]:
     """u = h + g; returns Σ u and Σ u²."""
     total = squares = 0.0
     for i in range(gap.shape[0]):
@@ -230,7 +284,7 @@ def add_heights(heights, gap, displacement):
 
 
 @jit
-def add_mean(rows, mean, pressure):
+def add_mean(rows: np.ndarray, mean: float, pressure: np.ndarray) -> float:
     """p = rows + mean; returns Σ p²."""
     squares = 0.0
     for i in range(pressure.shape[0]):
@@ -242,7 +296,9 @@ def add_mean(rows, mean, pressure):
 
 
 @jit
-def contact_sums(pressure, gap, heights, top, first, stop):
+def contact_sums(
+    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, top: float, first: int, stop: int
+) -> tuple[tuple[float, float, float, float, float, float, int], float, float]:
     """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ h² and number of points where p > 0),
     and the highest gap where p = top and the lowest where p = 0, over rows first … stop−1.
     """
@@ -272,14 +328,14 @@ def contact_sums(pressure, gap, heights, top, first, stop):
 
 
 @jit
-def uneven_row(pressure, gap, level, top, line):
+def uneven_row(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, line: np.ndarray) -> None:
     """line[j] = gap − level where 0 < p < top, else 0."""
     for j in range(pressure.size):
         line[j] = gap[j] - level if 0 < pressure[j] < top else 0.0
 
 
 @jit
-def residual_rows(fields, level, top, edges, first, out):
+def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, first: int, out: np.ndarray) -> None:
     """ρ of the certificate for rows first … of pressure and gap: gap − level where 0 < p < top.  Elsewhere the mean of
     that over the eight neighbours, of which the others count as 0, but at most gap − level where p = 0, and at least
     that where p = top.  edges: `uneven_row` of the rows before and after those of this rank.
@@ -310,7 +366,7 @@ def residual_rows(fields, level, top, edges, first, out):
 
 
 @jit
-def spectral_dot(a, b, weights):
+def spectral_dot(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float:
     """Σ_j weights[j] Σ_i Re(a* b); the last axis of a and b holds (real, imaginary)."""
     total = 0.0
     for j in range(a.shape[0]):
@@ -322,7 +378,7 @@ def spectral_dot(a, b, weights):
 
 
 @jit
-def open_rows(pressure, gap, level, top, first, stop):
+def open_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, first: int, stop: int) -> None:
     """gap = gap − level in rows first … stop−1, but 0 where 0 < p < top, not below 0 where p = 0 and not above 0 where
     p = top.
     """
@@ -336,10 +392,17 @@ ROUGHER = 0.5  # of the pressure that would close a pixel: what heights between 
 
 
 @jit
-def start_rows(coarse_pressure, coarse_gap, coarse_heights, heights, reach, pressure, gap):
+def start_rows(
+    coarse: tuple[np.ndarray, np.ndarray, np.ndarray],
+    heights: np.ndarray,
+    reach: float,
+    pressure: np.ndarray,
+    gap: np.ndarray,
+) -> None:
     """gap = coarse gap − new, where new = h − coarse h, and p = max(coarse p + ROUGHER · new/reach, tiny) where
     reach · coarse p exceeds that gap, else 0.
     """
+    coarse_pressure, coarse_gap, coarse_heights = coarse
     for i in range(pressure.shape[0]):
         for j in range(pressure.shape[1]):
             p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
@@ -352,18 +415,23 @@ LARGEST = 1e25  # of a residual: products and sums of such stay below what singl
 
 
 @jit
-def take_below(field, columns, offsets, first, stop, level, values):
+def take_below(field: np.ndarray, points: Points, part: Part, level: float, values: np.ndarray) -> None:
     """values[k] = level − field[i, columns[k]] for the listed points of rows first … stop−1, at most `LARGEST`."""
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             values[k] = min(max(level - field[i, columns[k]], -LARGEST), LARGEST)
 
 
 @jit
-def take_beyond(pressure, gap, columns, offsets, first, stop, top, values):
+def take_beyond(fields: Fields, points: Points, part: Part, top: float, values: np.ndarray) -> None:
     """values[k] = what the pressure lacks of its bound, 0 or `top`, for the listed points of rows first … stop−1, all
     of which are beyond it or have a gap that is not 0 and tells which.
     """
+    pressure, gap = fields
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             p, g = pressure[i, columns[k]], gap[i, columns[k]]
@@ -371,8 +439,11 @@ def take_beyond(pressure, gap, columns, offsets, first, stop, top, values):
 
 
 @jit
-def cut_gaps(pressure, gap, columns, offsets, first, stop):
+def cut_gaps(fields: Fields, points: Points, part: Part) -> None:
     """gap = max(gap, 0) where p = 0, else min(gap, 0), for the listed points of rows first … stop−1."""
+    pressure, gap = fields
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             j = columns[k]
@@ -380,10 +451,12 @@ def cut_gaps(pressure, gap, columns, offsets, first, stop):
 
 
 @jit
-def sums_in_blocks(pressure, columns, offsets, first, stop, shift, top, sums):
+def sums_in_blocks(pressure: np.ndarray, points: Points, part: Part, shift: int, top: float, sums: np.ndarray) -> None:
     """sums[0, b] += p and sums[1, b] += min(max(p, 0), top), where b = columns[k] >> shift, for the listed points of
     rows first … stop−1.
     """
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             column = u(columns[k])
@@ -393,8 +466,12 @@ def sums_in_blocks(pressure, columns, offsets, first, stop, shift, top, sums):
 
 
 @jit
-def cut_and_scale(pressure, columns, offsets, first, stop, shift, top, factors):
+def cut_and_scale(
+    pressure: np.ndarray, points: Points, part: Part, shift: int, top: float, factors: np.ndarray
+) -> None:
     """p = min(factors[columns[k] >> shift] · max(p, 0), top) for the listed points of rows first … stop−1."""
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             column = u(columns[k])
@@ -402,7 +479,7 @@ def cut_and_scale(pressure, columns, offsets, first, stop, shift, top, factors):
 
 
 @jit
-def _settled(p, g, top, share):
+def _settled(p: float, g: float, top: float, share: Share) -> float:
     """0 where the gap is open or p < 0, `top` where the gap is negative or p > top, else p, changed by the `share`
     (`feasible.share_of_load`); everywhere share[2] if that is not 0.
     """
@@ -418,7 +495,9 @@ def _settled(p, g, top, share):
 
 
 @jit
-def settled_sums(pressure, gap, heights, top, first, stop):
+def settled_sums(
+    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, top: float, first: int, stop: int
+) -> tuple[float, float, float, float, float, int]:
     """Of pressures as they are settled: Σ p where 0 < p < top, Σ p where p = top, Σ (top − p) of both; the same of
     p (g + h) in the first two, and the number of both; over rows first … stop−1.
     """
@@ -442,7 +521,7 @@ def settled_sums(pressure, gap, heights, top, first, stop):
 
 
 @jit
-def bounded_sums(pressure, top, first, stop):
+def bounded_sums(pressure: np.ndarray, top: float, first: int, stop: int) -> tuple[float, float, float]:
     """(Σ p where 0 < p < top, Σ p where p ≥ top, Σ (top − p) where p > 0) over rows first … stop−1."""
     between = saturated = room = 0.0
     for i in range(first, stop):
@@ -457,7 +536,7 @@ def bounded_sums(pressure, top, first, stop):
 
 
 @jit
-def spread_load(pressure, top, share, first, stop):
+def spread_load(pressure: np.ndarray, top: float, share: Share, first: int, stop: int) -> None:
     """Changes the pressures of rows first … stop−1 by the share."""
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
@@ -465,8 +544,9 @@ def spread_load(pressure, top, share, first, stop):
 
 
 @jit
-def pushed_sum(pressure, gap, level, stiffness, top, first, stop):
+def pushed_sum(fields: Fields, level: float, stiffness: float, top: float, first: int, stop: int) -> float:
     """Σ of p + stiffness · (level − gap), cut at 0 and `top`, over rows first … stop−1."""
+    pressure, gap = fields
     total = 0.0
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
@@ -475,15 +555,16 @@ def pushed_sum(pressure, gap, level, stiffness, top, first, stop):
 
 
 @jit
-def push_rows(pressure, gap, level, stiffness, top, first, stop):
+def push_rows(fields: Fields, level: float, stiffness: float, top: float, first: int, stop: int) -> None:
     """p = p + stiffness · (level − gap), cut at 0 and `top`, in rows first … stop−1."""
+    pressure, gap = fields
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
             pressure[i, j] = min(max(pressure[i, j] + stiffness * (level - gap[i, j]), 0.0), top)
 
 
 @jit
-def settle_rows(pressure, gap, top, share, first, stop):
+def settle_rows(pressure: np.ndarray, gap: np.ndarray, top: float, share: Share, first: int, stop: int) -> None:
     """Settles the pressure of rows first … stop−1."""
     for i in range(first, stop):
         for j in range(gap.shape[1]):
@@ -491,7 +572,7 @@ def settle_rows(pressure, gap, top, share, first, stop):
 
 
 @jit
-def settling_rows(pressure, gap, top, share, out):
+def settling_rows(pressure: np.ndarray, gap: np.ndarray, top: float, share: Share, out: np.ndarray) -> None:
     """out = by how much the pressure changes when it is settled."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
@@ -500,15 +581,17 @@ def settling_rows(pressure, gap, top, share, out):
 
 
 @jit
-def add_to_rows(field, columns, offsets, first, stop, values):
+def add_to_rows(field: np.ndarray, points: Points, part: Part, values: np.ndarray) -> None:
     """field[i, columns[k]] += values[k] for the listed points of rows first … stop−1."""
+    columns, offsets = points
+    first, stop = part
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             field[i, columns[k]] += values[k]
 
 
 @jit
-def dot_and_sums(a, b, first, stop):
+def dot_and_sums(a: np.ndarray, b: np.ndarray, first: int, stop: int) -> tuple[float, float, float]:
     """(Σ a b, Σ a, Σ b) over the entries first … stop−1, in double precision."""
     dot = sum_a = sum_b = 0.0
     for k in range(first, stop):
@@ -520,15 +603,21 @@ def dot_and_sums(a, b, first, stop):
 
 
 @jit
-def turn(direction, z, factor, mean, first, stop):
+def turn(direction: np.ndarray, z: np.ndarray, factor: float, mean: float, first: int, stop: int) -> None:
     """direction = factor · direction + z − mean in the entries first … stop−1."""
     for k in range(first, stop):
         direction[k] = factor * direction[k] + (z[k] - mean)
 
 
 @jit
-def advance(x, residual, direction, product, step, mean, first, stop):
-    """x += step · direction and residual −= step · (product − mean) in the entries first … stop−1."""
+def advance(
+    x: np.ndarray, residual: np.ndarray, along: tuple[np.ndarray, np.ndarray], step: float, mean: float, part: Part
+) -> None:
+    """x += step · direction and residual −= step · (product − mean) in the entries first … stop−1; along: direction and
+    product.
+    """
+    direction, product = along
+    first, stop = part
     for k in range(first, stop):
         x[k] += step * direction[k]
         residual[k] -= step * (product[k] - mean)

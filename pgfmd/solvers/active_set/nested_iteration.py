@@ -6,12 +6,11 @@ many points.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from pgfmd.grid import kernels
-from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import Interpolation, restrict
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import kernels as set_kernels
@@ -20,14 +19,12 @@ from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import carry
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.nondimensional import Dimensionless
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, Monitor
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
 PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
 MOSTLY = 0.45  # share of points with a pressure between its bounds above which the gaps of the others are the unknowns
-
-Monitor = Callable[[SlabGrid, State], None]
 
 
 def solve_hard_wall(
@@ -44,10 +41,11 @@ def solve_hard_wall(
     called after each outer step.  overwrite_heights: their memory is used, and they are lost.
     Raises InputError for what is out of range, SolverError if the tolerance cannot be reached.
     """
+    nested, grid = NestedIteration(tolerance, monitor), problem.grid
     units = Dimensionless(problem, overwrite_heights=overwrite_heights)
     if units.uniform is not None:
         return units.uniform
-    nested, scaled, grid = NestedIteration(tolerance, monitor), units.problem, problem.grid
+    scaled = units.problem
     if start is None:
         state, extra = nested.solve(scaled)
     else:
@@ -121,7 +119,7 @@ class NestedIteration:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`MOSTLY`).  Collective."""
         steps = GapSteps if state.between > MOSTLY * problem.grid.size else PressureSteps
         solver = steps(problem, exact)
-        seen = None if self.monitor is None else lambda state: self.monitor(problem.grid, state)
+        seen = None if self.monitor is None else partial(self.monitor, problem.grid)
         state = solver.relax(state, self.tolerance, seen)
         solver.free()
         return state
@@ -139,9 +137,8 @@ class NestedIteration:
             return state, 0.0
         found, extra = self.solve(coarse, False)
         iterations = found.iterations
-        state = full = _full_contact(problem) if found.between == coarse.grid.size else None
-        if full is None:
-            state = _prolong(coarse, found, problem)
+        full = _full_contact(problem) if found.between == coarse.grid.size else None
+        state = _prolong(coarse, found, problem) if full is None else full
         extra = (extra + coarse.grid.transforms) * coarse.grid.size / grid.size
         coarse.grid.free()
         del found, coarse
@@ -176,8 +173,9 @@ def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> S
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
 
     def begin(thread: int, first: int, stop: int) -> None:
-        rows, fields = slice(first, stop), (interpolation.rows(which, first, stop, thread) for which in range(3))
-        set_kernels.start_rows(*fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
+        rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
+        fields = read(0), read(1), read(2)
+        set_kernels.start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
 
     grid.threads.share(begin, grid.local_shape[0], grid.band)
     if not carry(grid, pressure, problem.load, top):

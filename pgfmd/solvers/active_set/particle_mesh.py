@@ -24,7 +24,8 @@ from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
-from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
+from pgfmd.solvers.active_set.kernels import Splines
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 
 SPLIT = 0.55  # α in 1/pixel: errors of the truncation and of the mesh are then about equal
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
@@ -35,10 +36,10 @@ SMALLEST = 256  # points of the shorter side below which full transforms are as 
 class MeshResponse:
     """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness."""
 
-    def __init__(self, grid: SlabGrid, half_space, response):
+    def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol) -> None:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
         self.grid = grid
-        shape = tuple(-(-n // 2) for n in grid.shape)
+        shape = -(-grid.shape[0] // 2), -(-grid.shape[1] // 2)
         self.mesh = mesh = SlabGrid(grid.comm, shape, grid.lengths, grid.asked_threads)
         alpha = SPLIT / math.sqrt(grid.pixel_area)
 
@@ -55,7 +56,7 @@ class MeshResponse:
         self.window = RowWindow(mesh, int(self.x_first[HALO]), int(self.x_first[-1 - HALO]) + 4)
 
     @staticmethod
-    def serves(grid: SlabGrid, half_space, response) -> bool:
+    def serves(grid: SlabGrid, half_space: Symbol, response: Symbol) -> bool:
         """Whether the split pays and is accurate: the grid is large, its pixels are nearly square, and the solid
         responds like a half-space to short waves.
         """
@@ -72,23 +73,20 @@ class MeshResponse:
         extended = values.exchange()
         self.stencil.apply(points, extended, out, targets)
 
-        def fill(first: int, stop: int, block: np.ndarray):
+        def fill(first: int, stop: int, block: np.ndarray) -> None:
             block[...] = 0
             low, high = np.searchsorted(self.x_first, (own + first - 3, own + stop))
-            set_kernels.spread_points(
-                extended, *points.extended, low, high, *self._splines(0), own + first, block
-            )  # fmt: skip
+            set_kernels.spread_points(extended, points.extended, (low, high), self._splines(0), own + first, block)
 
-        def act(block: np.ndarray, first: int, stop: int):
+        def act(block: np.ndarray, first: int, stop: int) -> None:
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.influence[first:stop])
 
-        def drain(first: int, stop: int, block: np.ndarray):
+        def drain(first: int, stop: int, block: np.ndarray) -> None:
             self.window.own[first:stop] = block
 
-        def add(first: int, stop: int):
-            set_kernels.add_interpolated(
-                self.window.rows, self.window.low, *targets.lists, first, stop, *self._splines(HALO), out
-            )  # fmt: skip
+        def add(first: int, stop: int) -> None:
+            near, splines = self.window, self._splines(HALO)
+            set_kernels.add_interpolated(near.rows, near.low, targets.lists, (first, stop), splines, out)
 
         mesh.convolve(fill, act, drain, np.float32)
         self.window.exchange()
@@ -99,10 +97,10 @@ class MeshResponse:
         """Frees the transforms of the mesh.  Collective."""
         self.mesh.free()
 
-    def _splines(self, first: int) -> tuple[np.ndarray, ...]:
+    def _splines(self, first: int) -> Splines:
         return self.x_first[first:], self.x_weights[first:], self.y_first, self.y_weights
 
-    def _influence(self, kernel: np.ndarray, response) -> np.ndarray:
+    def _influence(self, kernel: np.ndarray, response: Symbol) -> np.ndarray:
         """Factors of the mesh's modes (nky_local, nx): the response less that of the truncated near part."""
         mesh, offsets = self.mesh, np.arange(-RADIUS, RADIUS + 1)
         cos_x, cos_y = (
@@ -115,7 +113,7 @@ class MeshResponse:
         across, along = kernel.T @ cos_x.T, weights[0] / self.grid.size
         influence = np.empty(mesh.spectral_shape, np.float32)
 
-        def part(_: int, first: int, stop: int):
+        def part(_: int, first: int, stop: int) -> None:
             rest = response(np.sqrt(mesh.q_squared(first, stop))) - cos_y[first:stop] @ across
             influence[first:stop] = rest * (weights[1][first:stop] * along)
 
@@ -142,7 +140,7 @@ def _spline_response(x: np.ndarray) -> np.ndarray:
 class FullResponse:
     """S A Sᵀ v by full transforms."""
 
-    def __init__(self, action: Columns):
+    def __init__(self, action: Columns) -> None:
         self.action = action
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
@@ -153,7 +151,9 @@ class FullResponse:
         """There is nothing to free."""
 
 
-def inner_response(grid: SlabGrid, half_space, response, action: Columns) -> MeshResponse | FullResponse:
+def inner_response(
+    grid: SlabGrid, half_space: Symbol, response: Symbol, action: Columns
+) -> MeshResponse | FullResponse:
     """A `MeshResponse` if it serves, else a `FullResponse`; `action` multiplies full transforms by A.  Collective."""
     if MeshResponse.serves(grid, half_space, response):
         return MeshResponse(grid, half_space, response)

@@ -15,13 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import block_stiffness
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
-from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, lattice_kernel
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 
 BLOCK = 4  # pixels: what the near part can bridge
 NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: below 1 it stays positive definite
@@ -32,7 +33,7 @@ class MultilevelStiffness:
     blocks.
     """
 
-    def __init__(self, grid: SlabGrid, half_space, stiffness, dtype=np.float32):
+    def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol, dtype: DTypeLike = np.float32) -> None:
         """half_space(|q|): stiffness of a half-space, for the near part; stiffness(|q|): of the solid, for the far."""
         kernel = lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
@@ -58,16 +59,15 @@ class MultilevelStiffness:
 class FarPart:
     """The far part: sums over the points of each block, the stiffness between blocks, and back to the points."""
 
-    def __init__(self, grid: SlabGrid, stiffness):
+    def __init__(self, grid: SlabGrid, stiffness: Symbol) -> None:
         self.grid = grid
-        shape = tuple(-(-n // BLOCK) for n in grid.shape)
-        lengths = tuple(n * BLOCK * step for n, step in zip(shape, grid.spacing, strict=True))
-        self.blocks = SlabGrid(grid.comm, shape, lengths, grid.asked_threads)
+        self.blocks = block_stiffness.grid_of_blocks(grid.comm, grid, BLOCK)
         self.stiffness = block_stiffness.BlockStiffness(self.blocks, BLOCK, stiffness, min(grid.spacing))
         self.window = RowWindow(self.blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
         self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
         self.column_block = np.arange(grid.shape[1]) // BLOCK
-        self.points = self.rest = None
+        self.points: ContactSet | None = None
+        self.rest: SetVector
         self.sums, self.loads = np.empty((2, *self.blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
@@ -80,7 +80,7 @@ class FarPart:
             self.points, self.rest = points, SetVector(points)
             self.stiffness.begin(counts)
 
-        def means(rows: slice):
+        def means(rows: slice) -> None:
             np.multiply(self.sums[rows], self.stiffness.inverse_counts[rows], out=self.window.own[rows])
             np.negative(self.window.own[rows], out=self.window.own[rows])
 
@@ -93,7 +93,7 @@ class FarPart:
     def join(self, points: ContactSet, values: SetVector) -> None:
         """Replaces the sum of `values` over each block by its kept load, spread evenly over its points.  Collective."""
 
-        def change(rows: slice):
+        def change(rows: slice) -> None:
             np.subtract(self.loads[rows], self.sums[rows], out=self.window.own[rows])
             self.window.own[rows] *= self.stiffness.inverse_counts[rows]
 
@@ -105,12 +105,12 @@ class FarPart:
         extended = values.exchange()
         start, rows = self.grid.rows.start, self.blocks.rows
 
-        def part(first: int, stop: int):
+        def part(first: int, stop: int) -> None:
             low = (rows.start + first) * BLOCK - start + HALO
             high = min((rows.start + stop) * BLOCK, self.grid.shape[0]) - start + HALO
             sums = out[first:stop]
             sums[...] = 0
-            set_kernels.block_sums(extended, *points.extended, low, high, BLOCK, self.column_block, sums)
+            set_kernels.block_sums(extended, points.extended, (low, high), BLOCK, self.column_block, sums)
             then(slice(first, stop))
 
         self.grid.threads.deal(part, len(out), 256 // BLOCK)
@@ -118,9 +118,9 @@ class FarPart:
     def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
         """out = values + the window's entry for the block of each; edge blocks may be a neighbour's.  Collective."""
         self.window.exchange()
-        rows, lists = self.window.rows, points.lists
+        rows, lists, blocks = self.window.rows, points.lists, (self.row_block, self.column_block)
 
-        def part(first: int, stop: int):
-            set_kernels.add_blocks(values, rows, *lists, first, stop, self.row_block, self.column_block, out)
+        def part(first: int, stop: int) -> None:
+            set_kernels.add_blocks(values, rows, lists, (first, stop), blocks, out)
 
         self.grid.threads.deal(part, self.grid.local_shape[0])

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import HALO, ContactSet
 
+Symbol = Callable[[np.ndarray], np.ndarray]
+"""Of an operator: what it multiplies a mode of wave number |q| by."""
+
 RADIUS = 2  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
 
 
-def lattice_kernel(grid: SlabGrid, symbol) -> np.ndarray:
+def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
     """Real-space values of `symbol(|q|)` on the pixel lattice, (5, 5), zero beyond the radius of 2 pixels.
 
     They are computed on a grid of 64 × 64 with the same spacing: a short-ranged kernel does not depend on the cell.
@@ -29,18 +35,21 @@ def lattice_kernel(grid: SlabGrid, symbol) -> np.ndarray:
 class Stencil:
     """z = S K Sᵀ r: S restricts to a contact set, K is a `lattice_kernel`."""
 
-    def __init__(self, grid: SlabGrid, kernel: np.ndarray, dtype=np.float32):
+    def __init__(self, grid: SlabGrid, kernel: np.ndarray, dtype: DTypeLike = np.float32) -> None:
         self.grid, self.dtype = grid, np.dtype(dtype)
         corner = kernel[RADIUS:, RADIUS:]
         self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(dtype)
 
-    def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None):
+    def apply(
+        self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None
+    ) -> None:
         """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on `targets` or the set itself."""
-        lists = (targets or points).lists
+        columns, offsets = points.extended
+        vector, lists = (extended, (columns, offsets[HALO - RADIUS :])), (targets or points).lists
         rows, ny = self.grid.local_shape
 
-        def part(first: int, stop: int):
+        def part(first: int, stop: int) -> None:
             work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), self.dtype)
-            set_kernels.correlate(extended, *points.extended, HALO, self.weights, work, *lists, first, stop, out)
+            set_kernels.correlate(vector, self.weights, work, lists, (first, stop), out)
 
         self.grid.threads.deal(part, rows)
