@@ -15,6 +15,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
+from pgfmd.solvers.gfmd import solve_gfmd
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.theory.exponential import response
@@ -89,17 +90,34 @@ def test_thin_walls_tend_to_the_hard_one(rough):
     assert apart[-1] < 0.02 * norm(grid, hard)
 
 
-def test_the_certificate_bounds_the_error(rough):
-    """½‖p − p*‖²_G ≤ D at loose tolerances, p* solved to 1e-14."""
+@pytest.mark.parametrize("method", [solve_exponential_wall, solve_gfmd])
+@pytest.mark.parametrize("zeta", [2e-3, 0.05, 0.5])
+def test_the_certificate_is_of_second_order(rough, method, zeta):
+    """J(p) − J(p*) ≤ bound ≤ 6 (J(p) − J(p*)) at every look, with p* solved to 1e-14.
+
+    J(p) − J(p*) = ½‖p − p*‖²_G + ζ⟨p ln(p/p*)⟩.  In 330 states of 84 contacts the ratio was 1.0 to 3.8; 6 for others.
+    """
     grid, heights = rough
-    exact = solve(grid, heights, 0.01, 0.05, tolerance=1e-14)
-    for tolerance in (1e-1, 1e-3, 1e-5):
-        found = solve(grid, heights, 0.01, 0.05, tolerance=tolerance)
-        apart = found.pressure - exact.pressure
+    problem = ContactProblem(grid, heights, SOLID, ExponentialWall(zeta=zeta), 0.01)
+    exact = solve_exponential_wall(problem, 1e-14)
+    least = grid.reduction.min(exact.pressure)
+    assert least > 0  # so that the logarithm is finite
+    seen = []
+
+    def watch(level, state):
+        if level is not grid:
+            return
+        pressure = state.pressure * 0.01
+        apart = pressure - exact.pressure
         displacement = grid.backward(SOLID.compliance(np.sqrt(grid.q_squared())) * grid.forward(apart))
-        energy = grid.reduction.dot(apart, displacement) / grid.size / 2
-        assert found.certified_error <= tolerance
-        assert energy <= found.certified_error * 2 * found.elastic_energy
+        ratio = np.maximum(pressure, 1e-300) / exact.pressure
+        entropy = exact.pressure * (ratio * np.log(ratio) - ratio + 1)
+        lost = (grid.reduction.dot(apart, displacement) / 2 + zeta * grid.reduction.sum(entropy)) / grid.size
+        seen.append((state.error, lost / (2 * exact.elastic_energy)))
+
+    method(problem, 1e-8, monitor=watch)
+    seen = [(bound, error) for bound, error in seen if 1e-10 < error < 0.1]
+    assert seen and all(error <= bound * (1 + 1e-3) and bound <= 6 * error for bound, error in seen), seen
 
 
 def test_energy_and_gap_belong_together(rough):

@@ -15,7 +15,7 @@ import numpy as np
 
 from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
-from pgfmd.physics.laws.law import Certificate, ContactLaw, Total, Units
+from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
@@ -62,18 +62,15 @@ class ExponentialWall(ContactLaw):
         """p with compliance · p + ζ ln p = target + level."""
         return respond(target, compliance, self.zeta, level, pressure, first, stop)
 
-    def certify(
-        self, total: Total, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, least: float
-    ) -> Certificate:
-        """ζ times the relative entropy of the pressure to the wall's answer σ to its gap: Σ p̂ ln(p̂/σ̂).
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
+        """(Σ p (g + ζ ln p), #{p > 1})."""
+        return moments(pressure, gap, self.zeta, first, stop)
 
-        That is the duality gap to the primal ½⟨u, Ku⟩ + ζ ln⟨exp(−(u − h)/ζ)⟩ at u = Gp̂ (Fenchel for the quadratic
-        form, Gibbs' variational principle for the other term).  As ζ → 0 it tends to that of the hard wall.
-        """
-        count, weight, potential, work, loaded = total(moments, pressure, gap, heights, self.zeta, least)
-        log_scale = -math.log(weight / count)
-        (apart,) = total(divergence, pressure, gap, self.zeta, least, log_scale)
-        return Certificate(self.zeta * log_scale + least, self.zeta * apart, potential, work, int(loaded))
+    def split(
+        self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+    ) -> float:
+        """The excess is ζ times the relative entropy of p to exp(−(g − level − ρ)/ζ)."""
+        return split(pressure, gap, compliance, self.zeta, level, first, residual)
 
     def contact_above(self, mean: float, mean_square: float) -> float:
         """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure over the load that it bears.
@@ -127,37 +124,43 @@ def respond(target, compliance, zeta, level, pressure, first, stop):
 
 
 @_jit
-def moments(pressure, gap, heights, zeta, least, first, stop):
-    """(points, Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂), Σ p̂ (g + h), #{p̂ > 1}) of some rows."""
-    weight = potential = work = 0.0
+def moments(pressure, gap, zeta, first, stop):
+    """(Σ p̂ (g + ζ ln p̂), #{p̂ > 1}) of rows first … stop−1."""
+    potential = 0.0
     loaded = 0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             g, p = gap[i, j], pressure[i, j]
-            away = g - least
-            if away < 745 * zeta:
-                weight += math.exp(-away / zeta)
             if p > 0:
-                potential += p * (away + zeta * math.log(p))
-                work += p * (g + heights[i, j])
+                potential += p * (g + zeta * math.log(p))
                 loaded += p > 1
-    return (stop - first) * gap.shape[1], weight, potential, work, loaded
+    return potential, loaded
 
 
 @_jit
-def divergence(pressure, gap, zeta, least, log_scale, first, stop):
-    """Σ p̂ ln(p̂/σ̂) − p̂ + σ̂ with σ̂ = exp((least − g)/ζ + log_scale): no term is negative, so nothing cancels."""
+def relative_entropy(pressure, exponent):
+    """p ln(p/σ) − p + σ with σ = exp(exponent): never negative, and without cancellation."""
+    if pressure > 0:
+        t = math.log(pressure) - exponent
+        return pressure * (t + math.expm1(-t)) if t > -30 else pressure * (t - 1) + math.exp(exponent)
+    return math.exp(exponent)
+
+
+@_jit
+def split(pressure, gap, compliance, zeta, level, first, residual):
+    """residual = compliance · (p̂ − p̂⁺) of the rows from `first` on, where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ −
+    (g − level); returns ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ).
+    """
+    b = zeta / compliance
+    shift = -math.log(b)
     total = 0.0
-    for i in range(first, stop):
+    for i in range(residual.shape[0]):
         for j in range(gap.shape[1]):
-            p = pressure[i, j]
-            exponent = (least - gap[i, j]) / zeta + log_scale
-            if p > 0:
-                t = math.log(p) - exponent
-                total += p * (t + math.expm1(-t)) if t > -30 else p * (t - 1) + math.exp(exponent)
-            elif exponent > -745:
-                total += math.exp(exponent)
-    return total
+            p, away = pressure[first + i, j], gap[first + i, j] - level
+            r = compliance * (p - b * wright_omega((compliance * p - away) / zeta + shift))
+            residual[i, j] = r
+            total += relative_entropy(p, (r - away) / zeta)
+    return zeta * total
 
 
 @_jit

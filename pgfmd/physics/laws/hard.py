@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numba
 import numpy as np
 
-from pgfmd.physics.laws.law import Certificate, ContactLaw, Total, Units
+from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
@@ -37,12 +37,15 @@ class HardWall(ContactLaw):
         """A projection: p = max(target + level, 0)/compliance."""
         return project(target, compliance, level, pressure, first, stop)
 
-    def certify(
-        self, total: Total, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, least: float
-    ) -> Certificate:
-        """⟨p, g − min g⟩, the duality gap of the quadratic programme; the level is the mean gap in contact."""
-        count, potential, work, contact = total(moments, pressure, gap, heights, least)
-        return Certificate(potential / count + least, potential, potential, work, int(contact))
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
+        """(Σ p g, #{p > 1})."""
+        return moments(pressure, gap, first, stop)
+
+    def split(
+        self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+    ) -> float:
+        """ρ = min(g − level, compliance · p)."""
+        return split(pressure, gap, compliance, level, first, residual)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """Makes the gap 0 where there is pressure, and nowhere negative."""
@@ -63,19 +66,30 @@ def project(target, compliance, level, pressure, first, stop):
 
 
 @_jit
-def moments(pressure, gap, heights, least, first, stop):
-    """(Σ p̂, Σ p̂ (g − least), Σ p̂ (g + h), #{p̂ > 1}) of some rows."""
-    load = potential = work = 0.0
+def moments(pressure, gap, first, stop):
+    """(Σ p̂ g, #{p̂ > 1}) of rows first … stop−1."""
+    potential = 0.0
     loaded = 0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             p = pressure[i, j]
-            if p > 0:
-                load += p
-                potential += p * (gap[i, j] - least)
-                work += p * (gap[i, j] + heights[i, j])
-                loaded += p > 1
-    return load, potential, work, loaded
+            potential += p * gap[i, j]
+            loaded += p > 1
+    return potential, loaded
+
+
+@_jit
+def split(pressure, gap, compliance, level, first, residual):
+    """residual = min(g − level, compliance p) of the rows from `first` on; returns Σ p (g − level − residual)."""
+    total = 0.0
+    for i in range(residual.shape[0]):
+        for j in range(gap.shape[1]):
+            p, away = pressure[first + i, j], gap[first + i, j] - level
+            within = compliance * p
+            residual[i, j] = min(away, within)
+            if away > within:
+                total += p * (away - within)
+    return total
 
 
 @_jit

@@ -11,7 +11,6 @@ over the pressures of that mean.  A new law is one file here that defines a `Con
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
@@ -22,10 +21,6 @@ from pgfmd.options.section import Section
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
-Total = Callable[..., np.ndarray]
-"""total(kernel, *arguments): sums over all points of what kernel(*arguments, first, stop) returns for rows first …
-stop−1 of the slab.  Collective."""
-
 
 class Units(NamedTuple):
     """Factors from a dimensionless contact (p̂, ĝ) to the physical one: p = pressure · p̂, gap = height · (ĝ − level) +
@@ -35,21 +30,6 @@ class Units(NamedTuple):
     height: float
     pressure: float
     offset: float
-
-
-class Certificate(NamedTuple):
-    """What a feasible pressure p and its gap g = Gp − h prove about the solution p*, and sums over all points.
-
-    level: the estimate of the constant from which the gap is to be measured.  bound: the upper bound of
-    Σ (J(p) − J(p*)).  potential: Σ (p (g − min g) + φ(p)).  work: Σ p (g + h).  contact: number of points that count as
-    touching while a solver is at work.
-    """
-
-    level: float
-    bound: float
-    potential: float
-    work: float
-    contact: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,10 +70,16 @@ class ContactLaw(Section):
         """
         raise NotImplementedError
 
-    def certify(
-        self, total: Total, pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, least: float
-    ) -> Certificate:
-        """The duality gap of a feasible dimensionless pressure of mean 1; least: the smallest gap.  Collective."""
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
+        """(Σ p (g − gap(p)), #{p > 1}) of rows first … stop−1 of a pressure of mean 1."""
+        raise NotImplementedError
+
+    def split(
+        self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+    ) -> float:
+        """Of the rows from `first` on, what the certificate of second order needs (`solvers.second_order`): fills
+        `residual` with ρ = compliance · (p − p⁺); returns Σ excess(p, g − level − ρ).
+        """
         raise NotImplementedError
 
     def contact_above(self, mean: float, mean_square: float) -> float:

@@ -38,6 +38,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import pass_on
+from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
 
@@ -47,11 +48,7 @@ MARGIN = 0.15  # the last step aims at this part of the tolerance
 MOST_INNER, MOST_OUTER = 300, 200
 STUCK = 3  # steps without halving the least error, before double precision is taken
 PATIENCE = 12  # steps without halving the least error, before giving up
-SINGLE = 1e-3  # relative error of ‖ρ‖_K, which is summed in single precision
-ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ N, without and with primes above 13 in
-# N: measured at most .7 and 1.3
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
-COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
 @dataclass
@@ -92,7 +89,7 @@ class Relaxation:
         self.compliance = {kind: solid.apply_compliance(grid, kind, 1 / grid.size) for kind in kinds}
         self.stiffness = {kind: solid.apply_stiffness(grid, kind, 1 / grid.size) for kind in kinds}
         self.squares, self.heights_squared = np.zeros(2), 0.0
-        self._means: np.ndarray | None = None
+        self._rounding: Rounding | None = None
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
@@ -203,8 +200,7 @@ class Relaxation:
         Sets `state.pressure_error` = ‖Kρ‖/‖p‖.  If every point is an unknown, p* − p = −Kρ; else it is an estimate: in
         144 solutions the true error was .2 to 1.1 of it, in the median .9 (`tests/test_hard_wall`).
         """
-        parts: dict[int, list[float]] = {}
-        multiply, fields, level = self.stiffness[np.float32], (state.pressure, state.gap), state.level
+        fields, level = (state.pressure, state.gap), state.level
         ends, edges = np.empty((2, 2, self.grid.shape[1]))
         for row in (0, -1):
             set_kernels.uneven_row(state.pressure[row], state.gap[row], level, self.top, ends[row])
@@ -213,44 +209,17 @@ class Relaxation:
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             set_kernels.residual_rows(fields, level, self.top, edges, first, rows)
 
-        def act(block: np.ndarray, first: int, stop: int) -> None:
-            before = block.copy()
-            multiply(block, first, stop)
-            pair = (part.view(np.float32).reshape(*part.shape, 2) for part in (before, block))
-            before, after = pair
-            weights = self.grid.hermitian_weight[first:stop, 0]
-            parts[first] = [set_kernels.spectral_dot(part, after, weights) for part in (before, after)]
-
-        self.grid.read_spectrum(fill, act, np.float32)
-        square, change = self.grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))
-        square /= 2
-        state.pressure_error = math.sqrt(change * self.grid.size / self.squares[0])
-        return ((1 + SINGLE) * math.sqrt(square) + math.sqrt(self.rounding(precision))) ** 2 / (2 * state.energy)
+        square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
+        state.pressure_error = math.sqrt(change / self.squares[0])
+        return certified(square, self.rounding(precision)) / (2 * state.energy)
 
     def rounding(self, precision: Precision) -> float:
-        """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective at first.
-
-        Rounding errors of transforms are white, in the input and in the output.  So ½‖e‖²_K is the mean of K over all
-        modes times the squared error of the displacement, plus the mean of G times that of the pressure, plus the
-        rounding of the heights themselves, in double precision.
-        """
-        factor = ROUNDING[any(pow(30030, 64, n) for n in self.grid.shape)]  # whether a prime above 13 divides n
-        factor *= math.sqrt(math.log2(2 * self.grid.size))
-        unit, digits = factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
-        squares = unit**2 * float(self.means @ self.squares) + digits**2 * self.means[1] * self.heights_squared
-        return squares / 2
+        """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective at first."""
+        return self.roundings.bound(self.squares, self.heights_squared, precision)
 
     @property
-    def means(self) -> np.ndarray:
-        """Means of compliance and stiffness over all modes.  Collective at first."""
-        if self._means is None:
-            grid, columns = self.grid, self.grid.spectral_shape[0]
-
-            def part(first: int, stop: int) -> list[float]:
-                q = np.sqrt(grid.q_squared(first, stop))
-                weights = grid.hermitian_weight[first:stop]
-                return [float(np.sum(weights * symbol(q))) for symbol in (self.solid.compliance, self.solid.stiffness)]
-
-            sums = np.sum(grid.threads.collect(part, columns, COLUMNS), axis=0) if columns else np.zeros(2)
-            self._means = grid.reduction.sums(*sums) / grid.size
-        return self._means
+    def roundings(self) -> Rounding:
+        """Of this grid and solid.  Collective at first."""
+        if self._rounding is None:
+            self._rounding = Rounding(self.grid, self.solid)
+        return self._rounding

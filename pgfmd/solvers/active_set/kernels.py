@@ -366,18 +366,6 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
 
 
 @jit
-def spectral_dot(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float:
-    """Σ_j weights[j] Σ_i Re(a* b); the last axis of a and b holds (real, imaginary)."""
-    total = 0.0
-    for j in range(a.shape[0]):
-        part = 0.0
-        for i in range(a.shape[1]):
-            part += np.float64(a[j, i, 0]) * b[j, i, 0] + np.float64(a[j, i, 1]) * b[j, i, 1]
-        total += weights[j] * part
-    return total
-
-
-@jit
 def open_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, first: int, stop: int) -> None:
     """gap = gap − level in rows first … stop−1, but 0 where 0 < p < top, not below 0 where p = 0 and not above 0 where
     p = top.

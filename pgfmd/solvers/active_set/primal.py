@@ -33,7 +33,7 @@ class PressureSteps(Relaxation):
     @property
     def pixel_stiffness(self) -> float:
         """Pressure on a single pixel over the displacement that it causes there.  Collective at first."""
-        return 1 / self.means[0] if self.means[0] > 0 else 1.0
+        return 1 / self.roundings.means[0] if self.roundings.means[0] > 0 else 1.0
 
     def free(self) -> None:
         """Frees the transforms of the mesh and of the blocks.  Collective."""

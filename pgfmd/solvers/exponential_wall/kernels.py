@@ -10,6 +10,8 @@ import math
 import numba
 import numpy as np
 
+from pgfmd.physics.laws.exponential import relative_entropy
+
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
@@ -100,3 +102,37 @@ def start_rows(coarse_pressure, displacement, heights, compliance, target):
     for i in range(target.shape[0]):
         for j in range(target.shape[1]):
             target[i, j] = compliance * coarse_pressure[i, j] - (displacement[i, j] - heights[i, j])
+
+
+@_jit
+def weight_and_potential(pressure, gap, zeta, least, first, stop):
+    """(Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂)) of some rows."""
+    weight = potential = 0.0
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            p, away = pressure[i, j], gap[i, j] - least
+            if away < 745 * zeta:
+                weight += math.exp(-away / zeta)
+            if p > 0:
+                potential += p * (away + zeta * math.log(p))
+    return weight, potential
+
+
+@_jit
+def work(pressure, gap, heights, first, stop):
+    """Σ p̂ (g + h) of some rows."""
+    total = 0.0
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            total += pressure[i, j] * (gap[i, j] + heights[i, j])
+    return total
+
+
+@_jit
+def divergence(pressure, gap, zeta, least, log_scale, first, stop):
+    """Σ p̂ ln(p̂/σ̂) − p̂ + σ̂ of some rows, with σ̂ = exp((least − g)/ζ + log_scale)."""
+    total = 0.0
+    for i in range(first, stop):
+        for j in range(gap.shape[1]):
+            total += relative_entropy(pressure[i, j], (least - gap[i, j]) / zeta + log_scale)
+    return total

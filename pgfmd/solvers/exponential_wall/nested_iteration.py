@@ -21,7 +21,7 @@ from pgfmd.solvers.relaxation import WallState
 from pgfmd.solvers.solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
-COARSE_TOLERANCE = 1e-2  # certified error at which a coarse grid has served: discretisation errors are larger
+COARSE_TOLERANCE = 3e-3  # certified error at which a coarse grid has served: discretisation errors are larger
 FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which its answer is no start
 LOOSE, REDUCTION = 0.1, 4  # certified error and factor between the steps of a ζ continuation
 
@@ -108,12 +108,12 @@ def _prolong(coarse: ContactProblem, found: WallState, problem: ContactProblem) 
 
     def part(thread: int, first: int, stop: int):
         rows = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
-        kernels.start_rows(*rows, heights[first:stop], solver.local_compliance, target[first:stop])
+        kernels.start_rows(*rows, heights[first:stop], solver.alpha, target[first:stop])
 
     grid.threads.share(part, grid.local_shape[0], grid.band)
     state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
     state.iterations = found.iterations
-    solver.respond(state, target, solver.local_compliance)
+    solver.respond(state, target, solver.alpha)
     return state
 
 

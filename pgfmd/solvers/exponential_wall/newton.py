@@ -32,7 +32,10 @@ from pgfmd.solvers.relaxation import WallRelaxation, WallState
 
 REACH = 8  # pixels across the region whose compliance is α: with less, points that join a patch together overshoot
 MOST_INNER, MOST_OUTER = 1000, 200
+LEAST_CUT, MOST_CUT = 0.1, 0.03  # factors by which steps reduce the linear residual: at first, and where that told
 PATIENCE = 12  # outer steps without halving the best error, before giving up
+
+Merits = tuple[float, float]
 
 
 class Newton(WallRelaxation):
@@ -42,8 +45,7 @@ class Newton(WallRelaxation):
 
     def __init__(self, problem: ContactProblem):
         super().__init__(problem)
-        self.zeta = self.law.zeta
-        self.local_compliance = 1 / float(problem.solid.stiffness(2 / (REACH * max(self.grid.spacing))))
+        self.zeta, self.alpha = self.law.zeta, self.local_compliance(REACH)
 
     def relax(
         self, state: WallState, tolerance: float, monitor: Callable[[WallState], None] | None = None
@@ -54,15 +56,16 @@ class Newton(WallRelaxation):
         """
         self.compute_gap(state)
         self.certify(state)
-        best, patience, wanted = state.error, PATIENCE, 0.1
+        best, patience, wanted, merits = state.error, PATIENCE, LEAST_CUT, self.merits(state)
         for _ in range(MOST_OUTER):
             if monitor is not None:
                 monitor(state)
             if state.error <= tolerance:
                 return state
             before = state.error
-            self.advance(state, max(wanted, 0.3 * math.sqrt(tolerance / before)))
-            wanted = 0.03 if state.error < 0.1 * before else 0.1
+            enough = min(LEAST_CUT, 0.3 * math.sqrt(tolerance / before))
+            merits = self.advance(state, max(wanted, enough), merits)
+            wanted = MOST_CUT if state.error < 0.1 * before else LEAST_CUT
             patience = PATIENCE if state.error < 0.5 * best else patience - 1
             best = min(best, state.error)
             if patience == 0:
@@ -72,21 +75,33 @@ class Newton(WallRelaxation):
             f"{state.iterations} iterations on {self.grid.shape[0]} x {self.grid.shape[1]} points; ask for less"
         )
 
-    def advance(self, state: WallState, wanted: float) -> None:
-        """One Newton step, shortened while it would raise both the objective and the error.  Collective."""
-        old = WallState(state.pressure.copy(), state.gap.copy(), state.error, state.objective)
-        self.respond(state, self.newton_target(state, wanted), self.local_compliance)
+    def advance(self, state: WallState, wanted: float, before: Merits) -> Merits:
+        """One Newton step, shortened while it would raise both merits; returns the new ones.  Collective."""
+        pressure, gap = state.pressure.copy(), state.gap.copy()
+        self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
-        self.certify(state)
         for _ in range(10):
-            if state.error <= old.error or state.objective <= old.objective:
-                return
+            merits = self.merits(state)
+            if merits[0] <= before[0] or merits[1] <= before[1]:
+                break
             # The objective is convex, and the gap linear, on the way back: no convolution is needed.
             self.grid.threads.split(
-                lambda a, b: entropy.mix(old.pressure, old.gap, 0.25, state.pressure, state.gap, a, b), len(old.gap)
+                lambda a, b: entropy.mix(pressure, gap, 0.25, state.pressure, state.gap, a, b), len(gap)
             )
-            state.work = None
-            self.certify(state)
+            (work,) = self.total(entropy.work, state.pressure, state.gap, self.heights)
+            state.work = float(work) / self.grid.size
+        self.certify(state)
+        return merits
+
+    def merits(self, state: WallState) -> Merits:
+        """The objective J, and the duality gap ζ⟨p̂ ln(p̂/σ̂)⟩ to the wall's answer σ̂ = exp(−g/ζ)/⟨exp(−g/ζ)⟩.
+        Collective.
+        """
+        count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
+        weight, potential = self.total(entropy.weight_and_potential, state.pressure, state.gap, zeta, least)
+        log_scale = -math.log(weight / count)
+        (apart,) = self.total(entropy.divergence, state.pressure, state.gap, zeta, least, log_scale)
+        return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
 
     def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, its residual × `wanted`.  Collective."""
@@ -115,5 +130,5 @@ class Newton(WallRelaxation):
             state.iterations += 1
         target = np.empty(grid.local_shape)
         fields = state.pressure, state.gap, root, change, response
-        grid.threads.split(partial(entropy.newton_target, *fields, self.local_compliance, target), rows)
+        grid.threads.split(partial(entropy.newton_target, *fields, self.alpha, target), rows)
         return target
