@@ -3,15 +3,15 @@
 After Campañá and Müser 2006 (doi:10.1103/PhysRevB.74.075420).  Mode by mode the displacement moves with its force,
 m(q) du(q)/dt = f(q) − K(q) u(q), in a mass m(q) = K(q) + κ that gives all modes one time scale, the time step.
 
-A bare hard wall, pushing points out of itself, would be consistent with the forces only if all modes had one mass.
-Here the wall has a spring κ and a memory of its force f, which moves to the solution of
+A hard wall that only pushed points out of itself would be consistent with the forces only if all modes had one mass.
+Here the wall is a spring κ with a force f of its own, which each step sets to the solution of
 
-    f/κ − gap(f) = f_old/κ − gap + c       (gap(f): that of the law; hard walls project onto the forces that push)
+    f/κ − gap(f) = f_old/κ − gap + c       (gap(f): that of the law; for hard walls, a projection onto f ≥ 0)
 
-so that at rest the gap is exactly the wall's, whatever κ is; c carries the load.  With the displacement extrapolated by
-one step this is a primal–dual iteration that converges for every κ (Condat 2013, doi:10.1007/s10957-012-0245-9).  The
-geometric mean of the softest and the stiffest mode is the fastest; steps 1.8 times as long (below 2 they converge) play
-the part of inertia.
+so that at rest the gap is that of the law for every κ; c makes the forces bear the load.  With the displacement
+extrapolated by one step this is a primal–dual iteration that converges for every κ (Condat 2013,
+doi:10.1007/s10957-012-0245-9).  It is fastest if κ is the geometric mean of the softest and the stiffest mode.  Steps
+are lengthened by the factor 1.8 (they converge below 2), which takes the place of inertia.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.relaxation import WallRelaxation, WallState
 from pgfmd.solvers.solution import ContactSolution, Monitor
 
-INERTIA = 1.8  # of the full step: relaxation factor
+INERTIA = 1.8  # over-relaxation: factor on each step
 INTERVAL = 10  # steps between certificates, which take a convolution each
 
 
@@ -40,8 +40,8 @@ def solve_gfmd(
 ) -> ContactSolution:
     """Contact under any convex law by dynamics, to a certified relative energy error.  Collective.
 
-    start: a pressure (nx_local, ny) to begin with.  overwrite_heights: use their memory.  Raises InputError for what is
-    out of range, SolverError if `max_steps` do not reach the tolerance.
+    start: a pressure (nx_local, ny) to begin with.  overwrite_heights: their memory is used, and they are lost.  Raises
+    InputError for what is out of range, SolverError if `max_steps` do not reach the tolerance.
     """
     units = Dimensionless(problem, overwrite_heights=overwrite_heights)
     if units.uniform is not None:
@@ -67,7 +67,7 @@ class Dynamics:
         self.displacement, self.force = np.zeros(self.grid.local_shape), np.ones(self.grid.local_shape)
 
     def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> WallState:
-        """Steps until the certified error of the wall's force is at most `tolerance`; else SolverError.  Collective."""
+        """Steps until the certified error is at most `tolerance`; after `max_steps`, SolverError.  Collective."""
         state = WallState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
         level, best = 0.0, math.inf
         for step in range(1, max_steps + 1):
@@ -90,7 +90,7 @@ class Dynamics:
         )
 
     def step(self, state: WallState) -> None:
-        """One time step; `state.pressure` becomes the wall's answer.  Collective."""
+        """One time step; `state.pressure` becomes the new force of the wall.  Collective."""
         displacement, force, target = self.displacement, self.force, state.gap
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:

@@ -17,29 +17,27 @@ from pgfmd.solvers.solution import ContactSolution, State
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # that single precision holds powers of it
-UNIFORM = 1e15  # range of a law over the rms height from which on the pressure is uniform to a double's rounding
-
-
-ROUNDING = 4 * np.finfo(np.float64).eps  # of pressures, relative: by transforms, and of the numbers themselves
-SHORTEST = 1e-11  # range of a law over the rms height: a hundred thousand units of the last digit of a gap
-BEYOND = 1.01  # times what can touch: points that may just touch are not raised
-UNDERFLOW = 800.0  # ranges of a law over which a pressure falls below the smallest number
+UNIFORM = 1e15  # range of a law over the rms height above which the pressure is uniform to double precision
+ROUNDING = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
+SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
+BEYOND = 1.01  # factor on the depth that can touch, so that points that may just touch are not raised
+UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
 
 
 class Dimensionless:
     """A contact problem with heights about their mean and over their rms value, pressures over their mean.  Collective
     to make.
 
-    problem: the dimensionless one; there is none where `uniform` is the solution, and not None: without a load, without
-    roughness, or under a law that hardly feels it.  Wave numbers, and so lengths in the plane, keep their unit.
+    uniform: the solution if no solver is needed (no load, no roughness, or a law whose range is far larger than it),
+    else None.  problem: the dimensionless problem, set only if `uniform` is None.  Wave numbers, and so lengths in the
+    plane, keep their unit.
 
-    Under a light load, points far below the highest one cannot touch.  How far below they lie does not matter, so that
-    the problem has them where they are just out of reach: solvers then see heights of the size of the indentation, and
-    lose no digits.
+    Under a light load, points far below the highest one cannot touch, and how far below does not matter.  They are
+    raised to just below the depth that can touch: heights are then of the size of the indentation, and lose no digits.
     """
 
     def __init__(self, physical: ContactProblem, overwrite_heights: bool = False):
-        """overwrite_heights: use their memory.  Raises InputError for what cannot be solved."""
+        """overwrite_heights: their memory is used, and they are lost.  Raises InputError for what cannot be solved."""
         physical.check()
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
@@ -78,8 +76,8 @@ class Dimensionless:
     ) -> ContactSolution:
         """The physical solution of a dimensionless state, whose fields become its own.  Collective.
 
-        state: pressure, gap, level, error and iterations of the solver; energy: ½⟨p̂ û⟩ per point.  Raises SolverError
-        if the last digits of the pressure, which its certificate does not see, take the error above the tolerance.
+        energy: ½⟨p̂ û⟩ per point.  Raises SolverError if the rounding of the pressure's last digits, which the
+        certificate does not contain, brings the error above the tolerance.
         """
         pressure, gap, units, grid = state.pressure, state.gap, self.units, self.physical.grid
         law, level = self.problem.law, state.level
@@ -114,15 +112,17 @@ class Dimensionless:
         )
 
     def _digits(self, square: float) -> float:
-        """What errors δ of the last digits of the pressure may cost, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point; square: ⟨p²⟩."""
+        """A bound of the energy of errors δ in the last digits of the pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point.
+        square: ⟨p²⟩.
+        """
         grid, problem = self.physical.grid, self.problem
         longest = np.array(2 * math.pi / max(grid.lengths))
         softness = square * float(problem.solid.compliance(longest)) + problem.mean_pressure * problem.law.range
         return ROUNDING**2 / 2 * softness
 
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:
-        """Put the points that were raised back where they are.  Returns by how much the mean gap grows, and what energy
-        the pressure on these points loses.  Collective.
+        """Lowers the raised points to their own heights again.  Returns by how much the mean gap grows, and the work of
+        the pressure on these points.  Collective.
         """
         grid, heights, made = self.physical.grid, self.physical.heights, self._heights
 
@@ -140,31 +140,31 @@ class Dimensionless:
 def deepest(problem: ContactProblem, height: float) -> float:
     """How far below the highest point another may lie and still touch; inf if that is more than `height`.  Collective.
 
-    A point carries pressure if it is as far below the highest one as the surface of the solid is above, u_i − u_j ≤
-    (max G − min G) Σp, and G lies between ±⟨compliance(q)⟩, the mean over all modes.  A law with a range reaches
-    deeper; one that limits the pressure lets points sink in, and has no such depth.
+    A point i in contact lies below the highest one j by h_j − h_i ≤ u_j − u_i ≤ (max G − min G) Σp, and G lies between
+    ±⟨compliance(q)⟩, the mean over all modes.  The range of a law adds to that depth.  A law that limits the
+    pressure lets points sink in without limit, and has no such depth.
     """
     if problem.law.highest < math.inf:
         return math.inf
-    grid, solid, load = problem.grid, problem.solid, problem.mean_pressure
+    grid, solid, mean_pressure = problem.grid, problem.solid, problem.mean_pressure
     beyond = UNDERFLOW * problem.law.range
     stiffest = math.hypot(*(math.pi / step for step in grid.spacing))
-    if 2 * load * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
+    if 2 * mean_pressure * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
         return math.inf  # the mean of the compliance is larger still
     parts = []
     for first in range(0, grid.spectral_shape[0], grid.band):
         block = slice(first, first + grid.band)
         q = np.sqrt(grid.q_squared(block.start, min(block.stop, grid.spectral_shape[0])))
         parts.append(float(np.sum(grid.hermitian_weight[block] * solid.compliance(q))))
-    depth = BEYOND * 2 * load * grid.reduction.sum(parts) + beyond
+    depth = BEYOND * 2 * mean_pressure * grid.reduction.sum(parts) + beyond
     return depth if depth < height else math.inf
 
 
 class Heights(NamedTuple):
     """Dimensionless heights (nx_local, ny) of mean 0 and rms 1, and how they were made.
 
-    top: the highest.  unit: of heights, 0 for a plane.  rms: of the physical heights.  high: the highest of them.
-    depth: below it all are raised; inf if none is.
+    top: the largest dimensionless height.  unit: unit of heights, 0 for a plane.  rms, high: rms and largest value of
+    the physical heights.  depth: points more than this below `high` were raised to it; inf if none was.
     """
 
     field: np.ndarray
@@ -176,9 +176,10 @@ class Heights(NamedTuple):
 
 
 def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
-    """The heights as solvers see them, as a new array or, if possible, in the place of the physical ones.  Collective.
+    """Dimensionless heights, in a new array or, if `overwrite` and no point is raised, in that of the physical ones.
+    Collective.
 
-    Raises InputError, saying what is out of range, for a surface that is not flat, or a pressure, beyond `LARGEST`.
+    Raises InputError if the range of heights, the mean pressure or a slab's stiffness exceeds `LARGEST` or `STIFFEST`.
     """
     grid, heights = problem.grid, problem.heights
     reduce, threads, rows = grid.reduction, grid.threads, grid.local_shape[0]
@@ -204,7 +205,7 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
     out = heights if overwrite and depth == math.inf else np.empty(grid.local_shape)
 
     def lay(size: float) -> tuple[float, float]:
-        """Heights below the highest one over `size`, raised to −1; their mean and standard deviation."""
+        """Heights from the highest one over `size`, none below −1; returns their mean and standard deviation."""
         parts = threads.collect(lambda a, b: lay_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
         return _spread(grid, parts)
 

@@ -1,4 +1,4 @@
-"""What solvers for any convex law do on one grid: the gap of a pressure, its certificate, the wall's answer.
+"""What the solvers `gfmd` and `newton` share: the gap of a pressure, its certificate, the resolvent of the law.
 
 Pressures are over their mean, p̂ = p/p̄, so that feasible ones have mean 1; gaps and heights share one unit.
 """
@@ -29,13 +29,13 @@ class WallState:
     error: float = math.inf
     work: float = 0.0  # ⟨p̂, Gp̂⟩
     level: float = 0.0  # c: at the solution the law's gap at p̂ is g − c
-    contact: int = 0  # points that carry more than the mean
+    contact: int = 0  # points whose pressure is above the mean one
     iterations: int = 0
     pressure_error: float = math.nan  # ‖Kρ‖/‖p̂‖, an estimate
 
 
 class WallRelaxation:
-    """A dimensionless `problem` of mean pressure 1, and what is computed of its states.  Collective to make.
+    """Computes gaps, certificates and resolvents for a dimensionless `problem` of mean pressure 1.  Collective to make.
 
     squares: Σ p̂² and Σ u² of the last gap
     """
@@ -48,11 +48,11 @@ class WallRelaxation:
         self.squares = np.zeros(2)
 
     def local_compliance(self, pixels: float) -> float:
-        """That of a region so many pixels across."""
+        """Compliance of a region of that diameter in pixels."""
         return 1 / float(self.problem.solid.stiffness(np.array(2 / (pixels * max(self.grid.spacing)))))
 
     def compute_gap(self, state: WallState) -> None:
-        """g = Gp̂ − h in double precision, and ⟨p̂, Gp̂⟩, which g does not tell where h is far larger.  Collective."""
+        """g = Gp̂ − h in double precision, and ⟨p̂, Gp̂⟩, which g + h would give with fewer digits.  Collective."""
         parts: dict[int, tuple[float, ...]] = {}
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
@@ -95,7 +95,7 @@ class WallRelaxation:
         begins at the state's c.  Collective.
         """
         count, level, low, high = self.grid.size, state.level, -np.inf, np.inf
-        enough = 1e-9 * count  # what is missing is made up by a factor
+        enough = 1e-9 * count  # a factor on p̂ corrects the rest
         for _ in range(200):
             total, slope = self.total(self.law.respond, target, compliance, level, state.pressure)
             if abs(total - count) <= enough:
@@ -104,7 +104,7 @@ class WallRelaxation:
             if total > 0:  # Newton for Σ p̂, which is nearly linear in c, or for its logarithm: the shorter step
                 steps = (count - total) / slope, math.log(count / total) * total / slope
                 trial = level + min(steps, key=abs)
-            else:  # all underflowed: up to where the highest point alone would carry its share
+            else:  # all underflowed: the level at which the point of the largest target bears about 1
                 trial = compliance - self.grid.reduction.max(target)
             if abs(trial - level) <= 1e-15 * abs(level):
                 break

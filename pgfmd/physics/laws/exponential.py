@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
 SHARE = 0.01
-"""Of the mean contact pressure, that of a point in contact.  On rough surfaces with f_c = .09 to .11 under a hard wall,
+"""Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  On rough surfaces with f_c = .09 to .11 under a hard wall,
 f_c differs from that by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, by 12 to 17 % at 5e-3, and is twice as large at .05
 (`tests/test_exponential`)."""
 
@@ -75,13 +75,13 @@ class ExponentialWall(ContactLaw):
     def contact_above(self, mean: float, mean_square: float) -> float:
         """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure over the load that it bears.
 
-        Such a wall touches everywhere; as ζ → 0 the points above that become those in contact with a hard wall, but for
-        the few (0.2 to 0.8 % of them) that bear less there.
+        Under this law all points bear pressure.  As ζ → 0 the points above the threshold become those in contact with a
+        hard wall, except the 0.2 to 0.8 % of them that bear less there.
         """
         return SHARE * mean_square / mean
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """The violation counts where the pressure exceeds its mean."""
+        """As `ContactLaw.finish`; the violation is taken over points with more than the mean pressure."""
         return finish_rows(pressure, gap, self.zeta, level, *units)
 
 

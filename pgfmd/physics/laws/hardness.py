@@ -1,7 +1,7 @@
-"""The wall of limited hardness: contact saturates, as where asperities flow.  0 ≤ p ≤ σ_Y, and gap = 0 in between.
+"""The wall of limited hardness: 0 ≤ p ≤ σ_Y, as if asperities yielded, and gap = 0 where 0 < p < σ_Y.
 
-The pressure minimises the same energy as under the hard wall, over 0 ≤ p ≤ σ_Y: φ(p) = 0 there.  Where p = σ_Y the
-solid is let in: the gap is negative.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
+The pressure minimises the same energy as under the hard wall, over 0 ≤ p ≤ σ_Y, where φ(p) = 0.  Where p = σ_Y the
+solid may overlap the wall: the gap is ≤ 0.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Hardness(HardWall):
         return self.hardness
 
     def in_units(self, units: Units) -> Hardness:
-        """p̂ ≤ σ_Y over the unit of pressure."""
+        """The same law with σ_Y over the unit of pressure."""
         return Hardness(hardness=self.hardness / units.pressure)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:

@@ -21,8 +21,8 @@ from pgfmd.solvers.relaxation import WallState
 from pgfmd.solvers.solution import ContactSolution
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
-COARSE_TOLERANCE = 3e-3  # certified error at which a coarse grid has served: discretisation errors are larger
-FLAT = 1e-2  # rms height of a coarse grid, over that of the surface, below which its answer is no start
+COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
+FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
 LOOSE, REDUCTION = 0.1, 4  # certified error and factor between the steps of a ζ continuation
 
 Monitor = Callable[[SlabGrid, WallState], None]

@@ -8,12 +8,12 @@ of mean 1.  Newton's equation for the change δp̂ = √p̂ y is
 Its spectrum decays fast from the largest eigenvalues on, no entry overflows however small p̂ is, and conjugate gradients
 take one convolution per iteration.
 
-The step is not taken in p̂, which would have to stay positive, but point by point in x = α p̂ + ζ ln p̂ (α: compliance of
-a few points).  In contact that is a step in p̂, outside it is one in ln p̂; and ln p̂ of the old state cancels:
+The step is taken point by point in x = α p̂ + ζ ln p̂ (α: compliance of a few points), so that p̂ stays positive.  In
+contact this is a step in p̂, outside it is one in ln p̂.  The old ln p̂ cancels:
 
     α p̂ + ζ ln p̂ = α (p̂ + δp̂) − (g + Gδp̂) + c.
 
-As ζ → 0 this becomes the primal–dual active set of the hard wall.  c carries the load.
+As ζ → 0 this becomes the primal–dual active set of the hard wall.  c makes the pressures bear the load.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels as entropy
 from pgfmd.solvers.relaxation import WallRelaxation, WallState
 
-REACH = 8  # pixels across the region whose compliance is α: with less, points that join a patch together overshoot
+REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
 MOST_INNER, MOST_OUTER = 1000, 200
-LEAST_CUT, MOST_CUT = 0.1, 0.03  # factors by which steps reduce the linear residual: at first, and where that told
+LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step: at first, and after one that cut the error
 PATIENCE = 12  # outer steps without halving the best error, before giving up
 
 Merits = tuple[float, float]
@@ -84,7 +84,7 @@ class Newton(WallRelaxation):
             merits = self.merits(state)
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
-            # The objective is convex, and the gap linear, on the way back: no convolution is needed.
+            # Back towards the old state the objective is convex, and the gap linear, so that no convolution is needed.
             self.grid.threads.split(
                 lambda a, b: entropy.mix(pressure, gap, 0.25, state.pressure, state.gap, a, b), len(gap)
             )
