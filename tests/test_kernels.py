@@ -268,7 +268,7 @@ def test_products_of_spectra():
 
 
 def test_start_rows():
-    """Contact where reach · p exceeds the gap, with the coarse pressure and a part of what new heights add."""
+    """Contact where compliance · p exceeds the gap, with the coarse pressure and a part of what new heights add."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
     set_kernels.start_rows((p, g, coarse), h, 0.3, pressure, gap)

@@ -383,12 +383,12 @@ ROUGHER = 0.5  # of the pressure that would close a pixel: what heights between 
 def start_rows(
     coarse: tuple[np.ndarray, np.ndarray, np.ndarray],
     heights: np.ndarray,
-    reach: float,
+    compliance: float,
     pressure: np.ndarray,
     gap: np.ndarray,
 ) -> None:
-    """gap = coarse gap − new, where new = h − coarse h, and p = max(coarse p + ROUGHER · new/reach, tiny) where
-    reach · coarse p exceeds that gap, else 0.
+    """gap = coarse gap − new, where new = h − coarse h, and p = max(coarse p + ROUGHER · new/compliance, tiny) where
+    compliance · coarse p exceeds that gap, else 0.
     """
     coarse_pressure, coarse_gap, coarse_heights = coarse
     for i in range(pressure.shape[0]):
@@ -396,7 +396,7 @@ def start_rows(
             p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
             g = coarse_gap[i, j] - new
             gap[i, j] = g
-            pressure[i, j] = max(p + ROUGHER / reach * new, 1e-300) if reach * p > g else 0.0
+            pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if compliance * p > g else 0.0
 
 
 LARGEST = 1e25  # of a residual: products and sums of such stay below what single precision holds
