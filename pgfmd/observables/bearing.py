@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Bearing(Observable):
-    """The height above which as many points of the surface lie as are in contact, and what the job asks to be measured
-    on the contact, measured on these points: spectrum, autocorrelations, patches, each if the observable of that name
-    is asked for.
+    """The bearing area: the highest points of the surface, as many as are in contact, and the height above which they
+    lie.  Its spectrum, autocorrelations and patches are measured if the job asks for the observables "spectra", "acf"
+    and "patches".
     """
 
     name = "bearing"

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Discretisation(Observable):
-    """Estimated errors that numbers of a load have because the grid is finite, from a second contact on a grid of half
-    as many points each way.
+    """Estimated discretisation errors of the numbers of a load, from a second contact on a grid with half as many
+    points each way.
 
-    Not a bound: made to be at least as large as the true error in nine cases of ten, and about three times it in the
-    middle (`statistics.grid_error`), on surfaces with many contacts; a single one may be right on both grids by chance.
-    NaN where roughness goes down to the pixel: there the grid belongs to the surface.
+    An estimate is no bound.  On surfaces with many contacts it is at least as large as the true error in nine cases of
+    ten, and the median of their ratio is about three (`statistics.grid_error`).  With a single contact, both grids
+    may agree by chance.  NaN where roughness goes down to the pixel: the grid is then part of the surface.
     """
 
     name = "discretisation"

@@ -47,7 +47,7 @@ class Histogram(Observable):
     }
 
     bins: int = key(
-        integer(1, 10**7), 200, "of pressure and of gap; a tenth of it to a decade for those in the logarithm"
+        integer(1, 10**7), 200, "number of bins of pressure and of gap; logarithmic bins: a tenth of it per decade"
     )
 
     def measure(self, contact: SolvedContact) -> Groups:

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from pgfmd.observables.solved_contact import SolvedContact
 
 POINTS_PER_WAVE = 8
-"""Grid points to the shortest wavelength that is left.  The area inside the contact line is then within .2 % of that
-of an infinitely fine grid."""
+"""Least number of grid points per shortest remaining wavelength.  The area inside the contact line is then within .2 %
+of that of an infinitely fine grid."""
 FEWEST_POINTS = 4
-"""The same where more would take the full grid; the area is then within 1 %."""
+"""The same for coarsening by 2 where POINTS_PER_WAVE would need the full grid; the area is then within 1 %."""
 TOLERANCE = 1e-4
 """Certified error of the contacts that are solved: their area has converged to a few parts in 1e4."""
 TRANSFORMS = 30
@@ -87,7 +87,7 @@ def highest_wave_number(cell: Cell) -> float:
 
 
 def octaves(cell: Cell, highest: float) -> np.ndarray:
-    """Cut-offs doubled from the longest wave of the cell on, and last `highest`."""
+    """Cut-offs that double from the wave number of the cell's longest wave; the last one is `highest`."""
     lowest = 2 * math.pi / max(cell.lengths)
     if highest <= lowest:
         return np.array([lowest])
@@ -97,7 +97,7 @@ def octaves(cell: Cell, highest: float) -> np.ndarray:
 
 def coarsening(cell: Cell, cutoff: float) -> int:
     """The largest power of two by which the grid may be coarsened so that waves up to `cutoff` are resolved."""
-    points = 2 * math.pi / (cutoff * max(cell.steps)) * (1 + 1e-9)  # of the full grid to the shortest wave
+    points = 2 * math.pi / (cutoff * max(cell.steps)) * (1 + 1e-9)  # of the full grid per shortest wavelength
     factor = 1
     while points >= 2 * factor * POINTS_PER_WAVE and min(cell.shape) >= 2 * factor * POINTS_PER_WAVE:
         factor *= 2

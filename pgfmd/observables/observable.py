@@ -1,7 +1,7 @@
-"""`Observable`: what each observable says of itself.
+"""`Observable`: base class of the observables (options, datasets, cost, measurement).
 
-One file for each in this folder, and one line in `table`.  These files are read by `pgfmd check` and by serial tools,
-which have neither MPI nor compiled loops: what needs them is imported inside `measure`.
+Each observable is one file of this folder and one line of `table`.  `pgfmd check` and serial tools import these files
+without MPI and without compiled loops.  Therefore `measure` imports whatever needs them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class Observable(Section):
     """Something that is measured on each solved contact.  Its fields are the keys of the table [output.NAME].
 
-    name: by which the job asks for it.  layout: the groups of datasets that it may write.
+    name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.
     """
 
     name: ClassVar[str]

@@ -16,13 +16,13 @@ from pgfmd.observables.statistics.correlations import Correlations, Rings, along
 from pgfmd.observables.statistics.kernels import square_moments
 
 BROAD = 2.5
-"""Highest wave number over √(Σ q⁴|h̃|² / Σ q²|h̃|²), which is 1 for a sinusoid, and √((4−2H)/(2−2H)) for broad
-self-affine spectra: 1.6 for H = .3, 2.4 for H = .8."""
+"""Assumed ratio of the highest wave number to √(Σ q⁴|h̃|² / Σ q²|h̃|²).  The ratio is 1 for a sinusoid and
+√((4−2H)/(2−2H)) for broad self-affine spectra: 1.6 for H = .3, 2.4 for H = .8."""
 
 
 @dataclass(frozen=True)
 class RoughSurface:
-    """The rigid surface; `correlations` and `rms_slope` are measured together, on first use.  Collective then.
+    """The rigid surface; The first use of `correlations` or `rms_slope` measures both and is collective.
 
     heights: (nx_local, ny), kept, not copied
     cutoff: wave number beyond which it has no modes; None: it has all of the grid's

@@ -17,13 +17,14 @@ so that 2h/E' e^{ρ_0} (1−z)^(−1/2) R(z) · (1−1/z)^(−1/2) R(1/z) = S at
     Σ g_{−s} z^s = B (z² + βz(1−z)) (1−z)^(−5/2) R(z),
 
 p_0 ≥ 0 and g_{−1} ≥ 0 for 0 ≤ β ≤ 1: as β passes from 0 to 1 the edge moves by one line of the grid, and pressures and
-gaps are linear in its position.  From the singularity at z = 1, p_s ∝ √(s + 3/4 + r − β), r = Σ n ρ_n; this is the
-distance to the edge of the continuum.  The last line in contact leaves it at β = 1: at the distance −δ,
+gaps are linear in its position.  From the singularity at z = 1, p_s ∝ √(s + 3/4 + r − β), r = Σ n ρ_n; times h, the
+radicand is the distance d to the edge of the continuum.  At β = 1 the last line leaves contact, at the distance −δ,
 
     δ = h (1/4 − r) = (1/π) ∫_0^∞ log(t/|fold(t n)|) dt/t²,
 
-fold: into the first zone; the second form holds for any direction.  So a pixel is in contact if its centre lies less
-than δ outside the true edge, and counting pixels overestimates an area by δ times the length of its edge.
+where fold maps a wave number into the first Brillouin zone; the integral holds for any direction.  So a pixel is in
+contact if its centre lies less than δ outside the true edge, and counting pixels overestimates an area by δ times the
+length of its edge.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from dataclasses import dataclass
 import numpy as np
 
 STAIRCASE = 0.101378
-"""Area per edge between a pixel in contact and one outside, in pixels, by which counting pixels errs on square pixels,
-averaged over offsets and directions: ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ.  `tools/contact_line.py constant`; geometry
+"""Area error of counting square pixels, in pixels, per pixel edge that separates contact from non-contact, averaged
+over offsets and directions: ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ.  Computed by `tools/contact_line.py constant`.  Geometry
 alone, doi:10.1016/j.triboint.2017.04.023, gives 0.118."""
 
 

@@ -75,8 +75,8 @@ def locate(around: np.ndarray, ratio: float, table: np.ndarray, farthest: float)
     """(area between the line and the middle of the pair, in pixels; |cosine| of the line's normal to the pair).
 
     Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for
-    α = β = 0.  g/p at the pair is first reduced to this case: times (p₂/p)^a (g₂/g)^b, each ratio relative to its value
-    at α = β = 0, with a and b such that the terms of first and second order cancel.  farthest: bound of these ratios.
+    α = β = 0.  g/p at the pair is first reduced to this case: it is multiplied by P^a G^b, where P and G are p₂/p and
+    g₂/g over their values at α = β = 0.  a and b cancel the terms of first and second order.  farthest: bound of P, G.
     """
     plain, angle = describe(around, ratio)
     pressure, gap = around[1], -around[2]
@@ -112,11 +112,12 @@ def _signed(pressure: np.ndarray, gap: np.ndarray, halo: np.ndarray, i: int, j: 
 
 @_jit
 def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray) -> tuple[float, float, float, float]:
-    """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, length along the rows in
-    spacings along a column, length along the columns in spacings along a row, corners).
+    """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, Σ cos θ over its open
+    neighbours along x, the same along y, corners).  Each cosine is a length in spacings across the pair.
 
     fields: pressure, gap (nx_local, ny) and their two more rows before and after the slab (2, 4, ny)
-    form: E' over the spacing, spacing across over that along, table, each for pairs along x and y; bound of `locate`
+    form: (E'/spacing, spacing across the pair over that along it, table), each for pairs along x and along y; and
+    `farthest` of `locate`
     corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
     over a patch is the number of its outer outlines less that of its holes.
     """

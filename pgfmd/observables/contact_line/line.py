@@ -8,8 +8,8 @@ line's normal.  Then
 
 cos²θ sharing the area between crossings of rows and of columns.  This is exact for straight lines.  Along a curved
 line the sums err by a constant times its turning; χ, the number of patches less that of their holes, is the total
-turning over 2π.  In a circle the pairs lie about the line at the distance δ outside, so that Σ cos θ measures that
-line, and the sum of the areas is short by b = π(ax² + ay²)/32 + ½ ∮ δ² dθ.
+turning over 2π.  Around a circle, the pairs straddle the line at distance δ outside the true one, so that Σ cos θ
+is the length of that outer line.  The sum of the areas is too small by b = π(ax² + ay²)/32 + ½ ∮ δ² dθ.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
 SMOOTH = 2.0 * (1 + 1e-9)
-"""Grid points to the shortest wave of a surface above which a contact has a line.  Where roughness goes down to the
-pixel there is none."""
+"""A contact line is computed if the grid has more points than this per shortest wavelength of the surface.  Where
+roughness goes down to the pixel, there is none."""
 
 FARTHEST = 5.0
-"""Most by which the ratio of two neighbouring pressures, or of two gaps, is taken to differ from that at a straight
-edge of an unbounded contact: where contacts or openings are about one pixel wide, the ratio says little.  Of 2, 3, 5,
-10 and 30 the one with the smallest error on exact waves whose contacts and openings are at least one pixel wide:
-`tools/contact_line.py limit`."""
+"""Bound of P and G in `kernels.locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight
+edge of an unbounded contact is clipped to 1/FARTHEST … FARTHEST.  Where contacts or openings are about one pixel wide,
+this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives the smallest error on exact waves whose
+contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
 
 
 @dataclass(frozen=True)

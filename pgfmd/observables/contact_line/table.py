@@ -13,7 +13,7 @@ from pgfmd.observables.contact_line.kernels import describe_all
 from pgfmd.theory.lattice_edge import LatticeEdge, lattice_edge
 
 POINTS = 65  # of the table in each direction
-_SAMPLES = 400  # of the edge between two lines of the grid, for each direction
+_SAMPLES = 400  # positions of the edge between two lines of the grid, for each direction
 _SLOPES = (
     Fraction(0), *(Fraction(1, n) for n in (64, 32, 20, 16, 12, 10, 8)), *(Fraction(k, 16) for k in range(3, 17)),
 )  # fmt: skip
@@ -24,10 +24,10 @@ _SLOPES = (
 class EdgeTable:
     """For pairs of pixels along one axis.
 
-    values: (POINTS, POINTS, 5), over the apparent angle from 0 to π/2 and the share p/(p + E'g/a) from 0 to 1, see
-    `kernels.describe`: area (t − ½) cos²θ between the line and the middle of the pair in pixels, t the place of the
-    line from the contact pixel on in spacings; cos θ, θ between the pair and the normal; t; p/p₂ and g/g₂, p₂ and g₂
-    one pixel farther in and out
+    values: (POINTS, POINTS, 5), over the apparent angle from 0 to π/2 and the share p/(p + E'g/a) from 0 to 1 (see
+    `kernels.describe`).  The five are: the area (t − ½) cos²θ in pixels between the line and the middle of the pair;
+    cos θ, θ the angle between the pair and the normal; t, the distance from the contact pixel to the line along the
+    pair, in spacings; p/p₂ and g/g₂, where p₂ is the pressure one pixel farther in and g₂ the gap one farther out
     shift, square: ∮ δ dθ and ∮ δ² dθ, δ as in `theory.lattice_edge`
     """
 

@@ -1,4 +1,4 @@
-"""Spectra and autocorrelations of distributed fields, averaged over direction, without any array of their size.
+"""Spectra and autocorrelations of distributed fields, averaged over direction, without another array of their size.
 
 A field passes through the grid's transform in blocks; each block of modes is squared and summed into bins while it is
 in the cache, and goes back to real space as the autocorrelation, which is summed into bins row by row.  One forward
@@ -21,7 +21,7 @@ from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_i
 class Correlations:
     """Second-order statistics of one field f; the same on all ranks.  f̃(q) = (1/N) Σ_r f(r) exp(−iq·r)."""
 
-    power: np.ndarray  # Σ |f̃|² over the modes of q = 0 (and below the first edge), each bin, some beyond: (m + 2,)
+    power: np.ndarray  # Σ |f̃|² over the modes below the first edge (q = 0 too), in each bin, beyond: (m + 2,)
     acf: np.ndarray | None = None  # Σ C(Δr) over the points of each bin of lags: (k + 2,)
     acf_x: np.ndarray | None = None  # C(Δx, 0): (nx//2 + 1,)
     acf_y: np.ndarray | None = None  # C(0, Δy): (ny//2 + 1,)
@@ -31,7 +31,7 @@ class Rings:
     """Bins of ρ = √(along[i] + across[j]) for the entries (j, i) of a distributed array.  Collective to make.
 
     Bin b holds edges[b] < ρ ≤ edges[b+1].
-    along (n,), across (this rank's rows,): squares;  weight: how many entries one of row j stands for.
+    along (n,), across (this rank's rows,): squares;  weight: by what each entry of row j is multiplied in sums.
     Sums over bins have shape (edges + 1,): the first is what lies below the first edge, the last what is beyond.
     """
 
@@ -56,7 +56,7 @@ class Rings:
         return out
 
     def total(self, parts: dict[int, np.ndarray]) -> np.ndarray:
-        """Sum of the parts over blocks, in their order whatever thread made them, and over the ranks.  Collective."""
+        """Sum of the parts over blocks, in the order of their rows, and over the ranks.  Collective."""
         out = np.sum([np.zeros(len(self.edges) + 1), *(parts[first] for first in sorted(parts))], axis=0)
         self.comm.Allreduce(MPI.IN_PLACE, out)
         return out

@@ -18,9 +18,9 @@ from pgfmd.observables.statistics.kernels import contact_sums, histogram, survey
 from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
-DECADES = 12  # that the logarithmic bins reach down from the largest pressure, at most
-BINS_PER_DECADE_SHARE = 10  # logarithmic bins to a decade: one for so many linear ones
-FIT_BINS = 1000  # to at most so many bins the histogram is merged for the fit, which takes hundreds of passes over them
+DECADES = 12  # at most covered by the logarithmic bins, below the largest pressure
+BINS_PER_DECADE_SHARE = 10  # logarithmic bins per decade = linear bins / this
+FIT_BINS = 1000  # most bins of the fit, which passes over them hundreds of times; finer bins are merged
 
 Group = dict[str, np.ndarray]
 
@@ -144,7 +144,7 @@ def log_edges(least: float, largest: float, per_decade: int) -> np.ndarray:
 
 
 def _round_up(value: float) -> float:
-    """The next number of two decimal digits, up to one per cent of a decade above; 0 stays 0."""
+    """The value rounded up to two decimal digits, so at most 10 % larger; 0 stays 0."""
     if not value > 1e-300:
         return max(value, 0.0)
     exponent = math.floor(math.log10(value)) - 1

@@ -1,4 +1,4 @@
-"""Compiled loops of the observables.  Each keeps the NumPy line that it replaces as its specification.
+"""Compiled loops of the observables.  Each docstring gives the formula or the NumPy line that the loop replaces.
 
 All release the GIL, so that the threads of a rank can share the rows.
 """
@@ -127,7 +127,8 @@ def survey(field: np.ndarray, first: int, stop: int) -> tuple[int, float, float,
 def find_bin(value: float, at: float, edges: np.ndarray, origin: float, scale: float) -> int:
     """The bin that holds a value: its lower edge belongs to it, and the last bin holds both of its edges.
 
-    at: the value where `edges` are evenly spaced from `origin` on, `scale` to one; it gives a first guess.
+    at: the value, or its logarithm if that is what the edges are evenly spaced in; `origin` is the first edge there and
+    `scale` the number of bins per unit.  (at − origin)·scale is the first guess.
     """
     last = edges.size - 2
     b = min(max(int((at - origin) * scale), 0), last)
@@ -186,7 +187,8 @@ def contact_sums(
 def count_digits(keys: np.ndarray, prefix: np.uint64, shift: int, first: int, stop: int, counts: np.ndarray) -> None:
     """counts[(key >> shift) & 0xFFFF] += 1 for the keys with key >> shift >> 16 == prefix, of rows first … stop−1.
 
-    `keys`: float64 fields seen as int64; a key is made to have the order of its number, as an unsigned integer.
+    `keys`: a float64 field viewed as int64.  Each entry is first mapped to an unsigned integer, the key, so that keys
+    have the order of the numbers.
     """
     for i in range(first, stop):
         for j in range(keys.shape[1]):

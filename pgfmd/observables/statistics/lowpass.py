@@ -25,7 +25,8 @@ def lowpass_areas(
     Collective.
 
     cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per length
-    start: a pressure (nx_local, ny), for contacts on the full grid; those on a coarser one start from each other
+    start: a pressure (nx_local, ny) from which contacts on the full grid start; a contact on a coarser grid starts from
+    the previous one on that grid
     """
     areas, levels = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
     for index, (factor, _) in enumerate(cutoffs):
@@ -57,7 +58,7 @@ def lowpass_areas(
 def touches_fully(problem: ContactProblem) -> bool:
     """Whether the pressure of full contact, p̄ + Kh, is nowhere negative: then it is that of the contact.  Collective.
 
-    One transform.  Of a surface that is flat but for rounding, a solver can certify no energy.
+    One transform.  Spares the solvers a surface that is flat up to rounding, whose energy they cannot certify.
     """
     grid, least = problem.grid, dict[int, float]()
 

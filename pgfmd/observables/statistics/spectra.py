@@ -52,9 +52,9 @@ def bin_edges(
 
     "log": `per_decade` bins to a decade, the first centred on the smallest wave number of the cell; at small q, where
     modes are sparse, each distinct |q| then has a bin of its own and bins between stay empty.  "linear": bins centred
-    on multiples of `width` (default: the smallest wave number), a wider one starting below the smallest.  With `q_max`
-    the last edge lies there, so that no average mixes in modes beyond (set it to the cut-off q_s).  The edges depend on
-    the arguments alone.  Radians per length.
+    on multiples of `width` (default: the smallest wave number); the first begins no higher than half the
+    smallest wave number, so it may be wider.  With `q_max` the last edge lies there, so that no average mixes in
+    modes beyond (set it to the cut-off q_s).  The edges depend on the arguments alone.  Radians per length.
 
     :raises InputError: if `spacing` is neither, or a width, density or limit is not positive.
     """

@@ -14,9 +14,10 @@ DIGIT = 16  # bits fixed in one pass over the field
 def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> float:
     """The height t above which exactly `count` points of the distributed field (nx_local, ny) lie: h > t.  Collective.
 
-    It is the largest height that does not count (below all heights if all do).  Where heights are equal no such t may
-    exist; then fewer points lie above.  The number is found digit by digit, in four passes that count how many heights
-    have each value of the next 16 bits: nothing is sorted, and nothing of the size of the field travels.
+    t is the largest height that is not among them; if all heights are, t lies just below the lowest.  Where heights are
+    equal, no such t may exist; then fewer points lie above.  The number is found digit by digit, in four passes that
+    count how many heights have each value of the next 16 bits: nothing is sorted, and nothing of the size of the field
+    travels.
     """
     if not 0 <= count <= grid.size:
         raise ValueError(f"{count} of {grid.size} points")
