@@ -87,10 +87,10 @@ def solve(
 
 
 def surface(job: Job | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:
-    """The heights that a run of the job has, a `Job` or the path of a TOML file.  Collective over `comm`.
+    """The heights of the surface in a run of `job`.  Collective over `comm`.
 
-    Without `comm` all of them (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny), the same
-    surface.  In units of the job.  Raises InputError on all ranks.
+    job: a `Job` or the path of a TOML file.  Without `comm` all of them (nx, ny), made by this process alone; with it
+    this rank's rows (nx_local, ny), the same surface.  In units of the job.  Raises InputError on all ranks.
     """
     comm = MPI.COMM_SELF if comm is None else comm
     job = job if isinstance(job, Job) else from_root(comm, load, job)
@@ -101,7 +101,7 @@ def surface(job: Job | str | os.PathLike, comm: MPI.Comm | None = None) -> np.nd
         grid.free()
 
 
-SPACING = pair(number(low=1e-150, high=1e150))  # whose squares are numbers, too
+SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow
 
 
 def _real(name: str, values: Any) -> np.ndarray:

@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _show(text: str) -> None:
-    """Print lines, which may hold names and texts from files, without what a terminal would obey."""
+    """Print lines without control characters, which names and texts from files may hold."""
     print("\n".join(printable(line, len(line)) for line in text.split("\n")))
 
 
@@ -191,7 +191,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _leave(comm: MPI.Comm, error: BaseException) -> int:
-    """End all ranks with the error's exit code; rank 0 says why.  Aborts ranks that do not come.  Collective."""
+    """End all ranks with the error's exit code; rank 0 says why.  Aborts if one does not come in PATIENCE.
+    Collective."""
     from mpi4py import MPI
 
     request = comm.Ibarrier()
@@ -203,7 +204,7 @@ def _leave(comm: MPI.Comm, error: BaseException) -> int:
         time.sleep(1e-3)
     if comm.rank == 0:
         _complain(error)
-    comm.Barrier()  # nobody leaves, and makes mpirun end the others, before the reason is said
+    comm.Barrier()  # a rank that left before rank 0 has printed would make mpirun end the others
     if comm.size > 1:
         MPI.Finalize()  # `python -m mpi4py` aborts on an exit code that is not 0 while MPI is active, with much noise
     return _code(error)

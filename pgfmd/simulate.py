@@ -61,7 +61,7 @@ def simulate(
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
-        machine.report(comm, memory)  # now: a wrong input is answered by one line
+        machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
         observer = Observer(problem, job.output.asked, job.surface.cutoff(job.grid))
         loads = Loads(job.load, problem, job.solver.tolerance)
@@ -114,7 +114,7 @@ def simulate(
 def make_elasticity(job: Job) -> Elasticity:
     """The job's solid."""
     solid = job.solid
-    poisson = 0.0 if solid.poisson is None else solid.poisson  # without it only solids are accepted that do not need it
+    poisson = 0.0 if solid.poisson is None else solid.poisson  # a solid that needs it was refused without it
     return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 
@@ -149,7 +149,7 @@ class _Steps:
             self.progress.close()
 
     def see(self, mean_pressure: float, level: SlabGrid, state: State) -> None:
-        """The monitor of a solver at that load.  Collective, on grids that are distributed like the finest one."""
+        """Monitors a solver's steps at that load.  Collective over the ranks that hold the grid `level`."""
         transforms = level.transforms - (self.transforms if level is self.grid else 0.0)
         self.progress.step(level.shape, state.error, state.contact / level.size, transforms)
         if level is self.grid:
@@ -162,7 +162,7 @@ class _Steps:
         self.interruptions.between_steps(partial(self._save, solution.mean_pressure, solution))
 
     def _save(self, mean_pressure: float, found: State | ContactSolution) -> None:
-        """A checkpoint of a state's or solution's pressure; solvers have units of their own.  Collective."""
+        """A checkpoint of a state's or solution's pressure, from the solver's units to the job's.  Collective."""
         pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
         self.checkpoints.save(self.index, unit * pressure)

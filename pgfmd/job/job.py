@@ -28,7 +28,7 @@ from pgfmd.surfaces.table import SURFACES
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A whole job.  Making one checks what sections must obey together; raises InputError."""
+    """A whole job.  Checks on creation that its sections fit together; raises InputError."""
 
     grid: Cell
     surface: Surface
@@ -74,7 +74,7 @@ def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -
 def parse(
     source: str, name: str = "job", overrides: list[str] | tuple[str, ...] = (), folder: str | None = None
 ) -> Job:
-    """The job in a TOML text; `name` stands in error messages.  Relative paths count from `folder` if it is given."""
+    """The job in a TOML text; `name`: of the file, for messages.  Relative paths count from `folder` if it is given."""
     try:
         document = tomllib.loads(source)
     except RecursionError:

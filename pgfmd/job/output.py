@@ -15,7 +15,7 @@ from pgfmd.options.section import Section, key
 
 @dataclass(frozen=True, kw_only=True)
 class Written(Section):
-    """What is written.  What is not asked for is not computed; option tables act on observables that are."""
+    """What is written.  Only what is listed is computed; options of observables that are not listed have no effect."""
 
     where = "output"
     fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), (), "written for each load (height: once)")
@@ -31,12 +31,12 @@ class Written(Section):
 
     @property
     def connectivity(self) -> int:
-        """Of contact patches, in their table and in the field of labels."""
+        """Connectivity of the contact patches, in their table and in the field of labels."""
         patches: ContactPatches = getattr(self, ContactPatches.name)
         return patches.connectivity
 
 
-# Written with one more key for each observable, the table [output.NAME].
+# `Output` is `Written` with one more key for each observable: the table [output.NAME].
 TABLES = [(name, kind, key(kind)) for name, kind in OBSERVABLES.items()]
 NAMES = {"__doc__": Written.__doc__, "__module__": __name__}  # the module, so that a job can be sent to other ranks
 Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), namespace=NAMES, frozen=True, kw_only=True)

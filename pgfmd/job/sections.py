@@ -1,6 +1,6 @@
-"""The sections of a job that belong to no door: solid, run.  No MPI here.
+"""The sections [solid] and [run] of a job.  No MPI here.
 
-The fields of a class are the keys of its TOML table; the comment beside a key is its meaning.  All numbers are in one
+The fields of a class are the keys of its TOML table.  All numbers are in one
 consistent set of units, chosen by the user.
 """
 
@@ -32,7 +32,7 @@ class Solid(Section):
     contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)")
     thickness: float = key(number(above=0, infinite=True), math.inf, "of a slab; inf is a half-space")
     base: str = key(
-        choice("bonded", "free", "sliding"), "bonded", "of a slab: bonded, under a constant stress, or sliding"
+        choice("bonded", "free", "sliding"), "bonded", "slab's face away from the contact; free: constant stress"
     )
 
     def check(self) -> None:
@@ -89,7 +89,7 @@ def _moduli(given: dict[str, float]) -> dict[str, float | None] | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Section):
-    """Long runs on machines that stop jobs; seconds."""
+    """Checkpoints and time limit of a run, for machines that stop long jobs; in seconds."""
 
     where = "run"
     checkpoint_interval: float = key(

@@ -21,7 +21,7 @@ def reference(tables: Tables) -> str:
 
 
 def example(tables: Tables, *kinds: str) -> str:
-    """A commented job that is valid: each table once, of the first or the default kind, or of one of the kinds named.
+    """A commented job that is valid: each table once.  Its kind is one of `kinds`, else its default, else its first.
 
     Raises InputError for a kind that no table has.
     """

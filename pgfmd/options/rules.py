@@ -14,7 +14,7 @@ from pgfmd.options.text import show
 
 @dataclass(frozen=True)
 class Rule:
-    """What a value may be, in words, and how it is converted (`convert` raises ValueError where it may not)."""
+    """Which values are allowed, in words, and their conversion; `convert` raises ValueError for any other value."""
 
     allowed: str
     convert: Callable[[Any], Any]

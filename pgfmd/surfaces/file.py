@@ -1,4 +1,4 @@
-"""Heights that a file holds: measured ones, or made by another program."""
+"""Heights from a file, measured or made by another program."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ MARGIN = 10  # a taper takes the tenth part of a side at each edge
 class FromFile(Surface):
     """The heights in a file.
 
-    A periodic cell repeats the heights: as they are, with a cliff wherever opposite edges differ ("as-is"); after its
-    mirror images, in a cell of twice the size ("mirror": heights are continuous and none is changed); or led to their
-    mean over the outer tenth of each side ("taper": the size stays, the heights there are not the measured ones).
+    The heights are made periodic in one of three ways.  "as-is": they are unchanged, with a cliff wherever opposite
+    edges differ.  "mirror": the cell has twice the size and holds the heights and their mirror images; they are
+    continuous and none is changed.  "taper": over the outer tenth at each edge they are blended into their mean.
     """
 
     kind = "file"
@@ -47,7 +47,7 @@ class FromFile(Surface):
     )
     dataset: str | None = key(text(), None, "of an HDF5 file; the same as the part of the path after the colon")
     first_axis: str = key(
-        choice("x", "y"), "x", "what the first index of an array, the line of a text, counts; [i, j] is at x = i a"
+        choice("x", "y"), "x", 'axis of the first index of an array, or lines of a text; "x": [i, j] is at x = i a'
     )
     missing: str = key(
         choice("refuse", "interpolate"), "refuse", "points that were not measured: NaN, masked, or left out of a list"
@@ -74,7 +74,7 @@ class FromFile(Surface):
 
     @property
     def _copies(self) -> int:
-        """Of the file along each side of the cell."""
+        """How often the file stands along each side of the cell, mirror images included."""
         return 2 if self.periodic == "mirror" else 1
 
     def check_in(self, cell: Cell) -> None:
@@ -85,7 +85,7 @@ class FromFile(Surface):
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         """Read, filled, scaled, levelled and made periodic, as the keys say.  Collective.
 
-        What was understood of the file goes into the log, with a warning if its slope is none of a surface.
+        Logs a description of the file, and a warning if the slope is too small or too large for a rough surface.
         """
         from pgfmd.parallel.collectives import raise_together  # needs MPI
         from pgfmd.surfaces.heights_file import read_heights
@@ -136,8 +136,9 @@ class FromFile(Surface):
         return digest(comm, self.source)
 
     def _check_measured(self, heights: np.ndarray, first: int) -> None:
-        """Raise InputError at the first height that is not finite, unless it is missing and to be filled; `first`: row
-        of the surface that heights (rows, ny) begin with.
+        """Raise InputError at the first height that is not finite, unless it is missing and to be filled.
+
+        first: row of the surface that is heights[0], heights (rows, ny).
         """
         fine = np.isfinite(heights)
         if self.missing == "interpolate":
@@ -150,7 +151,7 @@ class FromFile(Surface):
 
 
 def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> None:
-    """Range, rms value and slope of the heights as the job takes them into the log; a warning if the slope is absurd.
+    """Log range, rms value and slope of the scaled heights, with a warning if the slope is not within SLOPES.
     Collective.
     """
     lowest, highest = grid.reduction.min(heights), grid.reduction.max(heights)
@@ -178,8 +179,10 @@ def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> 
 
 
 def _subtract_plane(grid: SlabGrid, heights: np.ndarray, folds: list) -> None:
-    """Least-squares plane of the file's heights, in place: with coordinates about their mean, the three coefficients
-    are independent; mirror images have the coordinates of what they mirror.  Collective.
+    """Subtract the least-squares plane of the file's heights, in place.  Collective.
+
+    Coordinates are taken about their mean, so that the three coefficients are independent.  A mirrored point has the
+    coordinates of its original.
     """
     x, y = (fold - fold.mean() for fold in folds)
     nx, ny = grid.shape

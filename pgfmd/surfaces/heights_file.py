@@ -1,4 +1,4 @@
-"""Heights of a file on a distributed grid: each rank reads its own rows, or rank 0 a file that is read as a whole."""
+"""Heights of a file on a distributed grid: each rank reads its rows of an array file, rank 0 any other file."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ def read_heights(
     """Heights (nx_local, ny) in float64 of a (file, dataset), NaN where nothing was measured, and what the file says of
     itself.  Collective.
 
-    turned: x and y exchanged.  copies: 2 for mirror images in a cell of twice the size.  Where the file says its unit,
-    heights and size are converted to length_unit; its points, and its size where it says that, must be the grid's.
+    turned: x and y exchanged.  copies: 2 for mirror images in a cell of twice the size.  If the file gives its
+    unit, heights and size are converted to length_unit.  Its number of points must be the grid's, and so must its size
+    if the file gives one.
     Raises InputError on all ranks; see `array_files.opened` and `Measurement`.
     """
     folds = [folded(count, copies) for count in grid.shape]
@@ -55,10 +56,10 @@ def _fitting(found: Measurement, grid: SlabGrid, turned: bool, copies: int, leng
 
 
 def digest(comm: MPI.Comm, source: Source) -> str:
-    """SHA-256 of the heights in a file, whatever else it holds and wherever its datasets lie, or of the bytes of a file
-    that is read as a whole.  Collective.
+    """SHA-256 of the contents of a heights file.  Collective.
 
-    Of arrays it is that of the digests of their rows, with shape and unit, so that each rank reads a part.
+    An array file: of the digests of its rows, its shape and its unit; each rank reads a part, and other data in the
+    file do not count.  Any other file: of its bytes.
     """
     if not from_root(comm, is_array, *source):
         return from_root(comm, _of_file, source[0])

@@ -30,7 +30,7 @@ def read(path: str) -> Measurement:
             warnings.simplefilter("ignore")
             with SurfaceTopography.open_topography(_source(path)) as reader:
                 lengths, dim = reader.default_channel.physical_sizes, reader.default_channel.dim
-                # Without sizes there is no topography for that package.
+                # That package makes no topography without sizes: a file that gives none gets sides of 1, ignored below.
                 surface = reader.topography(**({} if lengths else {"physical_sizes": (1.0,) * dim}))
                 name, unit = f"{reader.name()}, by SurfaceTopography", surface.unit
                 matrix = reader.format() == "asc" and not lengths

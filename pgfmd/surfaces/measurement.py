@@ -19,12 +19,12 @@ ALIASES = {"um": "µm", "\u03bcm": "µm", "A": "Å", "\u212b": "Å"}  # Greek mu
 for _prefix, _unit in {"kilo": "km", "": "m", "centi": "cm", "milli": "mm", "micro": "µm", "nano": "nm"}.items():
     ALIASES |= {f"{_prefix}{name}": _unit for name in ("meter", "meters", "metre", "metres")}
 ALIASES |= {"micron": "µm", "microns": "µm", "angstrom": "Å", "angstroms": "Å"}
-CELL_DIGITS = 1e-3  # relative difference of a cell that is still the measured one: jobs are written with a few digits
+CELL_DIGITS = 1e-3  # relative tolerance of the cell's sides against the file's: jobs give them with a few digits
 
 
 @contextmanager
 def named(path: str) -> Iterator[None]:
-    """What goes wrong inside the block is said with the path before it."""
+    """Puts the path before the message of an InputError raised inside the block."""
     try:
         yield
     except InputError as error:
@@ -58,7 +58,7 @@ class Measurement:
     def rows(self, first: int, stop: int) -> np.ndarray:
         """Heights first … stop−1 (stop − first, ny) in float64, NaN where nothing was measured."""
         block = self.array[:, first:stop].T if self.transposed else self.array[first:stop]
-        with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is refused later
+        with np.errstate(invalid="ignore", over="ignore"):  # heights that are not finite are refused later
             heights = np.array(np.ma.getdata(block), dtype=np.float64, order="C")
             if np.ma.isMaskedArray(block) or self.fill is not None:
                 heights[np.ma.getmaskarray(block) | (np.ma.getdata(block) == self.fill)] = np.nan
@@ -84,7 +84,7 @@ class Measurement:
         )  # fmt: skip
 
     def check(self, shape: tuple[int, int], lengths: tuple[float, float], copies: int) -> None:
-        """Whether grid and cell fit; `copies` = 2 if the cell is made of mirror images.  Raises InputError."""
+        """Raise InputError if grid or cell do not fit; `copies` = 2 if the cell is made of mirror images."""
         points = [copies * count for count in self.shape]
         mirrored = ", with its mirror images" * (copies == 2)
         if tuple(points) != tuple(shape):

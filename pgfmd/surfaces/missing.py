@@ -1,4 +1,4 @@
-"""Points that were not measured: counted, and filled with the smoothest heights that join what is around them."""
+"""Counts points that were not measured and fills them with a harmonic function (Laplace's equation)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def count_missing(grid: SlabGrid, heights: np.ndarray) -> int:
 def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:
     """Replace the heights (nx_local, ny) that are NaN by a solution of Laplace's equation, in place.  Collective.
 
-    Each becomes the mean of its four neighbours, weighted with 1/aₓ² and 1/a_y²; nothing passes the edges of the array,
-    since opposite edges of a measurement do not match.  So a hole inside a plane is filled with that plane.  Conjugate
-    gradients over the missing points alone.  Raises InputError if no point was measured.
+    Each becomes the mean of its four neighbours, weighted with 1/aₓ² and 1/a_y²; neighbours beyond the edges of
+    the array are left out, since opposite edges of a measurement do not match.  So a hole inside a plane is filled
+    with that plane.  Conjugate gradients over the missing points alone.  Raises InputError if no point was measured.
     """
     missing = np.isnan(heights)
     known, count = grid.reduction.sums(np.sum(heights, where=~missing), missing.sum())

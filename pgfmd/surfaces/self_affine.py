@@ -111,8 +111,8 @@ def self_affine_variance(hurst: float, k_l: float, k_r: float, k_s: float) -> Ca
 def _heights(
     grid: SlabGrid, hurst: float, wavelengths: tuple[float, float, float], rms_slope: float, seed: int
 ) -> np.ndarray:
-    """Heights (nx_local, ny) for the wavelengths λ_s, λ_l, λ_r as lengths.  λ_s up to the larger grid spacing means no
-    upper cut-off: every mode of the grid, corners included.  Collective.
+    """Heights (nx_local, ny) for the wavelengths λ_s, λ_l, λ_r as lengths.  If λ_s is at most the larger grid
+    spacing, there is no upper cut-off: every mode of the grid counts, corners included.  Collective.
     """
     from pgfmd.surfaces.random_modes import RandomModes  # compiled code, which only a run needs
 

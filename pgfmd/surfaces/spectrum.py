@@ -30,7 +30,7 @@ class FromSpectrum(Surface):
 
     C is the two-dimensional spectrum C^2D = A₀ ⟨|h̃|²⟩ = ⟨|∫ h exp(−iq·r) d²r|²⟩/A₀ (length⁴), h̃ the Fourier coefficient
     and A₀ the area of the cell, so that ⟨h²⟩ = ∫ C d²q/(2π)² (Jacobs, Junge, Pastewka 2017,
-    doi:10.1088/2051-672X/aa51f8).  Amplitudes are Gaussian: one surface has these means only on average over seeds.
+    doi:10.1088/2051-672X/aa51f8).  Amplitudes are Gaussian: C is the mean over seeds, not that of each surface.
     """
 
     kind = "spectrum"
@@ -38,7 +38,7 @@ class FromSpectrum(Surface):
         "text of two columns, or .npy (m, 2): q (radians per length), increasing, and C (length⁴), all > 0",
         "spectrum.csv",
     )
-    seed: int = key(integer(0), 1, 'one seed is one surface, on any grid; its numbers are those of "self-affine"')
+    seed: int = key(integer(0), 1, 'one seed is one surface, on any grid; random numbers as for "self-affine"')
 
     @property
     def files(self) -> tuple[str, ...]:

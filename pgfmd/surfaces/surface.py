@@ -1,4 +1,4 @@
-"""What a surface of a job is: options that make heights."""
+"""`Surface`: base class of the kinds of surface, each a set of options that makes heights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def path_key(about: str, example: str) -> Any:
-    """The field of a surface that a file holds: its path."""
+    """The key `path` of a surface that is read from a file."""
     return key(text(), None, about, needed=True, example=example)
 
 
@@ -51,23 +51,23 @@ class Surface(Section):
         return 2 * math.pi / shortest if shortest else None
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
-        """Open the files that the options name; what was understood of them, "" if there are none.  No MPI.
+        """Check the files that the options name; describes what they hold ("" if there are none).  No MPI.
 
         Raises InputError if they cannot be read or do not fit into that cell.
         """
         return ""
 
     def fingerprint(self, comm: MPI.Comm) -> str:
-        """A checksum of what the files hold that the options name, whatever the rank count; "" if there are none.
-        Collective.  Raises InputError on all ranks.
+        """A checksum of the contents of the files that the options name, the same for any number of ranks; "" if there
+        are no files.  Collective.  Raises InputError on all ranks.
         """
         return ""
 
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         """Heights (nx_local, ny) in units of length, float64.  Collective.
 
-        length_unit: name of the job's unit, for sources that know their own; None converts nothing.  Raises InputError
-        on all ranks.
+        length_unit: name of the job's unit, for files that say their own unit; None: nothing is converted.
+        Raises InputError on all ranks.
         """
         raise NotImplementedError
 

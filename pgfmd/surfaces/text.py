@@ -40,10 +40,10 @@ def read(path: str) -> Measurement | None:
 
 def read_table(path: str) -> np.ndarray | None:
     """The numbers of a text file (lines, columns) in float64, NaN where a field says that there is none; None if its
-    first line is none of numbers.
+    first line does not consist of numbers.
 
-    Columns are separated by blanks, tabs, commas or semicolons, with decimal points or, beside commas that separate
-    nothing, decimal commas; # begins a comment.  Raises InputError, without the path, if lines differ in length.
+    Columns are separated by blanks, tabs, commas or semicolons.  The decimal mark is a point, or a comma if commas do
+    not separate columns.  # begins a comment.  Raises InputError, without the path, if lines differ in length.
     """
     _, first = _opening(path)
     style = next((style for style in STYLES if _fields(first, style) is not None), None)
@@ -70,11 +70,11 @@ def read_table(path: str) -> np.ndarray | None:
 
 
 def _opening(path: str) -> tuple[list[str], str]:
-    """Comments before the first line that is none, and that line."""
+    """The comments at the beginning of the file, and the first line after them that is not blank."""
     comments: list[str] = []
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         while True:
-            line = file.readline(2**22)  # what has longer lines is no text
+            line = file.readline(2**22)  # a file with longer lines is no text
             if line.startswith("#"):
                 comments.append(line)
             elif line.strip() or not line:
