@@ -44,6 +44,7 @@ on_ranks() { # RANKS ARGUMENTS…
 }
 
 "$python" -m ruff check --quiet --output-format concise . || failed+=("ruff")
+"$python" -m mypy || failed+=("mypy")
 timeout --foreground -k 20 "$limit" "$python" -m pytest "$@" || failed+=("serial")
 for ranks in ${RANKS:-2 3 4}; do
     on_ranks "$ranks" "$@" || failed+=("$ranks ranks")

@@ -26,8 +26,7 @@ from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.relaxation import WallRelaxation, WallState
 from pgfmd.solvers.solution import ContactSolution, Monitor
 
-INERTIA = 1.8  # over-relaxation: factor on each step
-INTERVAL = 10  # steps between certificates, which take a convolution each
+INERTIA, INTERVAL = 1.8, 10  # over-relaxation: factor on each step; steps between certificates, a convolution each
 
 
 def solve_gfmd(

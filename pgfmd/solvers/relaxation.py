@@ -6,7 +6,9 @@ Pressures are over their mean, p̂ = p/p̄, so that feasible ones have mean 1; g
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +68,7 @@ class WallRelaxation:
         work, *squares = self.grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))
         state.work, self.squares = float(work) / self.grid.size, np.array(squares)
 
-    def total(self, kernel, *arguments) -> np.ndarray:
+    def total(self, kernel: Callable, *arguments: Any) -> np.ndarray:
         """The sums over all rows of all ranks of what a kernel returns for some rows.  Collective."""
         parts = self.grid.threads.collect(
             lambda a, b: np.atleast_1d(kernel(*arguments, a, b)), self.grid.local_shape[0]

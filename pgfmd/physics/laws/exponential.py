@@ -60,7 +60,7 @@ class ExponentialWall(ContactLaw):
         self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
     ) -> tuple[float, float]:
         """p with compliance · p + ζ ln p = target + level."""
-        return respond(target, compliance, self.zeta, level, pressure, first, stop)
+        return respond(target[first:stop], compliance, self.zeta, level, pressure[first:stop])
 
     def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
         """(Σ p (g + ζ ln p), #{p > 1})."""
@@ -70,7 +70,8 @@ class ExponentialWall(ContactLaw):
         self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
     ) -> float:
         """The excess is ζ times the relative entropy of p to exp(−(g − level − ρ)/ζ)."""
-        return split(pressure, gap, compliance, self.zeta, level, first, residual)
+        rows = slice(first, first + len(residual))
+        return split(pressure[rows], gap[rows], compliance, self.zeta, level, residual)
 
     def contact_above(self, mean: float, mean_square: float) -> float:
         """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure over the load that it bears.
@@ -82,11 +83,11 @@ class ExponentialWall(ContactLaw):
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """As `ContactLaw.finish`; the violation is taken over points with more than the mean pressure."""
-        return finish_rows(pressure, gap, self.zeta, level, *units)
+        return finish_rows(pressure, gap, self.zeta, level, units)
 
 
 @_jit
-def wright_omega(z):
+def wright_omega(z: float) -> float:
     """ω > 0 with ω + ln ω = z, to a few units of rounding.
 
     Iteration of Fritsch, Shafer and Crowley 1973, doi:10.1145/361952.361970.
@@ -109,12 +110,14 @@ def wright_omega(z):
 
 
 @_jit
-def respond(target, compliance, zeta, level, pressure, first, stop):
+def respond(
+    target: np.ndarray, compliance: float, zeta: float, level: float, pressure: np.ndarray
+) -> tuple[float, float]:
     """p̂ with compliance p̂ + ζ ln p̂ = target + level; returns Σ p̂ and Σ dp̂/dlevel."""
     b = zeta / compliance
     shift = -math.log(b)
     total = slope = 0.0
-    for i in range(first, stop):
+    for i in range(target.shape[0]):
         for j in range(target.shape[1]):
             w = wright_omega((target[i, j] + level) / zeta + shift)
             pressure[i, j] = b * w
@@ -124,7 +127,7 @@ def respond(target, compliance, zeta, level, pressure, first, stop):
 
 
 @_jit
-def moments(pressure, gap, zeta, first, stop):
+def moments(pressure: np.ndarray, gap: np.ndarray, zeta: float, first: int, stop: int) -> tuple[float, int]:
     """(Σ p̂ (g + ζ ln p̂), #{p̂ > 1}) of rows first … stop−1."""
     potential = 0.0
     loaded = 0
@@ -138,7 +141,7 @@ def moments(pressure, gap, zeta, first, stop):
 
 
 @_jit
-def relative_entropy(pressure, exponent):
+def relative_entropy(pressure: float, exponent: float) -> float:
     """p ln(p/σ) − p + σ with σ = exp(exponent): never negative, and without cancellation."""
     if pressure > 0:
         t = math.log(pressure) - exponent
@@ -147,8 +150,10 @@ def relative_entropy(pressure, exponent):
 
 
 @_jit
-def split(pressure, gap, compliance, zeta, level, first, residual):
-    """residual = compliance · (p̂ − p̂⁺) of the rows from `first` on, where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ −
+def split(
+    pressure: np.ndarray, gap: np.ndarray, compliance: float, zeta: float, level: float, residual: np.ndarray
+) -> float:
+    """residual = compliance · (p̂ − p̂⁺), where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ −
     (g − level); returns ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ).
     """
     b = zeta / compliance
@@ -156,7 +161,7 @@ def split(pressure, gap, compliance, zeta, level, first, residual):
     total = 0.0
     for i in range(residual.shape[0]):
         for j in range(gap.shape[1]):
-            p, away = pressure[first + i, j], gap[first + i, j] - level
+            p, away = pressure[i, j], gap[i, j] - level
             r = compliance * (p - b * wright_omega((compliance * p - away) / zeta + shift))
             residual[i, j] = r
             total += relative_entropy(p, (r - away) / zeta)
@@ -164,8 +169,9 @@ def split(pressure, gap, compliance, zeta, level, first, residual):
 
 
 @_jit
-def finish_rows(pressure, gap, zeta, level, height, unit, offset):
-    """p = unit · p̂ and gap = height · (g − level) + offset; returns the largest |g + ζ ln p̂ − level| where p̂ ≥ 1."""
+def finish_rows(pressure: np.ndarray, gap: np.ndarray, zeta: float, level: float, units: Units) -> float:
+    """p̂ and g to physical `units`; returns the largest |g + ζ ln p̂ − level| where p̂ ≥ 1."""
+    height, unit, offset = units
     largest = 0.0
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):

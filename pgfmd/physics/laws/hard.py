@@ -53,7 +53,9 @@ class HardWall(ContactLaw):
 
 
 @_jit
-def project(target, compliance, level, pressure, first, stop):
+def project(
+    target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
+) -> tuple[float, float]:
     """p = max(target + level, 0)/compliance; returns Σ p and Σ dp/dlevel."""
     total = slope = 0.0
     for i in range(first, stop):
@@ -66,7 +68,7 @@ def project(target, compliance, level, pressure, first, stop):
 
 
 @_jit
-def moments(pressure, gap, first, stop):
+def moments(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
     """(Σ p̂ g, #{p̂ > 1}) of rows first … stop−1."""
     potential = 0.0
     loaded = 0
@@ -79,7 +81,9 @@ def moments(pressure, gap, first, stop):
 
 
 @_jit
-def split(pressure, gap, compliance, level, first, residual):
+def split(
+    pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+) -> float:
     """residual = min(g − level, compliance p) of the rows from `first` on; returns Σ p (g − level − residual)."""
     total = 0.0
     for i in range(residual.shape[0]):
@@ -93,7 +97,7 @@ def split(pressure, gap, compliance, level, first, residual):
 
 
 @_jit
-def finish_rows(pressure, gap, level, unit, height):
+def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float) -> float:
     """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
     where p > 0 and level − gap elsewhere, as they were.
     """

@@ -42,7 +42,9 @@ class Hardness(HardWall):
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def finish_rows(pressure, gap, level, top, unit, height):
+def finish_rows(
+    pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float
+) -> float:
     """p = unit · p and gap = height · (gap − level), cut to 0, ≥ 0 or ≤ 0 by the bound at which p is; returns the
     largest part that is cut off.
     """

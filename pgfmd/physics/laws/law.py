@@ -64,7 +64,9 @@ class ContactLaw(Section):
         """The law between p̂ and ĝ, with the offset chosen so that ĝ = 0 at p̂ = 1."""
         raise NotImplementedError
 
-    def respond(self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int):
+    def respond(
+        self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
+    ) -> tuple[float, float]:
         """The resolvent: in rows first … stop−1, sets p to the solution of compliance · p − gap(p) = target + level, or
         to the admissible pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
         """

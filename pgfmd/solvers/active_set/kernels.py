@@ -165,8 +165,7 @@ def add_interpolated(
     columns, offsets = points
     first, stop = part
     x_first, x_weights, y_first, y_weights = splines
-    ny = mesh.shape[1]
-    line = np.empty(ny + 4, mesh.dtype)
+    line, ny = np.empty(mesh.shape[1] + 4, mesh.dtype), mesh.shape[1]
     for i in range(first, stop):
         if offsets[i] == offsets[i + 1]:
             continue

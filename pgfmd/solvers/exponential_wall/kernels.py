@@ -1,6 +1,8 @@
 """Compiled loops of Newton's method for the exponential wall.
 
 Pressures are over their mean, p̂ = p/p̄; gaps g, ζ and the heights share one unit.
+fields: (pressure, gap); start: (root, residual); along: (direction, product); numbers: (mean, ζ, length); found:
+(change, response, residual), in `newton_target` (root, change, response).
 """
 
 from __future__ import annotations
@@ -12,12 +14,15 @@ import numpy as np
 
 from pgfmd.physics.laws.exponential import relative_entropy
 
+Pair = tuple[np.ndarray, np.ndarray]
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
 @_jit
-def newton_start(pressure, gap, zeta, level, root, residual, first, stop):
+def newton_start(fields: Pair, zeta: float, level: float, start: Pair, first: int, stop: int) -> float:
     """root = √p̂; residual = −√p̂ (g + ζ ln p̂ − level), and 0 where p̂ = 0; returns Σ residual²."""
+    pressure, gap = fields
+    root, residual = start
     total = 0.0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
@@ -31,7 +36,7 @@ def newton_start(pressure, gap, zeta, level, root, residual, first, stop):
 
 
 @_jit
-def next_direction(residual, beta, direction, first, stop):
+def next_direction(residual: np.ndarray, beta: np.float32, direction: np.ndarray, first: int, stop: int) -> None:
     """direction = residual + beta direction."""
     for i in range(first, stop):
         for j in range(residual.shape[1]):
@@ -39,7 +44,9 @@ def next_direction(residual, beta, direction, first, stop):
 
 
 @_jit
-def curvature_sums(root, direction, product, first, stop):
+def curvature_sums(
+    root: np.ndarray, direction: np.ndarray, product: np.ndarray, first: int, stop: int
+) -> tuple[float, float, float]:
     """(Σ (√p̂ d) product, Σ d², Σ p̂ product): what a step along d needs."""
     curved = square = along = 0.0
     for i in range(first, stop):
@@ -52,8 +59,18 @@ def curvature_sums(root, direction, product, first, stop):
 
 
 @_jit
-def step(root, direction, product, mean, zeta, length, change, response, residual, first, stop):
+def step(
+    root: np.ndarray,
+    along: Pair,
+    numbers: tuple[float, float, float],
+    found: tuple[np.ndarray, np.ndarray, np.ndarray],
+    first: int,
+    stop: int,
+) -> float:
     """change += length d; response += length product; residual −= length (ζ d + √p̂ (product − mean)); Σ residual²."""
+    direction, product = along
+    mean, zeta, length = numbers
+    change, response, residual = found
     total = 0.0
     for i in range(first, stop):
         for j in range(root.shape[1]):
@@ -67,8 +84,9 @@ def step(root, direction, product, mean, zeta, length, change, response, residua
 
 
 @_jit
-def level_sum(pressure, gap, zeta, first, stop):
+def level_sum(fields: Pair, zeta: float, first: int, stop: int) -> float:
     """Σ p̂ (g + ζ ln p̂)."""
+    pressure, gap = fields
     total = 0.0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
@@ -79,8 +97,17 @@ def level_sum(pressure, gap, zeta, first, stop):
 
 
 @_jit
-def newton_target(pressure, gap, root, change, response, compliance, target, first, stop):
+def newton_target(
+    fields: Pair,
+    found: tuple[np.ndarray, np.ndarray, np.ndarray],
+    compliance: float,
+    target: np.ndarray,
+    first: int,
+    stop: int,
+) -> None:
     """target = compliance (p̂ + δp̂) − (g + response), δp̂ = √p̂ change: what the linearised step says of every point."""
+    pressure, gap = fields
+    root, change, response = found
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             p = pressure[i, j] + root[i, j] * change[i, j]
@@ -88,8 +115,10 @@ def newton_target(pressure, gap, root, change, response, compliance, target, fir
 
 
 @_jit
-def mix(old_pressure, old_gap, fraction, pressure, gap, first, stop):
+def mix(old: Pair, fraction: float, fields: Pair, first: int, stop: int) -> None:
     """pressure, gap ← old + fraction (pressure − old), the same for the gap."""
+    old_pressure, old_gap = old
+    pressure, gap = fields
     for i in range(first, stop):
         for j in range(gap.shape[1]):
             pressure[i, j] = old_pressure[i, j] + fraction * (pressure[i, j] - old_pressure[i, j])
@@ -97,7 +126,9 @@ def mix(old_pressure, old_gap, fraction, pressure, gap, first, stop):
 
 
 @_jit
-def start_rows(coarse_pressure, displacement, heights, compliance, target):
+def start_rows(
+    coarse_pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, compliance: float, target: np.ndarray
+) -> None:
     """target = compliance · coarse p̂ − (u − h)."""
     for i in range(target.shape[0]):
         for j in range(target.shape[1]):
@@ -105,8 +136,9 @@ def start_rows(coarse_pressure, displacement, heights, compliance, target):
 
 
 @_jit
-def weight_and_potential(pressure, gap, zeta, least, first, stop):
+def weight_and_potential(fields: Pair, zeta: float, least: float, first: int, stop: int) -> tuple[float, float]:
     """(Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂)) of some rows."""
+    pressure, gap = fields
     weight = potential = 0.0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
@@ -119,8 +151,9 @@ def weight_and_potential(pressure, gap, zeta, least, first, stop):
 
 
 @_jit
-def work(pressure, gap, heights, first, stop):
+def work(fields: Pair, heights: np.ndarray, first: int, stop: int) -> float:
     """Σ p̂ (g + h) of some rows."""
+    pressure, gap = fields
     total = 0.0
     for i in range(first, stop):
         for j in range(gap.shape[1]):
@@ -129,8 +162,9 @@ def work(pressure, gap, heights, first, stop):
 
 
 @_jit
-def divergence(pressure, gap, zeta, least, log_scale, first, stop):
+def divergence(fields: Pair, zeta: float, least: float, log_scale: float, first: int, stop: int) -> float:
     """Σ p̂ ln(p̂/σ̂) − p̂ + σ̂ of some rows, with σ̂ = exp((least − g)/ζ + log_scale)."""
+    pressure, gap = fields
     total = 0.0
     for i in range(first, stop):
         for j in range(gap.shape[1]):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -18,14 +19,12 @@ from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.relaxation import WallState
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, Monitor
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
 FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
 LOOSE, REDUCTION = 0.1, 4  # certified error and factor between the steps of a ζ continuation
-
-Monitor = Callable[[SlabGrid, WallState], None]
 
 
 def solve_exponential_wall(
@@ -64,14 +63,15 @@ def _relax(problem: ContactProblem, state: WallState, tolerance: float, monitor:
 
 def _continue(problem: ContactProblem, state: WallState, tolerance: float, monitor: Monitor | None) -> WallState:
     """From ζ = rms height, where a few steps suffice from any start, down to the wall's own.  Collective."""
-    steps = max(0, math.ceil(math.log(1 / problem.law.zeta, REDUCTION)))
+    solver = Newton(problem)
+    steps = max(0, math.ceil(math.log(1 / solver.zeta, REDUCTION)))
     for power in range(steps, 0, -1):
-        Newton(problem.with_law(problem.law.softer(REDUCTION**power))).relax(state, LOOSE)
-    return Newton(problem).relax(state, tolerance, _watch(problem, monitor))
+        Newton(problem.with_law(solver.law.softer(REDUCTION**power))).relax(state, LOOSE)
+    return solver.relax(state, tolerance, _watch(problem, monitor))
 
 
 def _watch(problem: ContactProblem, monitor: Monitor | None) -> Callable[[WallState], None] | None:
-    return None if monitor is None else lambda state: monitor(problem.grid, state)
+    return None if monitor is None else partial(monitor, problem.grid)
 
 
 def _cascade(problem: ContactProblem, tolerance: float, monitor: Monitor | None) -> tuple[WallState, float]:
@@ -106,9 +106,9 @@ def _prolong(coarse: ContactProblem, found: WallState, problem: ContactProblem) 
     target = np.empty(grid.local_shape)
     solver = Newton(problem)
 
-    def part(thread: int, first: int, stop: int):
-        rows = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
-        kernels.start_rows(*rows, heights[first:stop], solver.alpha, target[first:stop])
+    def part(thread: int, first: int, stop: int) -> None:
+        displacement, pressure = (interpolation.rows(which, first, stop, thread) for which in (0, 1))
+        kernels.start_rows(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
 
     grid.threads.share(part, grid.local_shape[0], grid.band)
     state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)

@@ -43,7 +43,7 @@ class Newton(WallRelaxation):
 
     law: ExponentialWall
 
-    def __init__(self, problem: ContactProblem):
+    def __init__(self, problem: ContactProblem) -> None:
         super().__init__(problem)
         self.zeta, self.alpha = self.law.zeta, self.local_compliance(REACH)
 
@@ -77,7 +77,7 @@ class Newton(WallRelaxation):
 
     def advance(self, state: WallState, wanted: float, before: Merits) -> Merits:
         """One Newton step, shortened while it would raise both merits; returns the new ones.  Collective."""
-        pressure, gap = state.pressure.copy(), state.gap.copy()
+        fields, old = (state.pressure, state.gap), (state.pressure.copy(), state.gap.copy())
         self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
         for _ in range(10):
@@ -85,10 +85,8 @@ class Newton(WallRelaxation):
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
             # Back towards the old state the objective is convex, and the gap linear, so that no convolution is needed.
-            self.grid.threads.split(
-                lambda a, b: entropy.mix(pressure, gap, 0.25, state.pressure, state.gap, a, b), len(gap)
-            )
-            (work,) = self.total(entropy.work, state.pressure, state.gap, self.heights)
+            self.grid.threads.split(partial(entropy.mix, old, 0.25, fields), len(state.gap))
+            (work,) = self.total(entropy.work, fields, self.heights)
             state.work = float(work) / self.grid.size
         self.certify(state)
         return merits
@@ -98,23 +96,24 @@ class Newton(WallRelaxation):
         Collective.
         """
         count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
-        weight, potential = self.total(entropy.weight_and_potential, state.pressure, state.gap, zeta, least)
+        weight, potential = self.total(entropy.weight_and_potential, (state.pressure, state.gap), zeta, least)
         log_scale = -math.log(weight / count)
-        (apart,) = self.total(entropy.divergence, state.pressure, state.gap, zeta, least, log_scale)
+        (apart,) = self.total(entropy.divergence, (state.pressure, state.gap), zeta, least, log_scale)
         return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
 
     def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, its residual × `wanted`.  Collective."""
         grid, rows, zeta = self.grid, self.grid.local_shape[0], self.zeta
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
-        level = self.total(entropy.level_sum, state.pressure, state.gap, zeta)[0] / grid.size
-        (square,) = self.total(entropy.newton_start, state.pressure, state.gap, zeta, level, root, residual)
+        fields = state.pressure, state.gap
+        level = self.total(entropy.level_sum, fields, zeta)[0] / grid.size
+        (square,) = self.total(entropy.newton_start, fields, zeta, level, (root, residual))
         goal, beta = wanted**2 * square, 0.0
 
-        def fill(first: int, stop: int, block: np.ndarray):
+        def fill(first: int, stop: int, block: np.ndarray) -> None:
             np.multiply(root[first:stop], direction[first:stop], out=block)
 
-        def drain(first: int, stop: int, block: np.ndarray):
+        def drain(first: int, stop: int, block: np.ndarray) -> None:
             product[first:stop] = block
 
         for _ in range(MOST_INNER):
@@ -124,11 +123,10 @@ class Newton(WallRelaxation):
             grid.convolve(fill, self.compliance[np.float32], drain, np.float32)
             curved, length, along = self.total(entropy.curvature_sums, root, direction, product)
             size = square / (curved + zeta * length)
-            numbers = (np.float32(value) for value in (along / grid.size, zeta, size))
-            (new,) = self.total(entropy.step, root, direction, product, *numbers, change, response, residual)
+            numbers = np.float32(along / grid.size), np.float32(zeta), np.float32(size)
+            (new,) = self.total(entropy.step, root, (direction, product), numbers, (change, response, residual))
             beta, square = new / square, new
             state.iterations += 1
         target = np.empty(grid.local_shape)
-        fields = state.pressure, state.gap, root, change, response
-        grid.threads.split(partial(entropy.newton_target, *fields, self.alpha, target), rows)
+        grid.threads.split(partial(entropy.newton_target, fields, (root, change, response), self.alpha, target), rows)
         return target
