@@ -141,7 +141,7 @@ class Relaxation:
         if not estimate < math.inf:
             return LEAST_CUT
         changes = min(LEAST_CUT, max(MOST_CUT, math.sqrt(estimate)))
-        if before < math.inf:
+        if 0 < before < math.inf:
             changes = min(changes, (estimate / before) ** CUT_POWER)
         return max(changes, math.sqrt(MARGIN * tolerance / max(estimate, tolerance)))
 
