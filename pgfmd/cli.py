@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 INTERRUPTED = 130
-MADE_AGAIN = "; --restart makes a file of fields again that is removed"
+MADE_AGAIN = "; remove a damaged file of fields and --restart makes it again"
 
 
 def main(arguments: list[str] | None = None) -> int:

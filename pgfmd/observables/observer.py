@@ -28,9 +28,9 @@ class Observer:
     autocorrelations). Collective.
 
     problem: its heights are kept, not copied; its load does not matter.  cutoff: wave number beyond which the surface
-    has no modes (None: none).  solve: solves the further contacts of "lowpass" and
-    "discretisation"; None: the first method of the law.
-    seconds: time spent so far on each observable; work that several share is counted for the first of them.
+    has no modes; None: it has all of the grid's.  solve: solves the further contacts of "lowpass" and "discretisation";
+    None: the first method of the law.  seconds: time spent so far on each observable; work that several share is
+    counted for the first of them.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ BROAD = 2.5
 
 @dataclass(frozen=True)
 class RoughSurface:
-    """The rigid surface; The first use of `correlations` or `rms_slope` measures both and is collective.
+    """The rigid surface.  The first use of `correlations` or `rms_slope` measures both and is collective.
 
     heights: (nx_local, ny), kept, not copied
     cutoff: wave number beyond which it has no modes; None: it has all of the grid's

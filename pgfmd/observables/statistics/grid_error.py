@@ -1,7 +1,7 @@
 """Errors of a contact's numbers on a finite grid, from the same contact on a grid of half as many points each way.
 
-Each number is the mean of a field F over the surface.  The difference of the two means is often small by
-chance, since local errors of either sign cancel in the sum.  The long waves of F show the typical size of such sums:
+Each number is the mean of a field F over the surface.  The difference of the two means is often small by chance,
+since local errors of either sign cancel in the sum.  The long waves of F show the typical size of such sums:
 
     error = c √(|F̃_0 − F̃'_0|² + mean_{1 ≤ k ≤ MODES} |F̃_k − F̃'_k|²),
 
