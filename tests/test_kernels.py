@@ -205,33 +205,32 @@ def fields():
     return p, rng.choice([-0.4, 0.0, 0.2, 0.5], (9, 7)), rng.standard_normal((9, 7))
 
 
-@pytest.mark.parametrize("by_gaps", [False, True])
-def test_unknowns_are_listed(fields, by_gaps):
-    """Of the pressure: between the bounds, or at one with a gap that drives it away; of the gap: not 0, or a pressure
-    beyond the bounds."""
+def test_unknowns_are_listed(fields):
+    """Between the bounds, or at one of them with a gap that drives away from it."""
     p, gap, _ = fields
     mask = ((p > 0) | (gap < 0.1)) & ((p < 1) | (gap > 0.1))
-    if by_gaps:
-        mask = (gap != 0) | (p < 0) | (p > 1)
     counts = np.zeros(9, np.int64)
-    set_kernels.count_unknowns((p, gap), 0.1, 1.0, by_gaps, (0, 9), counts)
+    set_kernels.count_unknowns((p, gap), 0.1, 1.0, (0, 9), counts)
     assert np.array_equal(counts, mask.sum(axis=1))
     offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
-    set_kernels.list_unknowns((p, gap), 0.1, 1.0, by_gaps, (0, 9), (columns, offsets))
+    set_kernels.list_unknowns((p, gap), 0.1, 1.0, (0, 9), (columns, offsets))
     assert np.array_equal(columns, np.nonzero(mask)[1])
 
 
-def test_responses_and_their_squares(fields):
-    """u − h and Σ u²; h + g, its sum and Σ u²; p + mean and Σ p²."""
-    _, gap, heights = fields
-    u, out = rng.random((9, 7)).astype(np.float32), np.empty((9, 7))
-    assert set_kernels.subtract_heights(u, heights, out) == pytest.approx((u.astype(float) ** 2).sum(), rel=1e-13)
-    assert np.array_equal(out, u - heights)
-    sums = set_kernels.add_heights(heights, gap, out)
-    assert np.allclose(sums, ((gap + heights).sum(), ((gap + heights) ** 2).sum()), rtol=1e-12, atol=1e-12)
-    assert np.array_equal(out, gap + heights)
-    assert set_kernels.add_mean(u, 0.3, out) == pytest.approx(((u + 0.3) ** 2).sum(), rel=1e-6)
-    assert np.allclose(out, u + 0.3, rtol=1e-6)
+@pytest.mark.parametrize("change", [(0.7, 0.0, 0.0), (1.6, 0.0, 0.0), (0.0, 0.5, 0.3)])
+def test_changed_pressures(fields, change):
+    """A factor of those below the top, or p + stiffness · (level − gap), cut at 0 and the top; their sum, and its
+    derivative, which is that of points between the bounds."""
+    p, gap, _ = fields
+    p = np.maximum(p, 0)
+    new = p + change[1] * (change[2] - gap) if change[1] else np.where(p < 1, change[0] * p, p)
+    slope = np.where((new > 0) & (new < 1), change[1] or p, 0)[2:8].sum()
+    found = set_kernels.changed_sums((p, gap), change, 1.0, 2, 8)
+    assert np.allclose(found, (np.clip(new, 0, 1)[2:8].sum(), slope), rtol=1e-13)
+    out = p.copy()
+    set_kernels.change_rows((out, gap), change, 1.0, 2, 8)
+    assert np.allclose(out[2:8], np.clip(new, 0, 1)[2:8], rtol=1e-14)
+    assert np.array_equal(out[:2], p[:2])
 
 
 def test_sums_of_a_state(fields):
@@ -268,13 +267,15 @@ def test_products_of_spectra():
 
 
 def test_start_rows():
-    """Contact where compliance · p exceeds the gap, with the coarse pressure and a part of what new heights add."""
+    """Contact where compliance · p exceeds the gap, with the coarse pressure and a part of what new heights add;
+    elsewhere the gap is left open."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
     set_kernels.start_rows((p, g, coarse), h, 0.3, pressure, gap)
-    assert np.array_equal(gap, g - (h - coarse))
+    new = g - (h - coarse)
+    assert np.array_equal(gap, np.where(0.3 * p > new, 0, np.maximum(new, 0)))
     rougher = np.maximum(p + set_kernels.ROUGHER * (h - coarse) / 0.3, 1e-300)
-    assert np.allclose(pressure, np.where(0.3 * p > gap, rougher, 0), rtol=1e-14)
+    assert np.allclose(pressure, np.where(0.3 * p > new, rougher, 0), rtol=1e-14)
 
 
 def test_listed_points_are_cut(points):
@@ -296,50 +297,6 @@ def test_listed_points_are_cut(points):
     assert np.array_equal(field, np.where(chosen, expected, old))
     set_kernels.add_to_rows(field, (columns, offsets), (2, 8), values)
     assert np.allclose(field[chosen], expected[chosen] + values[part], rtol=1e-14)
-
-
-def test_gaps_of_unknowns(fields):
-    """What the pressure lacks of its bound: the top for a gap below 0 or a pressure above, else 0; gaps are cut by the
-    bound at which the pressure is."""
-    p, gap, _ = fields
-    mask = (gap != 0) | (p < 0) | (p > 1)
-    offsets, columns = np.concatenate([[0], np.cumsum(mask.sum(axis=1))]), np.nonzero(mask)[1].astype(np.int32)
-    values = np.empty(offsets[-1], np.float32)
-    set_kernels.take_beyond((p, gap), (columns, offsets), (0, 9), 1.0, values)
-    bound = np.where((gap < 0) | (gap == 0) & (p > 1), 1.0, 0.0)
-    assert np.allclose(values, (bound - p)[mask], rtol=1e-6)
-    cut = gap.copy()
-    set_kernels.cut_gaps((bound, cut), (columns, offsets), (0, 9))
-    assert np.array_equal(cut, np.where(bound == 0, np.maximum(gap, 0), np.minimum(gap, 0)))
-
-
-@pytest.mark.parametrize("share", [(1.0, 0.0, 0.0), (0.7, 0.0, 0.0), (1.0, 0.4, 0.0), (0.0, 0.0, 0.25)])
-def test_pressures_are_settled(fields, share):
-    """0 where the gap is open or p < 0, the top where it is negative or p exceeds it, a factor and a part of what lacks
-    of the top between; or uniform.  By how much that is; the sums of it; gaps opened by it."""
-    p, gap, heights = fields
-    one = np.where((gap > 0) | (p <= 0), 0, np.where((gap < 0) | (p >= 1), 1.0, p))
-    free = (one > 0) & (one < 1)
-    settled = np.where(free, share[0] * one + share[1] * (1 - share[0] * one), one)
-    settled = np.full_like(p, share[2]) if share[2] else settled
-    change, out = np.empty_like(p), p.copy()
-    set_kernels.settling_rows(p, gap, 1.0, share, change)
-    assert np.allclose(change, settled - p, rtol=1e-14)
-    set_kernels.settle_rows(out, gap, 1.0, share, 0, 9)
-    assert np.allclose(out, settled, rtol=1e-14)
-    full = one == 1
-    expected = one[free].sum(), full.sum(), (1 - one)[free].sum(), (p * heights)[free].sum()
-    expected += (gap + heights)[full].sum(), free.sum() + full.sum()
-    assert np.allclose(set_kernels.settled_sums(p, gap, heights, 1.0, 0, 9), expected, rtol=1e-12, atol=1e-12)
-    plain = np.clip(p, 0, 1)
-    inside = plain[(plain > 0) & (plain < 1)]
-    expected = inside.sum(), np.count_nonzero(plain == 1), (1 - inside).sum()
-    assert np.allclose(set_kernels.bounded_sums(plain, 1.0, 0, 9), expected, rtol=1e-13)
-    opened = gap.copy()
-    set_kernels.open_rows(plain, opened, 0.1, 1.0, 0, 9)
-    away = gap - 0.1
-    cut = np.where(plain <= 0, np.maximum(away, 0), np.where(plain >= 1, np.minimum(away, 0), 0))
-    assert np.array_equal(opened, cut)
 
 
 def test_interpolate_rows():

@@ -19,7 +19,6 @@ FEWEST = 64  # larger blocks are used if there are at least so many per side
 FACTOR = 4  # side of a larger block, in blocks
 LARGEST = 512  # larger blocks per side at most: every rank holds them all, and each application sums them twice
 SOFTENING = 0.125  # compliance of the contact within a block, over that to a wave of wave number 1/side
-COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
 def grid_of_blocks(comm: MPI.Comm, grid: SlabGrid, side: int) -> SlabGrid:
@@ -41,13 +40,8 @@ class BlockStiffness:
         """
         self.blocks, self.area = blocks, side**2
         soft = SOFTENING * side / stiffness(np.array(1 / pixel))
-        self.stiffness = np.empty(blocks.spectral_shape, np.float32)
-
-        def soften(_: int, first: int, stop: int) -> None:
-            stiff = stiffness(np.sqrt(blocks.q_squared(first, stop)))
-            self.stiffness[first:stop] = self.area / blocks.size * stiff / (1 + soft * stiff)
-
-        blocks.threads.share(soften, len(self.stiffness), COLUMNS)
+        stiff = stiffness(np.sqrt(blocks.q_squared()))
+        self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
         self.factor = max(FACTOR, -(-max(blocks.shape) // LARGEST))
         self.coarser: BlockStiffness | None = None
         if -(-min(blocks.shape) // self.factor) >= FEWEST:
@@ -65,15 +59,9 @@ class BlockStiffness:
 
     def begin(self, counts: np.ndarray) -> None:
         """Prepares for a new set; counts: number of its points in each of this rank's blocks.  Collective."""
-        self.counts, self.inverse_counts, self.weights = counts, np.empty_like(counts), np.empty_like(counts)
-
-        def weigh(_: int, first: int, stop: int) -> None:
-            part = counts[first:stop]
-            np.divide(1, np.maximum(part, 1), out=self.inverse_counts[first:stop])
-            # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
-            np.sqrt(np.sqrt(part / self.area), out=self.weights[first:stop])
-
-        self.blocks.threads.share(weigh, len(counts), COLUMNS)
+        self.counts, self.inverse_counts = counts, 1 / np.maximum(counts, 1)
+        # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
+        self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
         if self.coarser is not None:
             self.coarser.begin(self._sums(self.coarser, counts))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -17,15 +17,8 @@ PART = 1 << 16  # entries that a thread takes at a time: fewer cost more to hand
 class Operator(Protocol):
     """A linear operator between the points of a set."""
 
-    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
-        """out (count,) = A · values.  Collective."""
-
-
-class Preconditioner(Protocol):
-    """An approximate inverse of an operator: symmetric and positive definite."""
-
-    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
-        """out = M · residual.  Collective."""
+    def apply(self, points: ContactSet, values: SetVector, out: Any, /) -> None:
+        """out = A · values: an array (count,), or of approximate inverses a `SetVector`.  Collective."""
 
 
 class ConjugateGradients:
@@ -36,7 +29,7 @@ class ConjugateGradients:
     """
 
     def __init__(
-        self, residual: SetVector, operator: Operator, preconditioner: Preconditioner, neutral: bool = True
+        self, residual: SetVector, operator: Operator, preconditioner: Operator, neutral: bool = True
     ) -> None:
         """`residual` is overwritten.  Collective."""
         self.points, self.residual = residual.points, residual

@@ -12,7 +12,7 @@ from mpi4py import MPI
 from mpi4py.util import dtlib
 from numpy.typing import DTypeLike
 
-from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.kernels import Fields, Points
@@ -24,34 +24,26 @@ class ContactSet:
     """The unknowns of this rank.
 
     These are points whose pressure lies between its bounds 0 and `top`, or at a bound from which the gap drives it
-    (below `level` at 0, above it at `top`).  If `by_gaps`, they are points whose gap is not 0 or whose pressure is
-    beyond its bounds.
+    (below `level` at 0, above it at `top`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; columns (count,) int32, and offsets (nx_local + 1,) of each row in it.
     `lists` and `extended` are (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set
     are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
-    def __init__(
-        self,
-        grid: SlabGrid,
-        fields: Fields,
-        level: float = 0.0,
-        top: float = math.inf,
-        by_gaps: bool = False,
-    ) -> None:
+    def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, top: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid = grid
         rows = grid.local_shape[0]
         counts = np.empty(rows, np.int64)
-        grid.threads.deal(lambda a, b: set_kernels.count_unknowns(fields, level, top, by_gaps, (a, b), counts), rows)
+        grid.threads.deal(lambda a, b: set_kernels.count_unknowns(fields, level, top, (a, b), counts), rows)
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.count = int(self.offsets[-1])
         offsets = self._plan_halo(counts)
         columns = SetVector(self, np.int32)
         self.columns = columns.own
         lists = self.lists
-        grid.threads.deal(lambda a, b: set_kernels.list_unknowns(fields, level, top, by_gaps, (a, b), lists), rows)
+        grid.threads.deal(lambda a, b: set_kernels.list_unknowns(fields, level, top, (a, b), lists), rows)
         self.extended = columns.exchange(), offsets
 
     @property
@@ -66,18 +58,6 @@ class ContactSet:
             lambda a, b: set_kernels.take_below(field, self.lists, (a, b), level, out.own), len(field)
         )
         return out
-
-    def beyond(self, fields: Fields, top: float) -> SetVector:
-        """Bound − pressure (nx_local, ny) in single precision, on a set chosen by gaps."""
-        out = SetVector(self)
-        self.grid.threads.deal(
-            lambda a, b: set_kernels.take_beyond(fields, self.lists, (a, b), top, out.own), len(fields[0])
-        )
-        return out
-
-    def cut_gaps(self, fields: Fields) -> None:
-        """Makes the gap (nx_local, ny) ≥ 0 where there is no pressure and ≤ 0 elsewhere, on the set."""
-        self.grid.threads.deal(lambda a, b: set_kernels.cut_gaps(fields, self.lists, (a, b)), len(fields[0]))
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
@@ -104,25 +84,16 @@ class ContactSet:
             self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
         return np.concatenate([[0], np.cumsum(counts)])
 
-    def fill(self, values: np.ndarray) -> Rows:
-        """Rows that hold `values` on the set and zero elsewhere (a source for `SlabGrid.convolve`)."""
+    def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray) -> None:
+        """out = (kernel ∗ values) on the set, by full transforms.  Collective."""
 
-        def rows(first: int, stop: int, block: np.ndarray) -> None:
-            set_kernels.fill_rows(values, self.lists, first, block)
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
+            set_kernels.fill_rows(values, self.lists, first, rows)
 
-        return rows
+        def drain(first: int, stop: int, rows: np.ndarray) -> None:
+            set_kernels.drain_rows(rows, self.lists, first, out)
 
-    def drain(self, values: np.ndarray) -> Rows:
-        """Takes the values on the set out of rows (a sink for `SlabGrid.convolve`)."""
-
-        def rows(first: int, stop: int, block: np.ndarray) -> None:
-            set_kernels.drain_rows(block, self.lists, first, values)
-
-        return rows
-
-    def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out = (kernel ∗ values) on the set, or on `targets`.  Collective."""
-        self.grid.convolve(self.fill(values), action, (targets or self).drain(out), np.float32)
+        self.grid.convolve(fill, action, drain, np.float32)
 
 
 class SetVector:

@@ -9,6 +9,7 @@ short-ranged.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
@@ -16,7 +17,7 @@ from mpi4py import MPI
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import ContactSet
-from pgfmd.solvers.active_set.kernels import Fields, Share
+from pgfmd.solvers.active_set.kernels import Change, Fields
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
@@ -26,8 +27,8 @@ CANCELLED = 1e-6  # part of the pressures that tensions must leave uncancelled: 
 def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, stiffness: float) -> None:
     """Brings the pressure on the set between 0 and `top`, and its sum over all points to `load`.  Collective.
 
-    The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`.  If
-    the points in contact cannot bear the load even at `top`, `push` adds others.  stiffness: of a single pixel.
+    The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
+    (`carry`).  stiffness: of a pixel, about.
     """
     pressure = fields[0]
     grid, threads = points.grid, points.grid.threads
@@ -57,57 +58,47 @@ def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, s
     if math.isinf(top):
         factors *= load / kept.sum()
     threads.share(cut, touched[1] - touched[0], 1)
-    if math.isfinite(top) and not carry(grid, pressure, load, top):
-        push(grid, fields, load, top, stiffness)
+    if math.isfinite(top):
+        carry(grid, fields, load, top, stiffness)
 
 
-def push(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:
-    """Replaces p by p + stiffness · (level − gap), cut to 0 and `top`, with the level that makes the sum `load`: a
-    projected gradient step.  Collective.
+def carry(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:
+    """Multiplies the pressures below `top`, and limits them to that, so that all sum to `load`.  Collective.
+
+    If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and `top`,
+    with the level that makes the sum `load`, a projected gradient step.
     """
     pressure, gap = fields
-    margin = top / stiffness
-    low, high = grid.reduction.min(gap) - margin, grid.reduction.max(gap) + margin
+    reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
 
-    def total(level: float) -> float:
-        parts = grid.threads.collect(
-            lambda a, b: set_kernels.pushed_sum(fields, level, stiffness, top, a, b), len(gap)
-        )
-        return grid.reduction.sum(parts)
+    def excess(change: Change) -> tuple[float, float]:
+        parts = threads.collect(lambda a, b: set_kernels.changed_sums(fields, change, top, a, b), len(gap))
+        total, slope = reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
+        return float(total) - load, float(slope)
 
-    level = (low + high) / 2
-    while low < level < high and abs((sum_now := total(level)) - load) > ROUNDING * load:
-        low, high = (level, high) if sum_now < load else (low, level)
-        level = (low + high) / 2
-    grid.threads.deal(lambda a, b: set_kernels.push_rows(fields, level, stiffness, top, a, b), len(gap))
-    carry(grid, pressure, load, top)
+    change: Change = _root(lambda factor: excess((factor, 0.0, 0.0)), (0.0, 1.0, math.inf), close), 0.0, 0.0
+    if change[0] == math.inf:
+        low = reduction.min(gap) - reduction.max(pressure) / stiffness
+        high = reduction.max(gap) + load / grid.size / stiffness
+        bracket = low, (low + high) / 2, high
+        change = 0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)
+    threads.deal(lambda a, b: set_kernels.change_rows(fields, change, top, a, b), len(gap))
 
 
-def carry(grid: SlabGrid, pressure: np.ndarray, load: float, top: float) -> bool:
-    """Changes the pressures (nx_local, ny) between 0 and `top` so that their sum is `load`.  Returns False, and
-    changes nothing, if they cannot bear it.  Collective.
+def _root(
+    excess: Callable[[float], tuple[float, float]], bracket: tuple[float, float, float], close: float
+) -> float:
+    """Where `excess`, an increasing function that comes with its derivative, is 0 to `close`: by Newton's method in a
+    bracket (low, first guess, high).  inf if it is not there.
     """
-    parts = grid.threads.collect(lambda a, b: set_kernels.bounded_sums(pressure, top, a, b), len(pressure))
-    sums = grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
-    share = share_of_load(sums, load, load / grid.size)
-    if share[2] == 0:
-        grid.threads.deal(lambda a, b: set_kernels.spread_load(pressure, top, share, a, b), len(pressure))
-    return share[2] == 0
-
-
-def share_of_load(sums: np.ndarray, load: float, mean: float) -> Share:
-    """How to change the pressures between the bounds so that the sum over all points is `load`, as (factor, part,
-    uniform): p becomes factor · p + part · (top − factor · p), or `uniform` everywhere if that is not 0, which it
-    is if no factor and no part can do it.
-
-    sums: Σ p between the bounds, Σ p at the upper one, and Σ (top − p) over both; mean: load over all points.
-    """
-    between, saturated, room = sums
-    missing = load - saturated - between
-    if abs(missing) <= ROUNDING * load:
-        return 1.0, 0.0, 0.0
-    if 0 < missing <= room < math.inf:
-        return 1.0, missing / room, 0.0
-    if between > 0 and saturated < load and not missing > room:
-        return (load - saturated) / between, 0.0, 0.0
-    return 0.0, 0.0, mean
+    low, at, high = bracket
+    if excess(low)[0] > close:
+        return math.inf
+    while low < at < high:
+        value, slope = excess(at)
+        if abs(value) <= close:
+            break
+        low, high = (at, high) if value < 0 else (low, at)
+        trial = at - value / slope if slope > 0 else high
+        at = trial if low < trial < high else (low + high) / 2
+    return at

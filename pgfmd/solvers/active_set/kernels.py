@@ -15,7 +15,8 @@ Fields = tuple[np.ndarray, np.ndarray]
 Part = tuple[int, int]
 Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """First node and weights of each row, and of each column."""
-Share = tuple[float, float, float]
+Change = tuple[float, float, float]
+"""Of a pressure: factor, stiffness, level (`_changed`)."""
 
 _APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
 
@@ -218,31 +219,25 @@ def add_blocks(
 
 
 @jit
-def _unknown(p: float, g: float, level: float, top: float, by_gaps: bool) -> bool:
-    """Whether a point is an unknown.
-
-    Of the pressure: between its bounds 0 and `top`, or at one of them with a gap that drives it away from there.  Of
-    the gap: where it is not 0, or where the pressure p̄ + K(h + g) is beyond a bound.
-    """
-    if by_gaps:
-        return (g != 0) | (p < 0) | (p > top)
+def _unknown(p: float, g: float, level: float, top: float) -> bool:
+    """Whether p lies between its bounds 0 and `top`, or at one of them with a gap that drives it away from there."""
     return ((p > 0) | (g < level)) & ((p < top) | (g > level))
 
 
 @jit
-def count_unknowns(fields: Fields, level: float, top: float, by_gaps: bool, part: Part, counts: np.ndarray) -> None:
+def count_unknowns(fields: Fields, level: float, top: float, part: Part, counts: np.ndarray) -> None:
     """counts[i] = number of unknowns in row i."""
     pressure, gap = fields
     first, stop = part
     for i in range(first, stop):
         row, above, total = pressure[i], gap[i], 0
         for j in range(row.size):
-            total += _unknown(row[u(j)], above[u(j)], level, top, by_gaps)
+            total += _unknown(row[u(j)], above[u(j)], level, top)
         counts[i] = total
 
 
 @jit
-def list_unknowns(fields: Fields, level: float, top: float, by_gaps: bool, part: Part, points: Points) -> None:
+def list_unknowns(fields: Fields, level: float, top: float, part: Part, points: Points) -> None:
     """The columns of the points that `count_unknowns` counts."""
     pressure, gap = fields
     first, stop = part
@@ -252,46 +247,9 @@ def list_unknowns(fields: Fields, level: float, top: float, by_gaps: bool, part:
         if k == offsets[i + 1]:
             continue
         for j in range(row.size):
-            if _unknown(row[u(j)], above[u(j)], level, top, by_gaps):
+            if _unknown(row[u(j)], above[u(j)], level, top):
                 columns[k] = j
                 k += 1
-
-
-@jit
-def subtract_heights(displacement: np.ndarray, heights: np.ndarray, gap: np.ndarray) -> float:
-    """gap = u − h; returns Σ u²."""
-    squares = 0.0
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            x = np.float64(displacement[i, j])
-            squares += x * x
-            gap[i, j] = x - heights[i, j]
-    return squares
-
-
-@jit
-def add_heights(heights: np.ndarray, gap: np.ndarray, displacement: np.ndarray) -> tuple[float, float]:
-    """u = h + g; returns Σ u and Σ u²."""
-    total = squares = 0.0
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            x = heights[i, j] + gap[i, j]
-            total += x
-            squares += x * x
-            displacement[i, j] = x
-    return total, squares
-
-
-@jit
-def add_mean(rows: np.ndarray, mean: float, pressure: np.ndarray) -> float:
-    """p = rows + mean; returns Σ p²."""
-    squares = 0.0
-    for i in range(pressure.shape[0]):
-        for j in range(pressure.shape[1]):
-            p = rows[i, j] + mean
-            squares += p * p
-            pressure[i, j] = p
-    return squares
 
 
 @jit
@@ -327,17 +285,10 @@ def contact_sums(
 
 
 @jit
-def uneven_row(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, line: np.ndarray) -> None:
-    """line[j] = gap − level where 0 < p < top, else 0."""
-    for j in range(pressure.size):
-        line[j] = gap[j] - level if 0 < pressure[j] < top else 0.0
-
-
-@jit
 def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, first: int, out: np.ndarray) -> None:
     """ρ of the certificate for rows first … of pressure and gap: gap − level where 0 < p < top.  Elsewhere the mean of
     that over the eight neighbours, of which the others count as 0, but at most gap − level where p = 0, and at least
-    that where p = top.  edges: `uneven_row` of the rows before and after those of this rank.
+    that where p = top.  edges: the same, or 0, of the rows before and after those of this rank.
     """
     pressure, gap = fields
     rows, ny = pressure.shape
@@ -347,7 +298,8 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
         if i < 0 or i == rows:
             line[:] = edges[0 if i < 0 else 1]
         else:
-            uneven_row(pressure[i], gap[i], level, top, line)
+            for j in range(ny):
+                line[j] = gap[i, j] - level if 0 < pressure[i, j] < top else 0.0
         if i <= first:
             continue
         p, g, target = pressure[i - 1], gap[i - 1], out[i - 1 - first]
@@ -364,17 +316,6 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
             target[j] = min(around, g[j] - level) if p[j] <= 0 else max(around, g[j] - level)
 
 
-@jit
-def open_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, first: int, stop: int) -> None:
-    """gap = gap − level in rows first … stop−1, but 0 where 0 < p < top, not below 0 where p = 0 and not above 0 where
-    p = top.
-    """
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            p, away = pressure[i, j], gap[i, j] - level
-            gap[i, j] = max(away, 0.0) if p <= 0 else min(away, 0.0) if p >= top else 0.0
-
-
 ROUGHER = 0.5  # of the pressure that would close a pixel: what heights between the points of the coarser grid add
 
 
@@ -386,16 +327,17 @@ def start_rows(
     pressure: np.ndarray,
     gap: np.ndarray,
 ) -> None:
-    """gap = coarse gap − new, where new = h − coarse h, and p = max(coarse p + ROUGHER · new/compliance, tiny) where
-    compliance · coarse p exceeds that gap, else 0.
+    """p = max(coarse p + ROUGHER · new/compliance, tiny), where new = h − coarse h, if compliance · coarse p exceeds
+    the gap, which is the coarse one less what is new; else 0.  There, and nowhere else, a gap is left open.
     """
     coarse_pressure, coarse_gap, coarse_heights = coarse
     for i in range(pressure.shape[0]):
         for j in range(pressure.shape[1]):
             p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
             g = coarse_gap[i, j] - new
-            gap[i, j] = g
-            pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if compliance * p > g else 0.0
+            closed = compliance * p > g
+            gap[i, j] = 0.0 if closed else max(g, 0.0)
+            pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if closed else 0.0
 
 
 LARGEST = 1e25  # of a residual: products and sums of such stay below what single precision holds
@@ -409,32 +351,6 @@ def take_below(field: np.ndarray, points: Points, part: Part, level: float, valu
     for i in range(first, stop):
         for k in range(offsets[i], offsets[i + 1]):
             values[k] = min(max(level - field[i, columns[k]], -LARGEST), LARGEST)
-
-
-@jit
-def take_beyond(fields: Fields, points: Points, part: Part, top: float, values: np.ndarray) -> None:
-    """values[k] = what the pressure lacks of its bound, 0 or `top`, for the listed points of rows first … stop−1, all
-    of which are beyond it or have a gap that is not 0 and tells which.
-    """
-    pressure, gap = fields
-    columns, offsets = points
-    first, stop = part
-    for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            p, g = pressure[i, columns[k]], gap[i, columns[k]]
-            values[k] = (top if g < 0 or (g == 0 and p > top) else 0.0) - p
-
-
-@jit
-def cut_gaps(fields: Fields, points: Points, part: Part) -> None:
-    """gap = max(gap, 0) where p = 0, else min(gap, 0), for the listed points of rows first … stop−1."""
-    pressure, gap = fields
-    columns, offsets = points
-    first, stop = part
-    for i in range(first, stop):
-        for k in range(offsets[i], offsets[i + 1]):
-            j = columns[k]
-            gap[i, j] = max(gap[i, j], 0.0) if pressure[i, j] <= 0 else min(gap[i, j], 0.0)
 
 
 @jit
@@ -466,105 +382,39 @@ def cut_and_scale(
 
 
 @jit
-def _settled(p: float, g: float, top: float, share: Share) -> float:
-    """0 where the gap is open or p < 0, `top` where the gap is negative or p > top, else p, changed by the `share`
-    (`feasible.share_of_load`); everywhere share[2] if that is not 0.
+def _changed(p: float, g: float, change: Change, top: float) -> float:
+    """factor · p where p < top, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `top`."""
+    factor, stiffness, level = change
+    if stiffness > 0:
+        p += stiffness * (level - g)
+    elif p < top:
+        p *= factor
+    return min(max(p, 0.0), top)
+
+
+@jit
+def changed_sums(fields: Fields, change: Change, top: float, first: int, stop: int) -> tuple[float, float]:
+    """Σ p once it is changed, over rows first … stop−1, and how it grows with the level, or if there is no stiffness
+    with the factor.
     """
-    scale, blend, uniform = share
-    if uniform > 0:
-        return uniform
-    if g > 0 or p <= 0:
-        return 0.0
-    if g < 0 or p >= top:
-        return top
-    p *= scale
-    return p + blend * (top - p) if blend > 0 else p
-
-
-@jit
-def settled_sums(
-    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, top: float, first: int, stop: int
-) -> tuple[float, float, float, float, float, int]:
-    """Of pressures as they are settled: Σ p where 0 < p < top, Σ p where p = top, Σ (top − p) of both; the same of
-    p (g + h) in the first two, and the number of both; over rows first … stop−1.
-    """
-    between = saturated = room = work = saturated_work = 0.0
-    count = 0
-    one = (1.0, 0.0, 0.0)
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            g = gap[i, j]
-            p = _settled(pressure[i, j], g, top, one)
-            if p > 0:
-                count += 1
-                if p < top:
-                    between += p
-                    work += p * heights[i, j]
-                    room += top - p
-                else:
-                    saturated += p
-                    saturated_work += p * (g + heights[i, j])
-    return between, saturated, room, work, saturated_work, count
-
-
-@jit
-def bounded_sums(pressure: np.ndarray, top: float, first: int, stop: int) -> tuple[float, float, float]:
-    """(Σ p where 0 < p < top, Σ p where p ≥ top, Σ (top − p) where p > 0) over rows first … stop−1."""
-    between = saturated = room = 0.0
-    for i in range(first, stop):
-        for j in range(pressure.shape[1]):
-            p = pressure[i, j]
-            if p >= top:
-                saturated += top
-            elif p > 0:
-                between += p
-                room += top - p
-    return between, saturated, room
-
-
-@jit
-def spread_load(pressure: np.ndarray, top: float, share: Share, first: int, stop: int) -> None:
-    """Changes the pressures of rows first … stop−1 by the share."""
-    for i in range(first, stop):
-        for j in range(pressure.shape[1]):
-            pressure[i, j] = _settled(pressure[i, j], 0.0, top, share)
-
-
-@jit
-def pushed_sum(fields: Fields, level: float, stiffness: float, top: float, first: int, stop: int) -> float:
-    """Σ of p + stiffness · (level − gap), cut at 0 and `top`, over rows first … stop−1."""
     pressure, gap = fields
-    total = 0.0
+    total = slope = 0.0
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
-            total += min(max(pressure[i, j] + stiffness * (level - gap[i, j]), 0.0), top)
-    return total
+            p = _changed(pressure[i, j], gap[i, j], change, top)
+            total += p
+            if 0 < p < top:
+                slope += change[1] if change[1] > 0 else pressure[i, j]
+    return total, slope
 
 
 @jit
-def push_rows(fields: Fields, level: float, stiffness: float, top: float, first: int, stop: int) -> None:
-    """p = p + stiffness · (level − gap), cut at 0 and `top`, in rows first … stop−1."""
+def change_rows(fields: Fields, change: Change, top: float, first: int, stop: int) -> None:
+    """Changes the pressure of rows first … stop−1."""
     pressure, gap = fields
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
-            pressure[i, j] = min(max(pressure[i, j] + stiffness * (level - gap[i, j]), 0.0), top)
-
-
-@jit
-def settle_rows(pressure: np.ndarray, gap: np.ndarray, top: float, share: Share, first: int, stop: int) -> None:
-    """Settles the pressure of rows first … stop−1."""
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            pressure[i, j] = _settled(pressure[i, j], gap[i, j], top, share)
-
-
-@jit
-def settling_rows(pressure: np.ndarray, gap: np.ndarray, top: float, share: Share, out: np.ndarray) -> None:
-    """out = by how much the pressure changes when it is settled."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            p = pressure[i, j]
-            out[i, j] = _settled(p, gap[i, j], top, share) - p
+            pressure[i, j] = _changed(pressure[i, j], gap[i, j], change, top)
 
 
 @jit

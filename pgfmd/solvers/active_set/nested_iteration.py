@@ -24,7 +24,7 @@ from pgfmd.solvers.solution import ContactSolution, Monitor
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
 PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
-MOSTLY = 0.45  # share of points with a pressure between its bounds above which the gaps of the others are the unknowns
+MOSTLY = 0.45  # share of points in contact with a hard wall above which the gaps of the others are the unknowns
 
 
 def solve_hard_wall(
@@ -56,42 +56,30 @@ def solve_hard_wall(
 def _begin(problem: ContactProblem, start: np.ndarray) -> State:
     """The state of a given pressure, made feasible.  Collective."""
     grid, top = problem.grid, problem.law.highest
-    pressure = np.minimum(start * (problem.load / grid.reduction.sum(start)), top)
-    if not carry(grid, pressure, problem.load, top):
-        pressure[...] = problem.mean_pressure
-    between = int(grid.reduction.sum((pressure > 0) & (pressure < top)))
-    return State(pressure, np.empty(grid.local_shape), between=between)
+    state = State(np.minimum(start * (problem.load / grid.reduction.sum(start)), top), -problem.heights)
+    fields = state.pressure, state.gap
+    carry(grid, fields, problem.load, top, problem.solid.contact_modulus / max(grid.spacing))
+    state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < top)))
+    return state
 
 
 def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective.
 
-    It is not tried, and the answer is None, if p̄ is below the rms of Kh, which takes half a transform, or below
-    `margin` times a lower bound of that, which takes none.
+    It is not tried, and the answer is None, if p̄ is below `margin` times a lower bound of the rms of Kh.
     """
     grid, heights, mean_pressure = problem.grid, problem.heights, problem.mean_pressure
     if mean_pressure < margin * _least_deviation(problem):
         return None
-    squares = []
-    action = problem.solid.apply_stiffness(grid, np.float64, 1.0)
-
-    def measure(block: np.ndarray, first: int, stop: int) -> None:
-        action(block, first, stop)
-        squares.append(float(np.sum(grid.hermitian_weight[first:stop] * np.abs(block) ** 2)))
+    pressure = np.empty(grid.local_shape)
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:
         rows[...] = heights[first:stop]
 
-    grid.read_spectrum(fill, measure)
-    deviation = np.sqrt(grid.reduction.sum(squares)) / grid.size
-    if mean_pressure < deviation:
-        return None
-    pressure = np.empty(grid.local_shape)
-
     def drain(first: int, stop: int, rows: np.ndarray) -> None:
-        np.divide(rows, grid.size, out=pressure[first:stop])
+        pressure[first:stop] = rows
 
-    grid.convolve(fill, action, drain)
+    grid.convolve(fill, problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size), drain)
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
     pressure += mean_pressure
     if grid.reduction.min(pressure) < 0 or grid.reduction.max(pressure) > problem.law.highest:
@@ -117,7 +105,8 @@ class NestedIteration:
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`MOSTLY`).  Collective."""
-        steps = GapSteps if state.between > MOSTLY * problem.grid.size else PressureSteps
+        by_gaps = problem.law.highest == np.inf and state.between > MOSTLY * problem.grid.size
+        steps = GapSteps if by_gaps else PressureSteps
         solver = steps(problem, exact)
         seen = None if self.monitor is None else partial(self.monitor, problem.grid)
         state = solver.relax(state, self.tolerance, seen)
@@ -178,10 +167,5 @@ def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> S
         set_kernels.start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
 
     grid.threads.share(begin, grid.local_shape[0], grid.band)
-    if not carry(grid, pressure, problem.load, top):
-        pressure[...] = problem.mean_pressure
-    state = State(pressure, gap, found.between > MOSTLY * coarse.grid.size)
-    state.between = round(found.between / coarse.grid.size * grid.size)
-    if state.opened:
-        grid.threads.deal(lambda a, b: set_kernels.open_rows(pressure, gap, 0.0, top, a, b), len(gap))
-    return state
+    carry(grid, (pressure, gap), problem.load, top, 1 / compliance)
+    return State(pressure, gap, True, between=round(found.between / coarse.grid.size * grid.size))

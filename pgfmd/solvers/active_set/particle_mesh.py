@@ -66,12 +66,11 @@ class MeshResponse:
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
-    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out (count,) = the response on `targets`, or on the set itself, to `values`; both float32.  Collective."""
-        targets = targets or points
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
+        """out (count,) = the response on the set to `values`; both float32.  Collective."""
         mesh, own = self.mesh, self.mesh.rows.start
         extended = values.exchange()
-        self.stencil.apply(points, extended, out, targets)
+        self.stencil.apply(points, extended, out)
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:
             block[...] = 0
@@ -86,7 +85,7 @@ class MeshResponse:
 
         def add(first: int, stop: int) -> None:
             near, splines = self.window, self._splines(HALO)
-            set_kernels.add_interpolated(near.rows, near.low, targets.lists, (first, stop), splines, out)
+            set_kernels.add_interpolated(near.rows, near.low, points.lists, (first, stop), splines, out)
 
         mesh.convolve(fill, act, drain, np.float32)
         self.window.exchange()
@@ -143,9 +142,9 @@ class FullResponse:
     def __init__(self, action: Columns) -> None:
         self.action = action
 
-    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray, targets: ContactSet | None = None) -> None:
-        """out (count,) = the response on `targets`, or on the set itself, to `values`.  Collective."""
-        points.convolve(values.own, self.action, out, targets)
+    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
+        """out (count,) = the response on the set to `values`.  Collective."""
+        points.convolve(values.own, self.action, out)
 
     def free(self) -> None:
         """There is nothing to free."""

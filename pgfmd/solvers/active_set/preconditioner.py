@@ -15,7 +15,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
@@ -33,11 +32,11 @@ class MultilevelStiffness:
     blocks.
     """
 
-    def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol, dtype: DTypeLike = np.float32) -> None:
+    def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol) -> None:
         """half_space(|q|): stiffness of a half-space, for the near part; stiffness(|q|): of the solid, for the far."""
         kernel = lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
-        self.near = Stencil(grid, kernel, dtype)
+        self.near = Stencil(grid, kernel)
         far_reaching = min(grid.shape) >= block_stiffness.FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
         self.far = FarPart(grid, stiffness) if far_reaching else None
 

@@ -28,12 +28,8 @@ class PressureSteps(Relaxation):
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
+        self.pixel_stiffness = solid.contact_modulus / max(grid.spacing)  # about
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
-
-    @property
-    def pixel_stiffness(self) -> float:
-        """Pressure on a single pixel over the displacement that it causes there.  Collective at first."""
-        return 1 / self.roundings.means[0] if self.roundings.means[0] > 0 else 1.0
 
     def free(self) -> None:
         """Frees the transforms of the mesh and of the blocks.  Collective."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
@@ -35,21 +34,18 @@ def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
 class Stencil:
     """z = S K Sᵀ r: S restricts to a contact set, K is a `lattice_kernel`."""
 
-    def __init__(self, grid: SlabGrid, kernel: np.ndarray, dtype: DTypeLike = np.float32) -> None:
-        self.grid, self.dtype = grid, np.dtype(dtype)
-        corner = kernel[RADIUS:, RADIUS:]
-        self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(dtype)
+    def __init__(self, grid: SlabGrid, kernel: np.ndarray) -> None:
+        self.grid, corner = grid, kernel[RADIUS:, RADIUS:]
+        self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(np.float32)
 
-    def apply(
-        self, points: ContactSet, extended: np.ndarray, out: np.ndarray, targets: ContactSet | None = None
-    ) -> None:
-        """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on `targets` or the set itself."""
+    def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray) -> None:
+        """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on the set."""
         columns, offsets = points.extended
-        vector, lists = (extended, (columns, offsets[HALO - RADIUS :])), (targets or points).lists
+        vector, lists = (extended, (columns, offsets[HALO - RADIUS :])), points.lists
         rows, ny = self.grid.local_shape
 
         def part(first: int, stop: int) -> None:
-            work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), self.dtype)
+            work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), np.float32)
             set_kernels.correlate(vector, self.weights, work, lists, (first, stop), out)
 
         self.grid.threads.deal(part, rows)
