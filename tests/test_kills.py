@@ -98,7 +98,7 @@ def changed(tmp_path, n: int, kills: int):
         assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         run = launching.start(ranks, "run", jobs[name], "--output", folder, "--overwrite", script=script)
         launching.wait_for_folder(run, folder)
-        time.sleep(chance.uniform(0, 0.6 * max(lengths)))
+        time.sleep(chance.choice([0.02, 1]) * chance.uniform(0, 0.6 * max(lengths)))  # also before the first load
         launching.kill(run, chance.choice(["one", "all", "mpirun"]), chance.choice)
         launching.wait(run)
         read = Results(folder)
