@@ -39,7 +39,7 @@ def test_values_and_defaults():
     job = config.parse(ROUGH)
     assert job.grid.shape == (64, 64) and job.grid.lengths == (64.0, 64.0) and job.grid.steps == (1.0, 1.0)
     assert job.load.control == "pressure" and job.load.targets == (0.0032,)
-    assert job.wall.kind == "hard" and job.solid.thickness == math.inf and job.solver.tolerance == 1e-6
+    assert job.wall.kind == "hard" and job.solid.thickness == math.inf and job.solver.tolerance == 1e-8
     assert job.output.fields == () and job.output.patches.connectivity == 8
     assert job.surface.wavelengths(job.grid) == (16.0, 64.0, 64.0)
 
