@@ -8,7 +8,7 @@
     python tools/benchmark.py report DIR                                                # tables, pictures once more
 
 All times are wall seconds of a complete solution: planning, coarse grids and all, but not the start of Python, the
-loading of compiled code and the surface.  Errors are relative to a solution certified to 1e-13 on the same grid.  Runs
+loading of compiled code and the surface.  Errors are relative to a solution certified to 1e-20 on the same grid.  Runs
 already in DIR/runs.csv are not repeated, so that an interrupted benchmark goes on, and cases add up.  Peers that are
 not installed (`tools/setup.sh bench`) are left out and named.  Processor time is noted too: on a busy machine, on one
 core, `report --clock cpu` says more.

@@ -180,21 +180,41 @@ def verify(found, heights: np.ndarray, grid: SlabGrid, elasticity: Elasticity, c
 
 
 def bound_of(pressure, heights, grid, elasticity, case) -> tuple[float, float]:
-    """Duality gap and ⟨p, Gp⟩ per point from NumPy's transforms."""
+    """A bound of the energy error, of second order, and ⟨p, Gp⟩ per point from NumPy's transforms.
+
+    Hard wall: ½⟨ρ, Kρ⟩ as in `solvers.active_set.active_set`.  Exponential one: the least of the duality gap and of
+    that with ρ = g + ζ ln p − λ where p is large, and the loss ζ (s − p + p ln(p/s)) against s = exp((λ − g)/ζ) where
+    it is not.
+    """
     qy = 2 * np.pi / grid.lengths[1] * np.arange(grid.shape[1] // 2 + 1)
     q = np.hypot(grid.qx[0][:, None], qy[None, :])
     unit = float(pressure.mean()) or 1.0
-    displacement = np.fft.irfft2(np.fft.rfft2(pressure / unit) * elasticity.compliance(q), s=grid.shape) * unit
-    gap = displacement - (heights - heights.mean())
-    work = float(np.mean(pressure / unit * displacement)) * unit
-    if case.wall.kind == "hard":
-        return float(np.mean(pressure * (gap - gap.min()))), work
-    zeta = case.wall.zeta
-    weight = np.exp((gap.min() - gap) / zeta)
     ratio = pressure / unit
+    displacement = np.fft.irfft2(np.fft.rfft2(ratio) * elasticity.compliance(q), s=grid.shape) * unit
+    gap = displacement - (heights - heights.mean())
+    work = float(np.mean(ratio * displacement)) * unit
+
+    def half_square(field: np.ndarray) -> float:
+        stiff = np.fft.irfft2(np.fft.rfft2(field) * elasticity.stiffness(q), s=grid.shape)
+        return float(np.mean(field * stiff)) / 2
+
+    if case.wall.kind == "hard":
+        away = gap - float(np.mean(ratio * gap))
+        uneven = np.where(pressure > 0, away, 0.0)
+        around = sum(np.roll(uneven, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 8
+        return half_square(np.where(pressure > 0, away, np.minimum(around, away))), work
+    zeta = case.wall.zeta
     logarithm = np.log(ratio, where=ratio > 0, out=np.zeros_like(ratio))
-    logarithm += (gap - gap.min()) / zeta + np.log(weight.mean())
-    return float(np.mean(ratio * logarithm)) * zeta * unit, work
+    level = float(np.mean(ratio * (gap + zeta * logarithm)))
+    highest = float(np.max(-gap))  # so that nothing overflows
+    free = level + highest + zeta * math.log(np.mean(np.exp((-gap - highest) / zeta)))  # duality gap
+    bounds = [free * unit]
+    wall = np.minimum((level - gap) / zeta, 700.0)
+    lost = np.exp(wall) - ratio + ratio * (logarithm - wall)
+    for large in (ratio > smallest for smallest in (0.1, 1e-3, 1e-6, 1e-12, 1e-30)):
+        field = np.where(large, gap - level + zeta * logarithm, 0)
+        bounds.append(half_square(field) + zeta * unit * float(np.mean(np.where(large, 0, lost))))
+    return min(bounds), work
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -17,8 +17,8 @@ from .methods import METHODS, PEERS
 from .recorder import Recorder
 
 TOLERANCES = {
-    "pgfmd": tuple(10.0 ** (-exponent / 2) for exponent in range(4, 23)),  # 1e-2 … 1e-11
-    "pgfmd steps": (1e-10,),
+    "pgfmd": tuple(10.0**-exponent for exponent in range(2, 16)),  # of second order: pressures to 1e-1 … 1e-7
+    "pgfmd steps": (1e-15,),
     "ASPHER": tuple(10.0**-exponent for exponent in range(3, 12)),
 }
 TIGHTEST = 1e-12  # what methods that are watched at each iteration are asked for
