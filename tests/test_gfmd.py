@@ -12,6 +12,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
@@ -94,6 +95,17 @@ def test_slabs_agree_with_the_hard_wall(comm, base):
     one = solve_gfmd(ContactProblem(grid, heights, solid, HardWall(), 0.01), tolerance=1e-11)
     two = solve_contact(ContactProblem(grid, heights, solid, HardWall(), 0.01), Solver(tolerance=1e-11))
     assert apart(grid, one, two) < 1e-5
+
+
+@pytest.mark.parametrize("hardness", [0.02, 0.1])
+def test_limited_hardness_agrees_with_the_active_set(comm, hardness):
+    """σ_Y reached by half of the points, and by a few: pressures to 1e-5 by two methods that share the law alone."""
+    grid = SlabGrid(comm, (64, 64))
+    heights = self_affine(grid, 0.8, 4.0, 0.1, 1)
+    problem = ContactProblem(grid, heights, Elasticity(1.0), Hardness(hardness=hardness), 0.01)
+    one, two = (solve_contact(problem, Solver(method=name, tolerance=1e-12)) for name in ("gfmd", "active-set"))
+    assert apart(grid, one, two) < 1e-5
+    assert grid.reduction.max(one.pressure) <= hardness
 
 
 def test_what_does_not_arrive_is_an_error(comm):

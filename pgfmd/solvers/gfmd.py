@@ -31,7 +31,7 @@ INERTIA, INTERVAL = 1.8, 10  # over-relaxation: factor on each step; steps betwe
 
 def solve_gfmd(
     problem: ContactProblem,
-    tolerance: float = 1e-6,
+    tolerance: float = 1e-8,
     start: np.ndarray | None = None,
     monitor: Monitor | None = None,
     overwrite_heights: bool = False,

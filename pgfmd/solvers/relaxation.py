@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
 
 import numpy as np
 
@@ -68,23 +68,30 @@ class WallRelaxation:
         work, *squares = self.grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))
         state.work, self.squares = float(work) / self.grid.size, np.array(squares)
 
-    def total(self, kernel: Callable, *arguments: Any) -> np.ndarray:
-        """The sums over all rows of all ranks of what a kernel returns for some rows.  Collective."""
+    def total(self, function: Callable[..., float | tuple[float, ...]], *fields: np.ndarray) -> np.ndarray:
+        """The sums over all rows of all ranks of what a function returns for the same rows of some fields.
+        Collective.
+        """
         parts = self.grid.threads.collect(
-            lambda a, b: np.atleast_1d(kernel(*arguments, a, b)), self.grid.local_shape[0]
+            lambda a, b: np.atleast_1d(function(*(field[a:b] for field in fields))), self.grid.local_shape[0]
         )
         return self.grid.reduction.sums(*np.sum(parts, axis=0))
+
+    def each(self, function: Callable[..., None], *fields: np.ndarray) -> None:
+        """Calls a function with the same rows of some fields, a part of them for each thread."""
+        self.grid.threads.split(lambda a, b: function(*(field[a:b] for field in fields)), self.grid.local_shape[0])
 
     def certify(self, state: WallState) -> None:
         """Level, contact and certified error of a feasible state, whose gap was computed last.  Collective."""
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
-        potential, contact = self.total(law.moments, *fields)
-        state.level, state.contact = float(potential) / grid.size, int(contact)
-        level = state.level
+        potential, load, contact = self.total(law.moments, *fields)
+        level = state.level = float(potential / load) if load > 0 else state.level
+        state.contact = int(contact)
         compliance, excess = self.local_compliance(PIXELS), dict[int, float]()
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            excess[first] = law.split(*fields, compliance, level, first, rows)
+            pressure, gap = (field[first:stop] for field in fields)
+            excess[first] = law.split(pressure, gap, rows, compliance, level)
 
         square, change = energy_of_residual(grid, fill, self.stiffness)
         bound = certified(square, self.rounding.bound(self.squares, grid.size))
@@ -97,15 +104,18 @@ class WallRelaxation:
         begins at the state's c.  Collective.
         """
         count, level, low, high = self.grid.size, state.level, -np.inf, np.inf
-        enough = 1e-9 * count  # a factor on p̂ corrects the rest
+        enough = 1e-14 * count  # a factor on p̂ corrects the rest
         for _ in range(200):
-            total, slope = self.total(self.law.respond, target, compliance, level, state.pressure)
+            answer = partial(self.law.respond, compliance=compliance, level=level)
+            total, slope = self.total(answer, target, state.pressure)
             if abs(total - count) <= enough:
                 break
             low, high = (level, high) if total < count else (low, level)
-            if total > 0:  # Newton for Σ p̂, which is nearly linear in c, or for its logarithm: the shorter step
+            if slope > 0:  # Newton for Σ p̂, which is nearly linear in c, or for its logarithm: the shorter step
                 steps = (count - total) / slope, math.log(count / total) * total / slope
                 trial = level + min(steps, key=abs)
+            elif total > 0:  # all at their bounds
+                trial = level + math.copysign(compliance, count - total)
             else:  # all underflowed: the level at which the point of the largest target bears about 1
                 trial = compliance - self.grid.reduction.max(target)
             if abs(trial - level) <= 1e-15 * abs(level):

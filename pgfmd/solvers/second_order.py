@@ -84,9 +84,7 @@ class Rounding:
         primes = any(pow(30030, 64, n) for n in grid.shape)  # whether a prime above 13 divides n
         self.factor = ROUNDING[primes] * math.sqrt(math.log2(2 * grid.size))
 
-    def bound(
-        self, squares: np.ndarray, heights_squared: float, precision: type[np.floating] = np.float64
-    ) -> float:
+    def bound(self, squares: np.ndarray, heights_squared: float, precision: type[np.floating] = np.float64) -> float:
         """Of ½‖e‖²_K for the error e of a gap that was computed in that precision; squares: Σ p², Σ u² of it."""
         unit, digits = self.factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
         return (unit**2 * float(self.means @ squares) + digits**2 * float(self.means[1]) * heights_squared) / 2

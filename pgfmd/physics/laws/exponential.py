@@ -56,22 +56,19 @@ class ExponentialWall(ContactLaw):
         """The same with ζ larger by that factor."""
         return dataclasses.replace(self, zeta=self.zeta * factor)
 
-    def respond(
-        self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
-    ) -> tuple[float, float]:
+    def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
         """p with compliance · p + ζ ln p = target + level."""
-        return respond(target[first:stop], compliance, self.zeta, level, pressure[first:stop])
+        return respond(target, pressure, compliance, self.zeta, level)
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
-        """(Σ p (g + ζ ln p), #{p > 1})."""
-        return moments(pressure, gap, self.zeta, first, stop)
+    def moments(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
+        """(Σ p (g + ζ ln p), Σ p, #{p > 1})."""
+        return moments(pressure, gap, self.zeta)
 
     def split(
-        self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+        self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
         """The excess is ζ times the relative entropy of p to exp(−(g − level − ρ)/ζ)."""
-        rows = slice(first, first + len(residual))
-        return split(pressure[rows], gap[rows], compliance, self.zeta, level, residual)
+        return split(pressure, gap, residual, compliance, self.zeta, level)
 
     def contact_above(self, mean: float, mean_square: float) -> float:
         """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure over the load that it bears.
@@ -111,7 +108,7 @@ def wright_omega(z: float) -> float:
 
 @_jit
 def respond(
-    target: np.ndarray, compliance: float, zeta: float, level: float, pressure: np.ndarray
+    target: np.ndarray, pressure: np.ndarray, compliance: float, zeta: float, level: float
 ) -> tuple[float, float]:
     """p̂ with compliance p̂ + ζ ln p̂ = target + level; returns Σ p̂ and Σ dp̂/dlevel."""
     b = zeta / compliance
@@ -127,17 +124,14 @@ def respond(
 
 
 @_jit
-def moments(pressure: np.ndarray, gap: np.ndarray, zeta: float, first: int, stop: int) -> tuple[float, int]:
-    """(Σ p̂ (g + ζ ln p̂), #{p̂ > 1}) of rows first … stop−1."""
-    potential = 0.0
-    loaded = 0
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            g, p = gap[i, j], pressure[i, j]
-            if p > 0:
-                potential += p * (g + zeta * math.log(p))
-                loaded += p > 1
-    return potential, loaded
+def moments(pressure: np.ndarray, gap: np.ndarray, zeta: float) -> tuple[float, float, int]:
+    """(Σ p̂ (g + ζ ln p̂), Σ p̂, #{p̂ > 1})."""
+    loaded, potential = 0, 0.0
+    for point, p in np.ndenumerate(pressure):
+        loaded += p > 1
+        if p > 0:
+            potential += p * (gap[point] + zeta * math.log(p))
+    return potential, pressure.sum(), loaded
 
 
 @_jit
@@ -151,15 +145,15 @@ def relative_entropy(pressure: float, exponent: float) -> float:
 
 @_jit
 def split(
-    pressure: np.ndarray, gap: np.ndarray, compliance: float, zeta: float, level: float, residual: np.ndarray
+    pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, zeta: float, level: float
 ) -> float:
-    """residual = compliance · (p̂ − p̂⁺), where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ −
-    (g − level); returns ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ).
+    """residual = compliance · (p̂ − p̂⁺), where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ − (g − level); returns
+    ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ).
     """
     b = zeta / compliance
     shift = -math.log(b)
     total = 0.0
-    for i in range(residual.shape[0]):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p, away = pressure[i, j], gap[i, j] - level
             r = compliance * (p - b * wright_omega((compliance * p - away) / zeta + shift))

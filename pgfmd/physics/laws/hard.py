@@ -13,6 +13,8 @@ from pgfmd.physics.laws.law import ContactLaw, Units
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
+SATURATED = 1 - 1e-12  # of the largest pressure; what is above bears that but for rounding
+
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
@@ -31,21 +33,19 @@ class HardWall(ContactLaw):
         """The same in any units."""
         return self
 
-    def respond(
-        self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
-    ) -> tuple[float, float]:
-        """A projection: p = max(target + level, 0)/compliance."""
-        return project(target, compliance, level, pressure, first, stop)
+    def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
+        """A projection: p = target + level over the compliance, between 0 and `highest`."""
+        return project(target, pressure, compliance, level, self.highest)
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
-        """(Σ p g, #{p > 1})."""
-        return moments(pressure, gap, first, stop)
+    def moments(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
+        """(Σ p g, Σ p, #{p > 1})."""
+        return moments(pressure, gap, self.highest)
 
     def split(
-        self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+        self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """ρ = min(g − level, compliance · p)."""
-        return split(pressure, gap, compliance, level, first, residual)
+        """ρ = g − level, but at most compliance · p, and at least compliance · (p − highest)."""
+        return split(pressure, gap, residual, compliance, level, self.highest)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """Makes the gap 0 where there is pressure, and nowhere negative."""
@@ -54,45 +54,51 @@ class HardWall(ContactLaw):
 
 @_jit
 def project(
-    target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
+    target: np.ndarray, pressure: np.ndarray, compliance: float, level: float, highest: float
 ) -> tuple[float, float]:
-    """p = max(target + level, 0)/compliance; returns Σ p and Σ dp/dlevel."""
+    """p = (target + level)/compliance between 0 and `highest`; returns Σ p and Σ dp/dlevel."""
     total = slope = 0.0
-    for i in range(first, stop):
+    for i in range(target.shape[0]):
         for j in range(target.shape[1]):
-            p = max(target[i, j] + level, 0.0) / compliance
+            p = min(max(target[i, j] + level, 0.0) / compliance, highest)
             pressure[i, j] = p
             total += p
-            slope += p > 0
+            slope += 0 < p < highest
     return total, slope / compliance
 
 
 @_jit
-def moments(pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
-    """(Σ p̂ g, #{p̂ > 1}) of rows first … stop−1."""
-    potential = 0.0
+def moments(pressure: np.ndarray, gap: np.ndarray, highest: float) -> tuple[float, float, int]:
+    """(Σ p̂ g, Σ p̂, #{p̂ > 1}), the sums where p̂ < highest."""
+    potential = load = 0.0
     loaded = 0
-    for i in range(first, stop):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p = pressure[i, j]
-            potential += p * gap[i, j]
             loaded += p > 1
-    return potential, loaded
+            if p < SATURATED * highest:
+                potential += p * gap[i, j]
+                load += p
+    return potential, load, loaded
 
 
 @_jit
 def split(
-    pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+    pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float, highest: float
 ) -> float:
-    """residual = min(g − level, compliance p) of the rows from `first` on; returns Σ p (g − level − residual)."""
+    """residual = g − level between compliance · (p − highest) and compliance · p; returns Σ excess, which is p g' for a
+    gap g' = g − level − residual > 0 and (p − highest) g' for g' < 0.
+    """
     total = 0.0
-    for i in range(residual.shape[0]):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
-            p, away = pressure[first + i, j], gap[first + i, j] - level
-            within = compliance * p
-            residual[i, j] = min(away, within)
-            if away > within:
-                total += p * (away - within)
+            p, away = pressure[i, j], gap[i, j] - level
+            most, least = compliance * p, compliance * (p - highest)
+            residual[i, j] = min(max(away, least), most)
+            if away > most:
+                total += p * (away - most)
+            elif away < least:
+                total += (p - highest) * (away - least)
     return total
 
 

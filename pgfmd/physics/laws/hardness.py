@@ -23,7 +23,7 @@ class Hardness(HardWall):
     """A hard wall that gives way where the pressure reaches `hardness`."""
 
     kind: ClassVar[str] = "hardness"
-    methods: ClassVar[tuple[str, ...]] = ("active-set",)
+    methods: ClassVar[tuple[str, ...]] = ("active-set", "gfmd")
 
     hardness: float = key(POSITIVE, about="σ_Y, the largest pressure that a point bears", needed=True, example=0.1)
 
@@ -42,9 +42,7 @@ class Hardness(HardWall):
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def finish_rows(
-    pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float
-) -> float:
+def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float) -> float:
     """p = unit · p and gap = height · (gap − level), cut to 0, ≥ 0 or ≤ 0 by the bound at which p is; returns the
     largest part that is cut off.
     """

@@ -64,23 +64,23 @@ class ContactLaw(Section):
         """The law between p̂ and ĝ, with the offset chosen so that ĝ = 0 at p̂ = 1."""
         raise NotImplementedError
 
-    def respond(
-        self, target: np.ndarray, compliance: float, level: float, pressure: np.ndarray, first: int, stop: int
-    ) -> tuple[float, float]:
-        """The resolvent: in rows first … stop−1, sets p to the solution of compliance · p − gap(p) = target + level, or
-        to the admissible pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
+    def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
+        """The resolvent: sets p, in rows of points, to the solution of compliance · p − gap(p) = target + level, or to
+        the admissible pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
         """
         raise NotImplementedError
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, first: int, stop: int) -> tuple[float, int]:
-        """(Σ p (g − gap(p)), #{p > 1}) of rows first … stop−1 of a pressure of mean 1."""
+    def moments(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
+        """(Σ p (g − gap(p)), Σ p, #{p > 1}) of rows of a pressure of mean 1, the sums over points below the largest
+        pressure.
+        """
         raise NotImplementedError
 
     def split(
-        self, pressure: np.ndarray, gap: np.ndarray, compliance: float, level: float, first: int, residual: np.ndarray
+        self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """Of the rows from `first` on, what the certificate of second order needs (`solvers.second_order`): fills
-        `residual` with ρ = compliance · (p − p⁺); returns Σ excess(p, g − level − ρ).
+        """What the certificate of second order needs of rows (`solvers.second_order`): fills `residual` with ρ =
+        compliance · (p − p⁺); returns Σ excess(p, g − level − ρ).
         """
         raise NotImplementedError
 

@@ -33,12 +33,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgfmd.errors import SolverError
 from pgfmd.grid import kernels
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import pass_on
+from pgfmd.solvers.patience import STEPS, Patience
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
@@ -48,7 +48,6 @@ CUT_POWER = 0.7  # after a step with the factor f on the error, the next one tak
 MARGIN = 0.15  # the last step aims at this part of the tolerance
 MOST_INNER, MOST_OUTER = 300, 200
 STUCK = 3  # steps without halving the least error, before double precision is taken
-PATIENCE = 12  # steps without halving the least error, before giving up
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
 
@@ -85,7 +84,7 @@ class Relaxation:
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
         self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
-        self.top, self.solid = problem.law.highest, solid
+        self.top, self.solid, self.kind = problem.law.highest, solid, problem.law.kind
         kinds: tuple[Precision, Precision] = (np.float32, np.float64)
         self.compliance = {kind: solid.apply_compliance(grid, kind, 1 / grid.size) for kind in kinds}
         self.stiffness = {kind: solid.apply_stiffness(grid, kind, 1 / grid.size) for kind in kinds}
@@ -98,7 +97,7 @@ class Relaxation:
         `state.pressure` must be feasible.  Raises SolverError if the error stops falling above the tolerance.
         """
         precision: Precision = np.float32
-        before, best, patience = math.inf, math.inf, PATIENCE
+        before, patience = math.inf, Patience()
         for step in range(MOST_OUTER):
             system = self.look(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
@@ -115,22 +114,17 @@ class Relaxation:
                 monitor(state)
             if negligible and state.error <= tolerance:
                 return state
-            patience = PATIENCE if estimate < 0.5 * best else patience - 1
-            best = min(best, state.error)
-            if patience == 0:
+            if not patience.take(estimate, state.error):
                 break
-            stay_single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience > PATIENCE - STUCK
+            stay_single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK
             if precision is np.float32 and not stay_single:
                 precision = np.float64
                 if estimate <= tolerance:
                     continue  # certify in double precision before another step
-            wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (1 - patience / PATIENCE)
+            wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (patience.lost / STEPS)
             before = estimate
             self.improve(state, system, wanted)
-        raise SolverError(
-            f"hard wall: the certified error stays at {best:.1e}, above the tolerance {tolerance:.1e}, after "
-            f"{state.iterations} iterations on {self.grid.shape[0]} x {self.grid.shape[1]} points; ask for less"
-        )
+        raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
 
     @staticmethod
     def next_cut(estimate: float, before: float, tolerance: float) -> float:

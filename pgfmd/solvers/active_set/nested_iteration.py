@@ -1,5 +1,4 @@
-"""Nested iteration for the active set: the solution on each grid starts the next finer one, which has four times as
-many points.
+"""Nested iteration by active sets: what starts on each grid, and what can be answered at once.
 
 `solve_hard_wall` is the solver that the rest of the program calls.
 """
@@ -11,18 +10,17 @@ from functools import partial
 import numpy as np
 
 from pgfmd.grid import kernels
-from pgfmd.grid.transfer import Interpolation, restrict
+from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import carry
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.nested_iteration import NestedIteration
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor
 
-COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
-FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
 PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
 MOSTLY = 0.45  # share of points in contact with a hard wall above which the gaps of the others are the unknowns
 
@@ -41,7 +39,7 @@ def solve_hard_wall(
     called after each outer step.  overwrite_heights: their memory is used, and they are lost.
     Raises InputError for what is out of range, SolverError if the tolerance cannot be reached.
     """
-    nested, grid = NestedIteration(tolerance, monitor), problem.grid
+    nested, grid = ActiveSetIteration(tolerance, monitor), problem.grid
     units = Dimensionless(problem, overwrite_heights=overwrite_heights)
     if units.uniform is not None:
         return units.uniform
@@ -97,54 +95,33 @@ def _least_deviation(problem: ContactProblem) -> float:
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
 
 
-class NestedIteration:
-    """Solves a problem on its grid, starting from the solution on the next coarser one."""
+class ActiveSetIteration(NestedIteration[State]):
+    """Nested iteration by active sets."""
 
-    def __init__(self, tolerance: float, monitor: Monitor | None) -> None:
-        self.tolerance, self.monitor = tolerance, monitor
+    def at_once(self, problem: ContactProblem) -> State | None:
+        """Full contact, where the load may well bring it about."""
+        return _full_contact(problem, PRESSED)
+
+    def coarsest(self, problem: ContactProblem, exact: bool) -> State:
+        """From a uniform pressure."""
+        if (state := _full_contact(problem)) is not None:
+            return state
+        shape = problem.grid.local_shape
+        return self.relax(problem, State(np.full(shape, problem.mean_pressure), np.empty(shape)), exact)
+
+    def prolong(self, coarse: ContactProblem, found: State, problem: ContactProblem) -> tuple[State, bool]:
+        """Full contact, if the coarse grid has it and so has this one."""
+        full = _full_contact(problem) if found.between == coarse.grid.size else None
+        return (full, True) if full is not None else (_prolong(coarse, found, problem), False)
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`MOSTLY`).  Collective."""
         by_gaps = problem.law.highest == np.inf and state.between > MOSTLY * problem.grid.size
         steps = GapSteps if by_gaps else PressureSteps
         solver = steps(problem, exact)
-        seen = None if self.monitor is None else partial(self.monitor, problem.grid)
-        state = solver.relax(state, self.tolerance, seen)
+        state = solver.relax(state, self.tolerance, self.watch(problem))
         solver.free()
         return state
-
-    def solve(self, problem: ContactProblem, exact: bool = True) -> tuple[State, float]:
-        """The solution, and the transforms spent on coarser grids, in transforms of this one.  Collective."""
-        grid = problem.grid
-        if (state := _full_contact(problem, PRESSED)) is not None:
-            return state, 0.0
-        coarse = self.coarser(problem)
-        if coarse is None:
-            if (state := _full_contact(problem)) is None:
-                state = State(np.full(grid.local_shape, problem.mean_pressure), np.empty(grid.local_shape))
-                state = self.relax(problem, state, exact)
-            return state, 0.0
-        found, extra = self.solve(coarse, False)
-        iterations = found.iterations
-        full = _full_contact(problem) if found.between == coarse.grid.size else None
-        state = _prolong(coarse, found, problem) if full is None else full
-        extra = (extra + coarse.grid.transforms) * coarse.grid.size / grid.size
-        coarse.grid.free()
-        del found, coarse
-        if full is None:
-            state = self.relax(problem, state, exact)
-        state.iterations += iterations
-        return state, extra
-
-    def coarser(self, problem: ContactProblem) -> ContactProblem | None:
-        """The problem on the next coarser grid, or None if its solution would be no good start.  Collective."""
-        if min(problem.grid.shape) <= COARSEST:
-            return None
-        coarse = problem.grid.coarse()
-        heights = restrict(problem.grid, coarse, problem.heights, np.float32)
-        if coarse.reduction.dot(heights, heights) < FLAT**2 * coarse.size:
-            return None
-        return problem.on(coarse, heights)
 
 
 def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> State:

@@ -1,8 +1,6 @@
-"""Compiled loops of Newton's method for the exponential wall.
+"""Compiled loops of Newton's method for the exponential wall, over rows of some fields.
 
 Pressures are over their mean, p̂ = p/p̄; gaps g, ζ and the heights share one unit.
-fields: (pressure, gap); start: (root, residual); along: (direction, product); numbers: (mean, ζ, length); found:
-(change, response, residual), in `newton_target` (root, change, response).
 """
 
 from __future__ import annotations
@@ -15,16 +13,17 @@ import numpy as np
 from pgfmd.physics.laws.exponential import relative_entropy
 
 Pair = tuple[np.ndarray, np.ndarray]
+
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
 @_jit
-def newton_start(fields: Pair, zeta: float, level: float, start: Pair, first: int, stop: int) -> float:
+def newton_start(
+    pressure: np.ndarray, gap: np.ndarray, root: np.ndarray, residual: np.ndarray, zeta: float, level: float
+) -> float:
     """root = √p̂; residual = −√p̂ (g + ζ ln p̂ − level), and 0 where p̂ = 0; returns Σ residual²."""
-    pressure, gap = fields
-    root, residual = start
     total = 0.0
-    for i in range(first, stop):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p = pressure[i, j]
             s = math.sqrt(p)
@@ -36,20 +35,18 @@ def newton_start(fields: Pair, zeta: float, level: float, start: Pair, first: in
 
 
 @_jit
-def next_direction(residual: np.ndarray, beta: np.float32, direction: np.ndarray, first: int, stop: int) -> None:
+def next_direction(residual: np.ndarray, direction: np.ndarray, beta: np.float32) -> None:
     """direction = residual + beta direction."""
-    for i in range(first, stop):
+    for i in range(residual.shape[0]):
         for j in range(residual.shape[1]):
             direction[i, j] = residual[i, j] + beta * direction[i, j]
 
 
 @_jit
-def curvature_sums(
-    root: np.ndarray, direction: np.ndarray, product: np.ndarray, first: int, stop: int
-) -> tuple[float, float, float]:
+def curvature_sums(root: np.ndarray, direction: np.ndarray, product: np.ndarray) -> tuple[float, float, float]:
     """(Σ (√p̂ d) product, Σ d², Σ p̂ product): what a step along d needs."""
     curved = square = along = 0.0
-    for i in range(first, stop):
+    for i in range(root.shape[0]):
         for j in range(root.shape[1]):
             s, d, q = np.float64(root[i, j]), np.float64(direction[i, j]), np.float64(product[i, j])
             curved += s * d * q
@@ -60,19 +57,17 @@ def curvature_sums(
 
 @_jit
 def step(
-    root: np.ndarray,
-    along: Pair,
-    numbers: tuple[float, float, float],
-    found: tuple[np.ndarray, np.ndarray, np.ndarray],
-    first: int,
-    stop: int,
+    root: np.ndarray, system: Pair, sums: Pair, residual: np.ndarray, numbers: tuple[np.float32, np.float32, np.float32]
 ) -> float:
-    """change += length d; response += length product; residual −= length (ζ d + √p̂ (product − mean)); Σ residual²."""
-    direction, product = along
+    """One step of conjugate gradients: with system = (d, product), sums = (change, response) and numbers = (mean, ζ,
+    length), change += length d; response += length product; residual −= length (ζ d + √p̂ (product − mean)); returns
+    Σ residual².
+    """
+    direction, product = system
+    change, response = sums
     mean, zeta, length = numbers
-    change, response, residual = found
     total = 0.0
-    for i in range(first, stop):
+    for i in range(root.shape[0]):
         for j in range(root.shape[1]):
             d, q = direction[i, j], product[i, j]
             change[i, j] += length * d
@@ -84,45 +79,25 @@ def step(
 
 
 @_jit
-def level_sum(fields: Pair, zeta: float, first: int, stop: int) -> float:
-    """Σ p̂ (g + ζ ln p̂)."""
-    pressure, gap = fields
-    total = 0.0
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            p = pressure[i, j]
-            if p > 0:
-                total += p * (gap[i, j] + zeta * math.log(p))
-    return total
-
-
-@_jit
 def newton_target(
-    fields: Pair,
-    found: tuple[np.ndarray, np.ndarray, np.ndarray],
-    compliance: float,
-    target: np.ndarray,
-    first: int,
-    stop: int,
+    pressure: np.ndarray, gap: np.ndarray, root: np.ndarray, sums: Pair, target: np.ndarray, compliance: float
 ) -> None:
-    """target = compliance (p̂ + δp̂) − (g + response), δp̂ = √p̂ change: what the linearised step says of every point."""
-    pressure, gap = fields
-    root, change, response = found
-    for i in range(first, stop):
+    """target = compliance (p̂ + δp̂) − (g + response), δp̂ = √p̂ change: what the linearised step says of every point; sums
+    = (change, response).
+    """
+    change, response = sums
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p = pressure[i, j] + root[i, j] * change[i, j]
             target[i, j] = compliance * p - (gap[i, j] + response[i, j])
 
 
 @_jit
-def mix(old: Pair, fraction: float, fields: Pair, first: int, stop: int) -> None:
-    """pressure, gap ← old + fraction (pressure − old), the same for the gap."""
-    old_pressure, old_gap = old
-    pressure, gap = fields
-    for i in range(first, stop):
-        for j in range(gap.shape[1]):
-            pressure[i, j] = old_pressure[i, j] + fraction * (pressure[i, j] - old_pressure[i, j])
-            gap[i, j] = old_gap[i, j] + fraction * (gap[i, j] - old_gap[i, j])
+def mix(old: np.ndarray, new: np.ndarray, fraction: float) -> None:
+    """new ← old + fraction (new − old)."""
+    for i in range(old.shape[0]):
+        for j in range(old.shape[1]):
+            new[i, j] = old[i, j] + fraction * (new[i, j] - old[i, j])
 
 
 @_jit
@@ -136,11 +111,10 @@ def start_rows(
 
 
 @_jit
-def weight_and_potential(fields: Pair, zeta: float, least: float, first: int, stop: int) -> tuple[float, float]:
-    """(Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂)) of some rows."""
-    pressure, gap = fields
+def weight_and_potential(pressure: np.ndarray, gap: np.ndarray, zeta: float, least: float) -> tuple[float, float]:
+    """(Σ exp((least − g)/ζ), Σ p̂ (g − least + ζ ln p̂))."""
     weight = potential = 0.0
-    for i in range(first, stop):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p, away = pressure[i, j], gap[i, j] - least
             if away < 745 * zeta:
@@ -151,22 +125,20 @@ def weight_and_potential(fields: Pair, zeta: float, least: float, first: int, st
 
 
 @_jit
-def work(fields: Pair, heights: np.ndarray, first: int, stop: int) -> float:
-    """Σ p̂ (g + h) of some rows."""
-    pressure, gap = fields
+def work(pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray) -> float:
+    """Σ p̂ (g + h)."""
     total = 0.0
-    for i in range(first, stop):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             total += pressure[i, j] * (gap[i, j] + heights[i, j])
     return total
 
 
 @_jit
-def divergence(fields: Pair, zeta: float, least: float, log_scale: float, first: int, stop: int) -> float:
-    """Σ p̂ ln(p̂/σ̂) − p̂ + σ̂ of some rows, with σ̂ = exp((least − g)/ζ + log_scale)."""
-    pressure, gap = fields
+def divergence(pressure: np.ndarray, gap: np.ndarray, zeta: float, least: float, log_scale: float) -> float:
+    """Σ p̂ ln(p̂/σ̂) − p̂ + σ̂ with σ̂ = exp((least − g)/ζ + log_scale)."""
     total = 0.0
-    for i in range(first, stop):
+    for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             total += relative_entropy(pressure[i, j], (least - gap[i, j]) / zeta + log_scale)
     return total

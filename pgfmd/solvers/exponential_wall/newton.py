@@ -24,16 +24,17 @@ from functools import partial
 
 import numpy as np
 
-from pgfmd.errors import SolverError
+from pgfmd.grid.callbacks import sink
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels as entropy
+from pgfmd.solvers.patience import Patience
 from pgfmd.solvers.relaxation import WallRelaxation, WallState
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
+BACK = 0.25  # of a step that raised both merits, which is tried next
 MOST_INNER, MOST_OUTER = 1000, 200
 LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step: at first, and after one that cut the error
-PATIENCE = 12  # outer steps without halving the best error, before giving up
 
 Merits = tuple[float, float]
 
@@ -43,7 +44,7 @@ class Newton(WallRelaxation):
 
     law: ExponentialWall
 
-    def __init__(self, problem: ContactProblem) -> None:
+    def __init__(self, problem: ContactProblem):
         super().__init__(problem)
         self.zeta, self.alpha = self.law.zeta, self.local_compliance(REACH)
 
@@ -56,7 +57,8 @@ class Newton(WallRelaxation):
         """
         self.compute_gap(state)
         self.certify(state)
-        best, patience, wanted, merits = state.error, PATIENCE, LEAST_CUT, self.merits(state)
+        patience, wanted, merits = Patience(), LEAST_CUT, self.merits(state)
+        patience.take(state.error)
         for _ in range(MOST_OUTER):
             if monitor is not None:
                 monitor(state)
@@ -66,18 +68,13 @@ class Newton(WallRelaxation):
             enough = min(LEAST_CUT, 0.3 * math.sqrt(tolerance / before))
             merits = self.advance(state, max(wanted, enough), merits)
             wanted = MOST_CUT if state.error < 0.1 * before else LEAST_CUT
-            patience = PATIENCE if state.error < 0.5 * best else patience - 1
-            best = min(best, state.error)
-            if patience == 0:
+            if not patience.take(state.error):
                 break
-        raise SolverError(
-            f"exponential wall: the certified error stays at {best:.1e}, above the tolerance {tolerance:.1e}, after "
-            f"{state.iterations} iterations on {self.grid.shape[0]} x {self.grid.shape[1]} points; ask for less"
-        )
+        raise patience.failure(self.law.kind, self.grid, state.iterations, tolerance)
 
     def advance(self, state: WallState, wanted: float, before: Merits) -> Merits:
         """One Newton step, shortened while it would raise both merits; returns the new ones.  Collective."""
-        fields, old = (state.pressure, state.gap), (state.pressure.copy(), state.gap.copy())
+        pressure, gap = state.pressure.copy(), state.gap.copy()
         self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
         for _ in range(10):
@@ -85,8 +82,9 @@ class Newton(WallRelaxation):
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
             # Back towards the old state the objective is convex, and the gap linear, so that no convolution is needed.
-            self.grid.threads.split(partial(entropy.mix, old, 0.25, fields), len(state.gap))
-            (work,) = self.total(entropy.work, fields, self.heights)
+            self.each(partial(entropy.mix, fraction=BACK), pressure, state.pressure)
+            self.each(partial(entropy.mix, fraction=BACK), gap, state.gap)
+            (work,) = self.total(entropy.work, state.pressure, state.gap, self.heights)
             state.work = float(work) / self.grid.size
         self.certify(state)
         return merits
@@ -96,37 +94,47 @@ class Newton(WallRelaxation):
         Collective.
         """
         count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
-        weight, potential = self.total(entropy.weight_and_potential, (state.pressure, state.gap), zeta, least)
+        fields = state.pressure, state.gap
+        weight, potential = self.total(partial(entropy.weight_and_potential, zeta=zeta, least=least), *fields)
         log_scale = -math.log(weight / count)
-        (apart,) = self.total(entropy.divergence, (state.pressure, state.gap), zeta, least, log_scale)
+        answer = partial(entropy.divergence, zeta=zeta, least=least, log_scale=log_scale)
+        (apart,) = self.total(answer, *fields)
         return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
 
     def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, its residual × `wanted`.  Collective."""
-        grid, rows, zeta = self.grid, self.grid.local_shape[0], self.zeta
+        grid, zeta, fields = self.grid, self.zeta, (state.pressure, state.gap)
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
-        fields = state.pressure, state.gap
-        level = self.total(entropy.level_sum, fields, zeta)[0] / grid.size
-        (square,) = self.total(entropy.newton_start, fields, zeta, level, (root, residual))
+        level = float(self.total(self.law.moments, *fields)[0]) / grid.size
+        start = partial(entropy.newton_start, zeta=zeta, level=level)
+        (square,) = self.total(start, *fields, root, residual)
         goal, beta = wanted**2 * square, 0.0
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:
             np.multiply(root[first:stop], direction[first:stop], out=block)
 
-        def drain(first: int, stop: int, block: np.ndarray) -> None:
-            product[first:stop] = block
+        def step(first: int, stop: int) -> float:
+            rows = slice(first, stop)
+            system, sums = (direction[rows], product[rows]), (change[rows], response[rows])
+            return entropy.step(root[rows], system, sums, residual[rows], numbers)
 
         for _ in range(MOST_INNER):
             if square <= goal:
                 break
-            grid.threads.split(partial(entropy.next_direction, residual, np.float32(beta), direction), rows)
-            grid.convolve(fill, self.compliance[np.float32], drain, np.float32)
+            self.each(partial(entropy.next_direction, beta=np.float32(beta)), residual, direction)
+            grid.convolve(fill, self.compliance[np.float32], sink(product), np.float32)
             curved, length, along = self.total(entropy.curvature_sums, root, direction, product)
             size = square / (curved + zeta * length)
             numbers = np.float32(along / grid.size), np.float32(zeta), np.float32(size)
-            (new,) = self.total(entropy.step, root, (direction, product), numbers, (change, response, residual))
+            new = grid.reduction.sum(grid.threads.collect(step, len(root)))
             beta, square = new / square, new
             state.iterations += 1
         target = np.empty(grid.local_shape)
-        grid.threads.split(partial(entropy.newton_target, fields, (root, change, response), self.alpha, target), rows)
+
+        def aim(first: int, stop: int) -> None:
+            rows = slice(first, stop)
+            sums = change[rows], response[rows]
+            entropy.newton_target(state.pressure[rows], state.gap[rows], root[rows], sums, target[rows], self.alpha)
+
+        grid.threads.split(aim, len(target))
         return target

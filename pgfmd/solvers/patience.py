@@ -1,0 +1,35 @@
+"""How long an outer iteration goes on while its error does not fall."""
+
+from __future__ import annotations
+
+import math
+
+from pgfmd.errors import SolverError
+from pgfmd.grid.slab_grid import SlabGrid
+
+STEPS = 12  # without halving the least error, before giving up
+
+
+class Patience:
+    """Steps that are left, and the least error so far."""
+
+    def __init__(self) -> None:
+        self.left, self.best = STEPS, math.inf
+
+    @property
+    def lost(self) -> int:
+        """Steps since the least error was halved."""
+        return STEPS - self.left
+
+    def take(self, error: float, best: float | None = None) -> bool:
+        """Counts a step that left this error (and, where the error is an estimate, this bound); whether to go on."""
+        self.left = STEPS if error < 0.5 * self.best else self.left - 1
+        self.best = min(self.best, error if best is None else best)
+        return self.left > 0
+
+    def failure(self, law: str, grid: SlabGrid, iterations: int, tolerance: float) -> SolverError:
+        """What to raise when it is at an end."""
+        return SolverError(
+            f"{law} wall: the certified error stays at {self.best:.1e}, above the tolerance {tolerance:.1e}, after "
+            f"{iterations} iterations on {grid.shape[0]} x {grid.shape[1]} points; ask for less"
+        )
