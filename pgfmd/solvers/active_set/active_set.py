@@ -97,11 +97,11 @@ class Relaxation:
         `state.pressure` must be feasible.  Raises SolverError if the error stops falling above the tolerance.
         """
         precision: Precision = np.float32
-        before, patience = math.inf, Patience()
+        before, patience, low = math.inf, Patience(), 1.0  # low: by how much estimates were too low
         for step in range(MOST_OUTER):
             system = self.look(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            estimate = system.square / (2 * state.energy) if state.energy > 0 else math.inf
+            estimate = low * system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
             rounding = self.rounding(precision) / (2 * state.energy) if self.exact and state.energy > 0 else 0.0
@@ -109,6 +109,7 @@ class Relaxation:
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
+                low *= max(1.0, state.error / max(estimate, MARGIN * tolerance))
             self.settle(state)
             if monitor is not None:
                 monitor(state)
