@@ -405,11 +405,12 @@ def test_an_exact_field_theory_reads_one(runs):
 
 @pytest.mark.parametrize("name", ["kept", "file", "soft1"])
 def test_energy_of_all_scales_is_that_of_the_run(runs, name):
-    """½ Σ |σ̃|²/stiffness over all modes is the elastic energy of the table of loads; 1e-10 is rounding of the sums."""
+    """½ Σ |σ̃|²/stiffness over all modes is the elastic energy of the table of loads, which the run took from a response
+    in single precision."""
     import energy_by_scale
 
     for load in reading.loads([runs[name]]):
-        assert energy_by_scale.energies(load)[1].sum() == pytest.approx(load.number("elastic_energy"), rel=1e-10)
+        assert energy_by_scale.energies(load)[1].sum() == pytest.approx(load.number("elastic_energy"), rel=1.2e-7)
 
 
 def test_energy_from_spectra_is_that_of_the_field_up_to_the_bins(runs):

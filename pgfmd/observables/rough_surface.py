@@ -58,7 +58,7 @@ class RoughSurface:
             parts[first] = square_moments(power, along, across[first:stop], weight[first:stop])
 
         found = self.correlate(source(self.heights), watch)
-        moments = grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))
+        moments = grid.reduction.sums_of_blocks(parts, 2)
         return found, *(np.sqrt(moments) / grid.size)
 
     @property

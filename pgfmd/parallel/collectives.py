@@ -5,7 +5,7 @@ Everything takes the communicator as its first argument; nothing here knows abou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
@@ -64,6 +64,13 @@ class Reduction:
         out = np.array(values, dtype=np.float64)
         self.comm.Allreduce(MPI.IN_PLACE, out, MPI.SUM)
         return out
+
+    def sums_of_blocks(self, parts: Mapping[int, tuple[float, ...]], count: int) -> np.ndarray:
+        """Sums (count,) over the blocks of rows of all ranks.  parts: the numbers of each block of this rank (which may
+        have none), by first row, in whose order they are added.  Collective.
+        """
+        blocks = np.array([parts[first] for first in sorted(parts)])
+        return self.sums(*blocks.reshape(-1, count).sum(axis=0))
 
     def any(self, flag: bool) -> bool:
         """Whether the flag is set on at least one rank.  Collective."""

@@ -65,7 +65,7 @@ class WallRelaxation:
             kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
 
         self.grid.convolve(source(state.pressure), self.compliance[np.float64], drain)
-        work, *squares = self.grid.reduction.sums(*np.sum([parts[first] for first in sorted(parts)], axis=0))
+        work, *squares = self.grid.reduction.sums_of_blocks(parts, 3)
         state.work, self.squares = float(work) / self.grid.size, np.array(squares)
 
     def total(self, function: Callable[..., float | tuple[float, ...]], *fields: np.ndarray) -> np.ndarray:

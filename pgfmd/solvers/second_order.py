@@ -34,18 +34,17 @@ def energy_of_residual(grid: SlabGrid, fill: Rows, stiffness: Columns) -> tuple[
 
     stiffness: acts as K over the number of points.
     """
-    parts: dict[int, list[float]] = {}
+    parts: dict[int, tuple[float, ...]] = {}
 
     def act(block: np.ndarray, first: int, stop: int) -> None:
         before = block.copy()
         stiffness(block, first, stop)
         before, after = (part.view(np.float32).reshape(*part.shape, 2) for part in (before, block))
         weights = grid.hermitian_weight[first:stop, 0]
-        parts[first] = [spectral_dot(part, after, weights) for part in (before, after)]
+        parts[first] = spectral_dot(before, after, weights), spectral_dot(after, after, weights)
 
     grid.read_spectrum(fill, act, np.float32)
-    sums = np.sum([parts[first] for first in sorted(parts)], axis=0) if parts else np.zeros(2)
-    square, change = grid.reduction.sums(*sums)
+    square, change = grid.reduction.sums_of_blocks(parts, 2)
     return float(square) / 2, float(change) * grid.size
 
 
