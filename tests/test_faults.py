@@ -115,7 +115,9 @@ def small_disk(path, size: int):
 
 def fill_disks(tmp_path, n: int, times: int, ranks: int):
     """Runs on small disks that something else fills at random moments; then space is made, and they go on."""
-    chance = random.Random(time.time_ns())
+    seed = time.time_ns()
+    print(f"seed {seed}")  # shown if the test fails
+    chance = random.Random(seed)
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, pressures=LOADS, interval=0.2)
     run = launching.start(ranks, "run", job, "--output", tmp_path / "reference")
     began = launching.wait_for_folder(run, tmp_path / "reference")

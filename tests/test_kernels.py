@@ -8,18 +8,22 @@ from pgfmd.physics.laws.hard import finish_rows
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.second_order import spectral_dot
 
-rng = np.random.default_rng(5)
+
+@pytest.fixture
+def rng():
+    """Random numbers, the same in each test."""
+    return np.random.default_rng(5)
 
 
 @pytest.fixture
-def points():
+def points(rng):
     """A random set of points on a 9 × 7 slab: mask, offsets, columns."""
     mask = rng.random((9, 7)) < 0.4
     mask[3] = False
     return mask, np.concatenate([[0], np.cumsum(mask.sum(axis=1))]), np.nonzero(mask)[1].astype(np.int32)
 
 
-def test_strips_in_tiles():
+def test_strips_in_tiles(rng):
     """Rows to tiles and back, and a few columns of these, transposed, there and back."""
     half, start, count = rng.random((37, 14)) + 1j, 2, 11
     strip, tiles = half[:, start : start + count], np.zeros((3, 42, 4), complex)
@@ -39,7 +43,7 @@ def test_strips_in_tiles():
 
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
-def test_divide_by_q(dtype, close):
+def test_divide_by_q(dtype, close, rng):
     """block · factor/|q|, zero for the mean mode; to rounding of a square root and two products."""
     qx, qy = rng.random(8).astype(dtype), rng.random(3).astype(dtype)
     qx[0] = qy[0] = 0
@@ -51,7 +55,7 @@ def test_divide_by_q(dtype, close):
 
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
-def test_multiply_by_q(dtype, close):
+def test_multiply_by_q(dtype, close, rng):
     """block · factor |q|, to rounding of a square root and two products."""
     qx, qy = rng.random(8).astype(dtype), rng.random(3).astype(dtype)
     block = rng.random((3, 8)).astype(dtype) + 1j * rng.random((3, 8)).astype(dtype)
@@ -60,7 +64,7 @@ def test_multiply_by_q(dtype, close):
     assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
 
 
-def test_fill_and_drain_rows(points):
+def test_fill_and_drain_rows(points, rng):
     """rows[mask] = values, and values = rows[mask]."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((9, 7), np.nan)
@@ -72,7 +76,7 @@ def test_fill_and_drain_rows(points):
     assert np.array_equal(back[offsets[2] :], values[offsets[2] :])
 
 
-def test_fill_wrapped(points):
+def test_fill_wrapped(points, rng):
     """The values on the set, zero elsewhere, and two columns from the other side on each side."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((6, 11), np.nan)
@@ -83,7 +87,7 @@ def test_fill_wrapped(points):
 
 
 @pytest.mark.parametrize("density", [0.05, 0.4, 0.95])
-def test_apply_stencil(density):
+def test_apply_stencil(density, rng):
     """A correlation with a symmetric disc of radius 2, on points that lie apart and on runs of them."""
     mask, field = rng.random((9, 70)) < density, rng.random((13, 74))
     weights = rng.random(6)
@@ -97,7 +101,7 @@ def test_apply_stencil(density):
 
 
 @pytest.mark.parametrize("room", [5, 7, 40])
-def test_correlate(room):
+def test_correlate(room, rng):
     """The stencil on a periodic field that is zero off one set, at the points of another, few rows at a time."""
     source, target, halo = rng.random((30, 40)) < 0.3, rng.random((14, 40)) < 0.5, 8
     field, weights = np.where(source, rng.random((30, 40)), 0), rng.random(6)
@@ -114,7 +118,7 @@ def test_correlate(room):
     assert np.array_equal(out, whole)
 
 
-def test_spread_and_interpolate(points):
+def test_spread_and_interpolate(points, rng):
     """Values to the nodes around each point by weights, and back by the same: one is the transpose of the other."""
     mask, offsets, columns = points
     x_first, y_first = np.repeat([-1, 0, 1], 3).astype(np.int32), np.array([-1, 0, 1, 2, 3, 2, 4], np.int32)
@@ -133,7 +137,7 @@ def test_spread_and_interpolate(points):
     assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13)
 
 
-def test_scale_modes():
+def test_scale_modes(rng):
     """block · scale"""
     block, scale = rng.random((3, 8)) + 1j * rng.random((3, 8)), rng.random((3, 8))
     expected = block * scale
@@ -141,7 +145,7 @@ def test_scale_modes():
     assert np.allclose(block, expected, rtol=1e-15)
 
 
-def test_blocks(points):
+def test_blocks(points, rng):
     """Sums over blocks of pixels, and a value per block added to the points in it."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
@@ -156,7 +160,7 @@ def test_blocks(points):
 
 
 @pytest.mark.parametrize("start", [0, 5])
-def test_blocks_of_blocks(start):
+def test_blocks_of_blocks(start, rng):
     """Sums over blocks of a slab that begins anywhere, what is left of values less their mean, and shares added."""
     field, shares, weights, means = rng.random((9, 7)), rng.random((9, 7)), rng.random((9, 7)), rng.random((5, 3))
     sums, expected = np.zeros((5, 3)), np.zeros((5, 3))
@@ -172,7 +176,7 @@ def test_blocks_of_blocks(start):
     assert np.allclose(field, expected, rtol=1e-14)
 
 
-def test_sums_and_differences_of_two_precisions():
+def test_sums_and_differences_of_two_precisions(rng):
     """a + b and a − b, rounded once."""
     a, b, out = rng.random((3, 8)).astype(np.float32), rng.random((3, 8)), np.empty((3, 8), np.float32)
     kernels.add_rows(b, b, out)
@@ -182,7 +186,7 @@ def test_sums_and_differences_of_two_precisions():
     assert np.array_equal(b, expected)
 
 
-def test_finish_rows():
+def test_finish_rows(rng):
     """p and the gap in other units, the gap nowhere negative and 0 in contact; how far it was from that."""
     p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
     pressure, opened = p.copy(), gap.copy()
@@ -192,14 +196,14 @@ def test_finish_rows():
     assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14)
 
 
-def test_squares_of_steps():
+def test_squares_of_steps(rng):
     """The sum of the squares of steps along rows."""
     field = rng.standard_normal((9, 7))
     assert kernels.squares_of_steps(field) == pytest.approx((np.diff(field, axis=1) ** 2).sum(), rel=1e-13)
 
 
 @pytest.fixture
-def fields():
+def fields(rng):
     """Pressures below, at, between and above the bounds 0 and 1, gaps of either sign or 0, and heights."""
     p = rng.choice([-0.5, 0.0, 0.3, 0.6, 1.0, 1.4], (9, 7))
     return p, rng.choice([-0.4, 0.0, 0.2, 0.5], (9, 7)), rng.standard_normal((9, 7))
@@ -259,14 +263,14 @@ def test_field_of_the_certificate(fields, cut):
     assert np.allclose(out, expected[cut[0] : cut[1]], rtol=0, atol=1e-15)
 
 
-def test_products_of_spectra():
+def test_products_of_spectra(rng):
     """Σ_j w_j Σ_i Re(a* b)."""
     a, b = (rng.standard_normal((3, 8, 2)).astype(np.float32) for _ in range(2))
     expected = (np.array([1.0, 2, 2]) @ (a.astype(float) * b).sum(axis=(1, 2))).sum()
     assert spectral_dot(a, b, np.array([1.0, 2, 2])) == pytest.approx(expected, rel=1e-12)
 
 
-def test_start_rows():
+def test_start_rows(rng):
     """Contact where compliance · p exceeds the gap, with the coarse pressure and a part of what new heights add;
     elsewhere the gap is left open."""
     p, g, coarse, h = rng.random((4, 9, 7))
@@ -278,7 +282,7 @@ def test_start_rows():
     assert np.allclose(pressure, np.where(0.3 * p > new, rougher, 0), rtol=1e-14)
 
 
-def test_listed_points_are_cut(points):
+def test_listed_points_are_cut(points, rng):
     """level − f; sums by blocks of columns of p and of p cut at 0 and at the top; the cut pressures times a factor of
     the block, at most the top: at the points of some rows, nothing elsewhere."""
     mask, offsets, columns = points
@@ -299,7 +303,7 @@ def test_listed_points_are_cut(points):
     assert np.allclose(field[chosen], expected[chosen] + values[part], rtol=1e-14)
 
 
-def test_interpolate_rows():
+def test_interpolate_rows(rng):
     """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic."""
     coarse = rng.random((8, 6))
     index, weights = np.array([0, 3, 4]), rng.random((3, 4))
@@ -311,7 +315,7 @@ def test_interpolate_rows():
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13)
 
 
-def test_vectors_of_conjugate_gradients():
+def test_vectors_of_conjugate_gradients(rng):
     """(Σ a b, Σ a, Σ b) in double precision; d = f d + z − m; x += s d and r −= s (p − m), in single."""
     a, b, direction, z, x = rng.standard_normal((5, 1000)).astype(np.float32)
     part, real = slice(10, 900), np.float32

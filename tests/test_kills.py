@@ -24,7 +24,9 @@ def campaign(tmp_path, n: int, kills: int, interval: float):
     """Runs of six loads, each killed at a random moment, restarted on 1 to 3 ranks, killed again …, until it gets
     through; until there were so many kills.  Every load that a run leaves behind is compared with an undisturbed run.
     """
-    chance = random.Random(time.time_ns())
+    seed = time.time_ns()
+    print(f"seed {seed}")  # shown if the test fails
+    chance = random.Random(seed)
     job = launching.write_job(tmp_path / "job.toml", n, lambda_s=n / 64, interval=interval)
     began = time.monotonic()
     code, stderr = launching.wait(launching.start(2, "run", job, "--output", tmp_path / "reference"), 900)
