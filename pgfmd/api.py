@@ -7,7 +7,6 @@ import os
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
@@ -15,6 +14,7 @@ from pgfmd.job.job import Job, load
 from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel.mpi import ALONE, MPI
 from pgfmd.physics.elasticity import BASES, Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
@@ -51,7 +51,7 @@ def solve(
     are masked, not finite or wrongly split, values out of range and ranks that do not ask for the same, SolverError if
     the tolerance cannot be reached.
     """
-    comm = MPI.COMM_SELF if comm is None else comm
+    comm = ALONE if comm is None else comm
     with raise_together(comm):
         heights = _real("heights", heights)
         if heights.ndim != 2 or heights.size == 0:
@@ -92,7 +92,7 @@ def surface(job: Job | str | os.PathLike, comm: MPI.Comm | None = None) -> np.nd
     job: a `Job` or the path of a TOML file.  Without `comm` all of them (nx, ny), made by this process alone; with it
     this rank's rows (nx_local, ny), the same surface.  In units of the job.  Raises InputError on all ranks.
     """
-    comm = MPI.COMM_SELF if comm is None else comm
+    comm = ALONE if comm is None else comm
     job = job if isinstance(job, Job) else from_root(comm, load, job)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     try:

@@ -23,14 +23,12 @@ import time
 import traceback
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from pgfmd import __version__
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
 from pgfmd.options.text import printable
-
-if TYPE_CHECKING:
-    from mpi4py import MPI
+from pgfmd.parallel.mpi import MPI, launched_rank, world
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 INTERRUPTED = 130
@@ -53,9 +51,9 @@ def main(arguments: list[str] | None = None) -> int:
         _show({"new": _new, "check": _check, "info": _info}[options.command](options))
         return 0
     except KeyboardInterrupt as error:
-        return _complain(error) if _launched_rank() == 0 else INTERRUPTED
+        return _complain(error) if launched_rank() == 0 else INTERRUPTED
     except InputError as error:
-        return _complain(error) if _launched_rank() == 0 else 2
+        return _complain(error) if launched_rank() == 0 else 2
     except BrokenPipeError:  # the reader of the table has seen enough
         sys.stdout = open(os.devnull, "w")
         return 0
@@ -168,12 +166,7 @@ def _plot(words: list[str]) -> str:
 
 def _run(options: argparse.Namespace) -> int:
     """The run itself; its exit code.  Collective."""
-    try:
-        from mpi4py import MPI
-    except (ImportError, RuntimeError) as error:
-        print(f"pgfmd: error: mpi4py cannot be used: {error}", file=sys.stderr)
-        return 1
-    comm = MPI.COMM_WORLD
+    comm = world()
     farewell = comm.Dup()  # made now: once a rank has failed, it is too late to agree on anything
     _log_on_root(comm.rank)
     try:
@@ -193,8 +186,6 @@ def _run(options: argparse.Namespace) -> int:
 def _leave(comm: MPI.Comm, error: BaseException) -> int:
     """End all ranks with the error's exit code; rank 0 says why.  Aborts if one does not come in PATIENCE.
     Collective."""
-    from mpi4py import MPI
-
     request = comm.Ibarrier()
     deadline = time.monotonic() + PATIENCE
     while not request.Test():
@@ -228,12 +219,6 @@ def _complain(error: BaseException) -> int:
     with contextlib.suppress(OSError):  # the terminal may have been closed
         print(f"pgfmd: {kind}{printable(message, 4000)}", file=sys.stderr, flush=True)
     return _code(error)
-
-
-def _launched_rank() -> int:
-    """This process's rank as its launcher tells it, without MPI; 0 if started alone."""
-    names = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
-    return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), 0)
 
 
 def _log_on_root(rank: int) -> None:

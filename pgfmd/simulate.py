@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
@@ -22,6 +21,7 @@ from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
+from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.run import machine, preflight

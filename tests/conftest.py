@@ -17,20 +17,13 @@ from pathlib import Path
 
 import pytest
 
+from pgfmd.parallel.mpi import world
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def _world():
-    """The communicator of all ranks; None where mpi4py is not installed, as on a laptop with the serial tools only."""
-    try:
-        from mpi4py import MPI
-    except ImportError:
-        return None
-    return MPI.COMM_WORLD
-
-
-WORLD = _world()
-SIZE = 1 if WORLD is None else WORLD.size
+WORLD = world()  # this process alone where there is no MPI
+SIZE = WORLD.size
 
 
 def pytest_addoption(parser):
@@ -58,8 +51,6 @@ def pytest_collection_modifyitems(config, items):
 @pytest.fixture(scope="session")
 def comm():
     """All ranks of this run; apart from the communicator on which the tests' outcomes are exchanged."""
-    if WORLD is None:
-        pytest.skip("mpi4py is not installed")
     copy = WORLD.Dup()
     yield copy
     copy.Free()

@@ -83,6 +83,7 @@ def test_root_is_small():
 @pytest.mark.parametrize(
     ("outside", "allowed"),
     [
+        ("mpi4py", {"parallel"}),
         ("mpi4py_fft", {"grid"}),
         ("pyfftw", {"grid", "run"}),
         ("h5py", {"io", "surfaces", "run"}),

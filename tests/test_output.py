@@ -50,12 +50,12 @@ def write_load(result, index, factor=1.0):
     result.write_load(index, row, HISTOGRAM, {"pressure": local, "gap": -local})
 
 
-@pytest.fixture(params=["as built", "through rank 0"])
+@pytest.fixture(params=["as built", "in place"])
 def transport(request, monkeypatch):
-    """Both ways to the file: with MPI in h5py (if it has it) and without; blocks so small that there are many."""
-    if request.param == "through rank 0":
+    """Both ways to the file: with MPI in h5py (if it has it) and past HDF5; blocks so small that there are many."""
+    if request.param == "in place":
         monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm: False)
-    monkeypatch.setattr(hdf5_slabs, "MESSAGE_BYTES", 100)
+    monkeypatch.setattr(hdf5_slabs, "BLOCK_BYTES", 100)
     monkeypatch.setattr(hdf5_slabs, "COLLECTIVE_BYTES", 48)  # one row: on some ranks more pieces than rows
     return request.param
 
@@ -270,21 +270,37 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
     assert sorted(path.name for path in (folder / "fields").iterdir()) == ["load_0000.h5"]
 
 
+@pytest.mark.parametrize("nodes", ["one node", "a node for each rank"])
+def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch, nodes):
+    """Files of fields are equal byte for byte, seal included, whether HDF5 with MPI writes them or each rank its rows
+    in place, where ranks share a node and where their nodes take turns.
+    """
+    if nodes != "one node":
+        monkeypatch.setattr(hdf5_slabs, "BLOCK_BYTES", 100)
+        monkeypatch.setattr(hdf5_slabs, "_first_of_node", lambda comm: comm.rank)
+    for name, collective in (("together", hdf5_slabs.is_collective(comm)), ("in place", False)):
+        monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm, collective=collective: collective)
+        with writer(comm, shared_tmp_path / name, precision="float32") as result:
+            write_load(result, 0)
+    files = [(shared_tmp_path / name / "fields" / "load_0000.h5").read_bytes() for name in ("together", "in place")]
+    assert files[0] == files[1]
+
+
 def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatch):
-    """An I/O error of rank 0 in the middle of a field, the others still sending: the same error everywhere, no hang."""
+    """An I/O error of the last rank in the middle of a field: the same error everywhere, no hang, nothing left."""
     monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm: False)
-    monkeypatch.setattr(hdf5_slabs, "MESSAGE_BYTES", 2**16)  # too long to be sent before somebody receives
-    calls = []
+    monkeypatch.setattr(hdf5_slabs, "BLOCK_BYTES", 2**17)  # one row
+    rows, shape, calls, block = slab(13, comm.size, comm.rank), (13, 2**14), [], hdf5_slabs.Field.block
 
-    def failing(file, name, rows, block):
-        calls.append(rows)
-        if len(calls) == 2:
+    def failing(field, part):
+        calls.append(part)
+        if len(calls) == 2 and comm.rank == comm.size - 1:
             raise OSError(errno.EIO, "Input/output error")
+        return block(field, part)
 
-    rows, shape = slab(13, comm.size, comm.rank), (13, 2**14)
     result = output.ResultWriter(comm, shared_tmp_path / "out", Origin(), output.Form(shape, LENGTHS, rows))
     with pytest.raises((OSError, RuntimeError), match="Input/output error"), result:
-        monkeypatch.setattr(hdf5_slabs, "_put", failing)
+        monkeypatch.setattr(hdf5_slabs.Field, "block", failing)
         result.write_load(0, {}, None, {"gap": np.zeros((rows.stop - rows.start, shape[1]))})
     comm.Barrier()
     assert len(Results(shared_tmp_path / "out")) == 0

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes .venv/ in this checkout, ready to run pgfmd: the one place of installation.
 #
-#   bash tools/setup.sh [bench] [surfaces]      # with these extras of pyproject.toml; `test` is always there
+#   bash tools/setup.sh [bench] [surfaces]      # with these extras of pyproject.toml; fft, plot, test are always there
 #
 # Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
 # installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
@@ -115,7 +115,7 @@ system_packages() { # EXTRAS…
         *) fail "missing on this system; install them, or load modules that bring the same (an MPI with mpicc, FFTW 3," \
             "HDF5 with MPI):${nl}    apt-get install $missing" ;;
     esac
-    [ -z "$missing" ] || say "no HDF5 with MPI here: files will be written through rank 0 (Debian: $missing)"
+    [ -z "$missing" ] || say "no HDF5 with MPI here: ranks will write past HDF5 (Debian: $missing)"
 }
 nl=$'\n'
 
@@ -154,7 +154,8 @@ download() {
 import sys, tomllib
 project = tomllib.load(open(sys.argv[1], "rb"))["project"]
 compiled = ("mpi4py-fft", "h5py") if sys.argv[2] else ("mpi4py-fft",)
-names = project["dependencies"] + project["optional-dependencies"]["test"] + ["setuptools>=77"]
+extras = project["optional-dependencies"]
+names = project["dependencies"] + extras["fft"] + extras["plot"] + extras["test"] + ["setuptools>=77"]
 print(*(name for name in names if not name.startswith(compiled)), sep="\n")' "$root/pyproject.toml" "$hdf5")
     mark=$folder/complete-$(printf '%s\n' "${names[@]}" | sha256sum | cut -c 1-16)
     [ -e "$mark" ] && return
@@ -198,7 +199,7 @@ python_packages() {
         { tail -n 15 "$log" >&2; fail "mpi4py-fft did not compile ($log)"; }
     if [ -n "$hdf5" ]; then
         h5py=$(compiled h5py h5py mpicc "some three minutes") || {
-            say "h5py with MPI did not compile ($log): files will be written through rank 0"
+            say "h5py with MPI did not compile ($log): ranks will write past HDF5"
             quietly pip download -q --no-cache-dir --no-deps --only-binary :all: --dest "$folder/serial" h5py
         }
     fi
@@ -206,7 +207,7 @@ python_packages() {
     # The compiled ones first and by force: pip would keep a serial h5py of the same version.
     offline=(pip install -q --no-compile --no-index --find-links "$folder" --find-links "$folder/serial")
     quietly "${offline[@]}" --force-reinstall --no-deps "$fft" ${h5py:+"$h5py"}
-    quietly "${offline[@]}" -e "${root}[test]"
+    quietly "${offline[@]}" -e "${root}[fft,plot,test]"
     for extra in "$@"; do
         [ "$extra" = test ] && continue
         say "installing the extra packages of '$extra' (bench compiles for some minutes)"

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from mpi4py import MPI
-from mpi4py.util import dtlib
 from numpy.typing import DTypeLike
 
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import MPI, datatype
 
 
 class RowWindow:
@@ -22,7 +21,7 @@ class RowWindow:
     def __init__(self, grid: SlabGrid, low: int, high: int, dtype: DTypeLike = np.float32) -> None:
         comm = grid.comm
         first, stop = grid.rows.start, grid.rows.stop
-        self.comm, self._datatype = comm, dtlib.from_numpy_dtype(dtype)
+        self.comm, self._datatype = comm, datatype(dtype)
         self.low, high = min(low, first), max(high, stop)
         self.rows = np.zeros((high - self.low, grid.shape[1]), dtype)
         self.own = self.rows[first - self.low : stop - self.low]

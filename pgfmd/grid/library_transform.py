@@ -7,10 +7,10 @@ shares no code with them, so that each checks the other.
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads
 
 ROWS = 64  # rows, or columns, handed to a callback at once

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from mpi4py import MPI
 from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
@@ -23,6 +22,7 @@ from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
 from pgfmd.parallel.collectives import Reduction, fetch_rows, slab, slab_starts
+from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads, threads_per_rank
 
 BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into the cache together

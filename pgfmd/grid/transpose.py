@@ -15,12 +15,11 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-from mpi4py import MPI
-from mpi4py.util import dtlib
 from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.parallel.collectives import slab_starts
+from pgfmd.parallel.mpi import MPI, datatype
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
@@ -240,8 +239,8 @@ class ExchangedStrips(Strips):
     ) -> None:
         # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
         send, receive = ([numbers // dtype.itemsize for numbers in counts] for counts in (sent, received))
-        datatype = dtlib.from_numpy_dtype(dtype)
-        self.comm.Alltoallv([source.view(dtype), *send, datatype], [target.view(dtype), *receive, datatype])
+        kind = datatype(dtype)
+        self.comm.Alltoallv([source.view(dtype), *send, kind], [target.view(dtype), *receive, kind])
 
     def free(self) -> None:
         """Give the memory back."""

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.io import atomic, checksum, hdf5_slabs
 from pgfmd.io.schema import CHECKPOINT_FILE
 from pgfmd.parallel.collectives import from_root
+from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
 

@@ -1,4 +1,5 @@
-"""Distributed fields in one sealed HDF5 file: written by all ranks together where h5py has MPI, else through rank 0.
+"""Distributed fields in one sealed HDF5 file, written by all ranks: through HDF5 where h5py has MPI, else past it, each
+at its place, since HDF5 keeps a contiguous dataset as plain numbers.  The bytes are the same.
 
 Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue 965).
 """
@@ -11,15 +12,15 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.io import atomic, checksum
 from pgfmd.io.checksum import SealedArray
 from pgfmd.parallel.collectives import from_root, raise_together, slab
+from pgfmd.parallel.mpi import MPI
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
 LIBVER = ("v108", "v110")
 COLLECTIVE_BYTES = 2**30  # of one rank in one collective write; MPI-IO counts overflow from 2 GiB
-MESSAGE_BYTES = 2**26  # of one message to rank 0
+BLOCK_BYTES = 2**24  # written at once
 METADATA_BYTES = 2**16  # more than HDF5 needs beside the numbers
 
 
@@ -48,14 +49,20 @@ class Field:
         return self.local.shape[1] * self.dtype.itemsize
 
 
+Arrays = dict[str, SealedArray]
 Create = Callable[[h5py.File, str], h5py.Dataset]
 Note = Callable[[str, int, np.ndarray], None]
 """note(field name, first global row, rows as they are in the file): each rank calls it once for each of its blocks."""
 
 
 def is_collective(comm: MPI.Comm) -> bool:
-    """Whether the ranks write together."""
+    """Whether the ranks write together through HDF5."""
     return comm.size > 1 and bool(h5py.get_config().mpi)
+
+
+def version() -> str:
+    """The version of HDF5, and whether h5py has MPI."""
+    return f"{h5py.version.hdf5_version} {'with' if h5py.get_config().mpi else 'without'} MPI"
 
 
 def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np.dtype) -> h5py.Dataset:
@@ -81,8 +88,14 @@ def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], cre
     size += 8 * (count + max(field.local.shape[1] for field in fields.values()))  # coordinates of the points
     arrays = from_root(comm, _lay_out, path, size, list(fields), create)
     sums = {name: array.blank_sums() for name, array in arrays.items()}
-    transport = _write_together if is_collective(comm) else _write_through_root
-    transport(comm, path, rows, fields, lambda name, first, block: arrays[name].add(sums[name], first, block))
+
+    def note(name: str, first: int, block: np.ndarray) -> None:
+        arrays[name].add(sums[name], first, block)
+
+    if is_collective(comm):
+        _write_together(comm, path, rows, fields, note)
+    else:
+        _write_in_place(comm, path, rows, fields, note, arrays)
     arrays = {name: replace(array, sums=_sum_over_ranks(comm, sums[name])) for name, array in arrays.items()}
     from_root(comm, _seal, path, arrays)
 
@@ -131,7 +144,7 @@ def _sum_over_ranks(comm: MPI.Comm, sums: np.ndarray) -> list[int]:
     return [int(number) for number in sums]
 
 
-def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, SealedArray]:
+def _lay_out(path: Path, size: int, names: list[str], create: Create) -> Arrays:
     """Reserve space; write a file with all but the numbers; returns where each field lies.  Rank 0."""
     atomic.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
@@ -206,55 +219,41 @@ def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, F
             file.close()
 
 
-def _write_through_root(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note) -> None:
-    """The slabs go to rank 0 in turn, in blocks of rows; rank 0 writes.  Collective."""
-    slabs = comm.gather((rows.start, rows.stop))
-    with raise_together(comm):
-        if slabs is not None:
-            _receive(comm, path, slabs, fields, note)
-            return
+def _write_in_place(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note, at: Arrays) -> None:
+    """Each rank writes its own rows where they lie in the file, past HDF5.  Collective.
+
+    The ranks of a node write at the same time, the nodes in turn: what another node writes at the same time a network
+    file system may lose.
+    """
+    mine = _first_of_node(comm)
+    for turn in sorted(set(comm.allgather(mine))):
+        with raise_together(comm):
+            if turn == mine:
+                _put_rows(path, rows, fields, note, at)
+
+
+def _first_of_node(comm: MPI.Comm) -> int:
+    """The lowest rank of the node that this rank runs on.  Collective."""
+    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
+    try:
+        return node.bcast(comm.rank)
+    finally:
+        node.Free()
+
+
+def _put_rows(path: Path, rows: slice, fields: dict[str, Field], note: Note, at: Arrays) -> None:
+    with atomic.named(path), open(path, "r+b") as file:
         for name, field in fields.items():
             for part in _blocks(rows.stop - rows.start, field.row_bytes):
                 block = field.block(part)
                 note(name, rows.start + part.start, block)
-                comm.Send([block.reshape(-1).view(np.uint8), MPI.BYTE], 0)
-
-
-def _receive(comm: MPI.Comm, path: Path, slabs: list[tuple[int, int]], fields: dict[str, Field], note: Note) -> None:
-    """Rank 0's side: it takes every block even after a failure, so that nobody is left waiting."""
-    failure: Exception | None = None
-
-    def attempt(function: Callable, *arguments: Any) -> Any:
-        nonlocal failure
-        if failure is None:
-            try:
-                return function(*arguments)
-            except Exception as error:  # raised below, when every block has been received
-                failure = error
-        return None
-
-    file = attempt(lambda: h5py.File(path, "r+", libver=LIBVER, locking=False))
-    for source, (start, stop) in enumerate(slabs):
-        for name, field in fields.items():
-            for part in _blocks(stop - start, field.row_bytes):
-                if source == 0:
-                    block = field.block(part)
-                    attempt(note, name, start + part.start, block)
-                else:
-                    block = np.empty((part.stop - part.start, field.local.shape[1]), field.dtype)
-                    comm.Recv([block.reshape(-1).view(np.uint8), MPI.BYTE], source)
-                attempt(_put, file, name, slice(start + part.start, start + part.stop), block)
-    if file is not None:
-        file.close()
-    if failure is not None:
-        raise failure
-
-
-def _put(file: h5py.File, name: str, rows: slice, block: np.ndarray) -> None:
-    file[name][rows] = block
+                file.seek(at[name].start + (rows.start + part.start) * field.row_bytes)
+                file.write(block.data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _blocks(count: int, row_bytes: int) -> list[slice]:
-    """`count` rows cut into blocks of about MESSAGE_BYTES, at least one row each."""
-    pieces = min(-(-count * row_bytes // MESSAGE_BYTES), count)
+    """`count` rows cut into blocks of about BLOCK_BYTES, at least one row each."""
+    pieces = min(-(-count * row_bytes // BLOCK_BYTES), count)
     return [slab(count, pieces, number) for number in range(pieces)]

@@ -26,7 +26,6 @@ from typing import Literal
 
 import h5py
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import InputError, Stopped
 from pgfmd.io import atomic, hdf5_slabs, provenance, restart
@@ -45,6 +44,7 @@ from pgfmd.io.schema import (
     load_name,
 )  # fmt: skip
 from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel.mpi import MPI, library
 
 log = logging.getLogger("pgfmd")
 
@@ -94,7 +94,6 @@ class ResultWriter:
         mode: Mode = "new",
     ):
         self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
-        self.collective = hdf5_slabs.is_collective(comm)
         self._begun = False
         self._folder: atomic.OutputFolder | None = None
         self.earlier, self.replacing, self._fields = from_root(comm, self._open_folder)
@@ -102,15 +101,15 @@ class ResultWriter:
         self._links = self.earlier.links()
         self._written = self.earlier.fields.keys() - self.earlier.damaged
         try:
-            with raise_together(comm):  # a folder that only rank 0 sees is of no use to a collective write
-                if self.collective and not (self.directory / atomic.LOCK_NAME).exists():
+            with raise_together(comm):  # a folder that only rank 0 sees is of no use
+                if not (self.directory / atomic.LOCK_NAME).exists():
                     raise InputError(f"{self.directory}: rank {comm.rank} does not see the folder that rank 0 made")
         except BaseException as error:
             self.__exit__(type(error), error, None)
             raise
         if comm.size > 1:
-            how = "by all ranks together" if self.collective else "through rank 0 (h5py has no MPI)"
-            log.info("fields are written %s", how)
+            how = "through HDF5" if hdf5_slabs.is_collective(comm) else "each at its place (h5py has no MPI)"
+            log.info("fields are written by all ranks, %s", how)
 
     def _open_folder(self) -> tuple[EarlierResults, bool, str]:
         """Lock the folder.  Returns the results to continue, whether others are replaced, and the
@@ -325,8 +324,7 @@ class ResultWriter:
 
     @cached_property
     def _provenance(self) -> dict:
-        mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
-        libraries = {"HDF5": h5py.version.hdf5_version, "MPI": mpi}
+        libraries = {"HDF5": hdf5_slabs.version(), "MPI": library()}
         found = provenance.gather(self.comm.size, libraries, self.origin)
         return found | {"shape": self.form.shape, "lengths": self.form.lengths, "fields_folder": self._fields}
 

@@ -11,11 +11,10 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from mpi4py import MPI
-from mpi4py.util import dtlib
 from numpy.typing import ArrayLike
 
 from pgfmd.errors import InputError, SolverError
+from pgfmd.parallel.mpi import MPI, datatype
 from pgfmd.parallel.threads import Threads
 
 T = TypeVar("T")
@@ -158,7 +157,7 @@ def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None
 
 def _items(rows: np.ndarray) -> list:
     """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
-    return [rows, dtlib.from_numpy_dtype(rows.dtype)]
+    return [rows, datatype(rows.dtype)]
 
 
 def overlaps(low: int, high: int, start: int, stop: int, total: int) -> Iterator[tuple[int, int, int]]:

@@ -7,12 +7,11 @@ import os
 import platform
 from collections import Counter
 
-import h5py
-from mpi4py import MPI
-
 from pgfmd import __version__
 from pgfmd.errors import InputError
+from pgfmd.io import hdf5_slabs
 from pgfmd.io.provenance import git_commit, versions
+from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
 from pgfmd.run.memory import available_memory, largest_memory, readable
 
@@ -40,10 +39,8 @@ def report(comm: MPI.Comm, per_rank: float) -> None:
     here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
     found = comm.gather(here)
     if found is not None:
-        mpi = MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\0 ")
-        form = "with MPI" if h5py.get_config().mpi else "without MPI"
         log.info("pgfmd %s, commit %s", __version__, git_commit()[:12])
-        log.info("%s, HDF5 %s %s", mpi, h5py.version.hdf5_version, form)
+        log.info("MPI: %s, HDF5 %s", library(), hdf5_slabs.version())
         log.info("%s", ", ".join(versions().split("\n")))
         for level, line in describe(found, per_rank):
             log.log(level, "%s", line)

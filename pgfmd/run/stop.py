@@ -14,9 +14,9 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import NoProgress, Stopped
+from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
 

@@ -20,9 +20,8 @@ from pgfmd.surfaces.mirror import folded
 from pgfmd.surfaces.surface import Surface, path_key
 
 if TYPE_CHECKING:
-    from mpi4py import MPI
-
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
 

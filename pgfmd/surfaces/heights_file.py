@@ -5,11 +5,11 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import from_root, raise_together, slab
+from pgfmd.parallel.mpi import MPI
 from pgfmd.surfaces.array_files import is_array, opened
 from pgfmd.surfaces.measurement import Measurement
 from pgfmd.surfaces.mirror import folded

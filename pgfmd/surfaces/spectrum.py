@@ -17,9 +17,8 @@ from pgfmd.surfaces.surface import Surface, path_key
 from pgfmd.surfaces.text import read_table
 
 if TYPE_CHECKING:
-    from mpi4py import MPI
-
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.parallel.mpi import MPI
 
 SLACK = 1e-9  # relative: a mode that lies on an end of the table belongs to it on every grid
 

@@ -13,9 +13,8 @@ from pgfmd.options.rules import text
 from pgfmd.options.section import Section, key
 
 if TYPE_CHECKING:
-    from mpi4py import MPI
-
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.parallel.mpi import MPI
 
 
 def path_key(about: str, example: str) -> Any:

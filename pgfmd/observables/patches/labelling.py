@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.errors import InputError
 from pgfmd.observables.patches.run_length import PeriodicSets, column_wraps, find_fragments, find_runs, paint
 from pgfmd.parallel.collectives import raise_together
+from pgfmd.parallel.mpi import MPI
 
 _NOWHERE = np.iinfo(np.int64).max  # the key of a piece of which no pixel is seen here
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.grid.callbacks import Columns, Rows
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_in_place
+from pgfmd.parallel.mpi import MPI
 
 
 @dataclass(frozen=True)

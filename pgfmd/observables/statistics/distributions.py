@@ -11,10 +11,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import contact_sums, histogram, survey
+from pgfmd.parallel.mpi import MPI
 from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this

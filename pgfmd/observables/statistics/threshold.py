@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import count_digits
+from pgfmd.parallel.mpi import MPI
 
 DIGIT = 16  # bits fixed in one pass over the field
 

@@ -9,10 +9,10 @@ it; and so on, to ever larger blocks.
 from __future__ import annotations
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many per side

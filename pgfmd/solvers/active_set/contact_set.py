@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from mpi4py import MPI
-from mpi4py.util import dtlib
 from numpy.typing import DTypeLike
 
 from pgfmd.grid.callbacks import Columns
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import MPI, datatype
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.kernels import Fields, Points
 
@@ -127,7 +126,7 @@ def pass_on(comm: MPI.Comm, bottom: np.ndarray, before: np.ndarray, top: np.ndar
     if comm.size == 1:
         before[...], after[...] = bottom, top
         return
-    kind = dtlib.from_numpy_dtype(top.dtype)
+    kind = datatype(top.dtype)
     previous, following = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
     comm.Sendrecv([bottom, kind], following, recvbuf=[before, kind], source=previous)
     comm.Sendrecv([top, kind], previous, recvbuf=[after, kind], source=following)

@@ -12,9 +12,9 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.kernels import Change, Fields

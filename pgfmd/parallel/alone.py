@@ -1,0 +1,95 @@
+"""What the package uses of mpi4py's module MPI, for a process that is alone.  Messages go from rank 0 to rank 0."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+
+IN_PLACE = SUM = MAX = MIN = LOR = DOUBLE = BYTE = COMM_TYPE_SHARED = None
+
+
+def Get_library_version() -> str:
+    """In place of name and version of a library."""
+    return "none"
+
+
+class Request:
+    """A communication that is complete."""
+
+    def Test(self) -> bool:
+        """Whether it is."""
+        return True
+
+    @staticmethod
+    def Waitall(requests: Sequence[Request]) -> None:
+        """Nothing to wait for."""
+
+
+class Comm:
+    """A communicator of one rank.  Only what needs no second rank is there."""
+
+    rank, size = 0, 1
+
+    def allgather(self, value: Any) -> list:
+        """What each rank gave."""
+        return [value]
+
+    def allreduce(self, value: Any, op: Any = None) -> Any:
+        """The value itself, as of any reduction."""
+        return value
+
+    def bcast(self, value: Any, root: int = 0) -> Any:
+        """The value."""
+        return value
+
+    def gather(self, value: Any, root: int = 0) -> list:
+        """What each rank gave."""
+        return [value]
+
+    def Allreduce(self, send: Any, receive: Any, op: Any = None) -> None:
+        """Copies `send`, unless the reduction is in place."""
+        if isinstance(send, (np.ndarray, list, tuple)):
+            _copy(send, receive)
+
+    def Alltoall(self, send: Any, receive: Any) -> None:
+        """Copies `send` to `receive`, as all exchanges of arrays do."""
+        _copy(send, receive)
+
+    Allgatherv = Alltoallv = Gatherv = Scatterv = Alltoall
+
+    def Sendrecv(self, send: Any, dest: int, recvbuf: Any = None, source: int = 0) -> None:
+        """Copies `send` to `recvbuf`."""
+        _copy(send, recvbuf)
+
+    def Bcast(self, array: Any, root: int = 0) -> None:
+        """Nothing to send."""
+
+    Barrier = Free = lambda self: None
+
+    def Ibarrier(self) -> Request:
+        """A barrier that all ranks have reached."""
+        return Request()
+
+    def Dup(self) -> Comm:
+        """The same."""
+        return self
+
+    def Split_type(self, kind: Any) -> Comm:
+        """The same."""
+        return self
+
+    def Abort(self, code: int = 0) -> NoReturn:
+        """Ends the process."""
+        os._exit(code)
+
+
+COMM_SELF = COMM_WORLD = Comm()
+
+
+def _copy(send: Any, receive: Any) -> None:
+    """The array of a message (or the message) to the first items of that of another."""
+    source, target = (np.asarray(each[0] if isinstance(each, (list, tuple)) else each) for each in (send, receive))
+    target.reshape(-1)[: source.size] = source.reshape(-1)

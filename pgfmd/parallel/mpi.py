@@ -1,0 +1,73 @@
+"""MPI where it is needed, and its stand-in for one process, which needs none.
+
+Every module takes `MPI` from here.  It is mpi4py's once that has been imported, by the caller or by `world`; until then
+it is `alone`, so that a process that never asks for other ranks neither needs nor initialises an MPI library, and may
+still start `mpirun`, which an initialised Open MPI forbids its children.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import DTypeLike
+
+from pgfmd.errors import InputError
+from pgfmd.parallel import alone
+
+_RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
+_SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
+
+
+class _Chosen:
+    """mpi4py's module MPI if it is loaded, else `alone`."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.modules.get("mpi4py.MPI") or alone, name)
+
+
+if TYPE_CHECKING:
+    from mpi4py import MPI
+else:
+    MPI = _Chosen()
+
+ALONE: MPI.Intracomm = alone.COMM_SELF  # type: ignore[assignment]  # what is used of a communicator, for one process
+
+
+def world() -> MPI.Intracomm:
+    """All ranks that were launched together; initialises MPI.  This process alone where there is no MPI.
+
+    Raises InputError if it was launched as one of several and MPI cannot be used.
+    """
+    try:
+        from mpi4py import MPI
+    except (ImportError, RuntimeError) as error:
+        if _launched(_SIZES, 1) > 1:
+            reason = " ".join(str(error).split())
+            raise InputError(f"launched as {_launched(_SIZES, 1)} ranks, but mpi4py cannot be used: {reason}") from None
+        return ALONE
+    return MPI.COMM_WORLD
+
+
+def launched_rank() -> int:
+    """This process's rank as its launcher tells it, without MPI; 0 if it was started alone."""
+    return _launched(_RANKS, 0)
+
+
+def _launched(names: tuple[str, ...], otherwise: int) -> int:
+    return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), otherwise)
+
+
+def library() -> str:
+    """Name and version of the MPI library in use, in one line."""
+    return str(MPI.Get_library_version()).split("\n")[0].split(",")[0].strip("\0 ")
+
+
+def datatype(dtype: DTypeLike) -> Any:
+    """MPI's datatype of NumPy's `dtype`, for messages counted in items."""
+    if "mpi4py.MPI" not in sys.modules:
+        return None
+    from mpi4py.util import dtlib
+
+    return dtlib.from_numpy_dtype(dtype)

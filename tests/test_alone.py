@@ -1,0 +1,104 @@
+"""One process without MPI: the same results, and `mpirun` can still be started from it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from pgfmd.io.results import Results
+
+HIDE = "import sys; sys.modules['mpi4py'] = None\n"  # any import of mpi4py fails, as where it is not installed
+MAIN = "import sys\nfrom pgfmd.cli import main\nsys.exit(main())"
+
+JOB = """
+[grid]
+n = [48, 50]
+[surface]
+kind = "self-affine"
+hurst = 0.8
+lambda_s = 6.0
+rms_slope = 0.1
+[load]
+contact_area = [0.1]
+[output]
+fields = ["height", "pressure", "gap", "labels"]
+observables = ["histogram", "spectra", "acf", "gap_spectrum", "patches", "bearing", "lowpass", "discretisation"]
+"""
+
+SOLVE = """
+import numpy as np, pgfmd
+x = 2 * np.pi / 32 * np.arange(32)
+contact = pgfmd.solve(np.cos(x[:, None]) * np.cos(x), 0.1)
+np.save(sys.argv[1], contact.pressure)
+"""
+
+LAUNCH = """
+import subprocess, sys
+rank = "from mpi4py import MPI; print(MPI.COMM_WORLD.size)"
+sys.exit(subprocess.run([sys.argv[2], "-n", "2", sys.executable, "-c", rank]).returncode)
+"""
+
+
+def python(code: str, *arguments: object, **environment: str) -> subprocess.CompletedProcess:
+    """A fresh interpreter that runs `code`."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(
+        command, env=os.environ | environment, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def test_a_run_without_mpi_writes_the_same(tmp_path):
+    """Where mpi4py cannot be imported, a run of all observables writes the files of fields of a run with MPI byte for
+    byte, and the same numbers; it says that it had no MPI."""
+    (tmp_path / "job.toml").write_text(JOB)
+    for code, name in ((HIDE + MAIN, "alone"), (MAIN, "mpi")):
+        done = python(code, "run", tmp_path / "job.toml", "--output", tmp_path / name)
+        assert done.returncode == 0, done.stderr
+    for path in (tmp_path / "mpi" / "fields").iterdir():
+        assert path.read_bytes() == (tmp_path / "alone" / "fields" / path.name).read_bytes()
+    alone, mpi = Results(tmp_path / "alone"), Results(tmp_path / "mpi")
+    for title, table in mpi.load(0).items():
+        for key, values in table.items():
+            np.testing.assert_array_equal(alone.load(0)[title][key], values)
+    assert "MPI none" in alone.provenance["libraries"] and "MPI none" not in mpi.provenance["libraries"]
+
+
+def test_solve_needs_no_mpi_and_leaves_mpirun_usable(comm, tmp_path):
+    """`pgfmd.solve` gives the same pressures without mpi4py as on MPI's COMM_SELF, and a process that has called it
+    starts two ranks of mpirun with the environment as it is (an initialised Open MPI makes its children refuse)."""
+    import pgfmd
+
+    x = 2 * np.pi / 32 * np.arange(32)
+    expected = pgfmd.solve(np.cos(x[:, None]) * np.cos(x), 0.1, comm=comm).pressure
+    done = python(HIDE + SOLVE, tmp_path / "alone.npy")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(np.load(tmp_path / "alone.npy"), expected)
+    mpirun = shutil.which("mpirun")
+    if mpirun is None:
+        pytest.skip("needs mpirun")
+    done = python("import sys" + SOLVE + LAUNCH, tmp_path / "two.npy", mpirun)
+    assert (done.returncode, done.stdout.count("2")) == (0, 2), done.stderr
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_ranks_without_mpi_are_refused(tmp_path, rank):
+    """Launched as two ranks where mpi4py cannot be imported: exit code 2 and one line of rank 0, nothing written;
+    else each rank would take itself for the whole run."""
+    (tmp_path / "job.toml").write_text(JOB)
+    launched = {"OMPI_COMM_WORLD_SIZE": "2", "OMPI_COMM_WORLD_RANK": str(rank)}
+    done = python(HIDE + MAIN, "run", tmp_path / "job.toml", "--output", tmp_path / "out", **launched)
+    assert done.returncode == 2
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1 - rank and all("launched as 2 ranks, but mpi4py cannot be used" in line for line in lines)
+    assert not (tmp_path / "out").exists()
+
+
+def test_package_says_that_it_is_typed():
+    """Type checkers use the annotations of an installed package only if it has py.typed (PEP 561)."""
+    assert (ROOT / "pgfmd" / "py.typed").exists()
