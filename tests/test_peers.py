@@ -65,3 +65,35 @@ def test_contact_mechanics(contact):
         substrate, heights, external_force=PRESSURE * N**2, pentol=1e-11, forcetol=1e-11, thermotol=1e-12
     )
     _agree(np.asarray(result.jac), ours)
+
+
+@pytest.mark.parametrize("hardness", [10 * PRESSURE, 20 * PRESSURE])
+@pytest.mark.parametrize(("hurst", "lambda_s"), [(0.8, 8.0), (0.3, 1.0)], ids=["smooth", "rough"])
+def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
+    """Its constrained conjugate gradients, with their own treatment of points that flow, find the same points at the
+    hardness and in contact, and the same pressure to 1e-6 in the 2-norm (measured 1e-8).
+    """
+    pytest.importorskip("ContactMechanics")
+    from ContactMechanics import PeriodicFFTElasticHalfSpace
+    from ContactMechanics.Optimization import constrained_conjugate_gradients
+
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.laws.hardness import Hardness
+    from pgfmd.physics.problem import ContactProblem
+    from pgfmd.solvers.dispatch import solve_contact
+    from pgfmd.solvers.options import Solver
+    from pgfmd.surfaces.self_affine import self_affine
+
+    n = 64
+    grid = SlabGrid(comm, (n, n))
+    heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
+    problem = ContactProblem(grid, heights, Elasticity(MODULUS), Hardness(hardness=hardness), PRESSURE)
+    ours = solve_contact(problem, Solver(tolerance=1e-16)).pressure
+    substrate = PeriodicFFTElasticHalfSpace((n, n), MODULUS, (float(n), float(n)))
+    limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}
+    theirs = np.asarray(
+        constrained_conjugate_gradients(substrate, heights, hardness, external_force=PRESSURE * n**2, **limits).jac
+    )
+    _agree(theirs, ours)
+    assert np.count_nonzero(theirs >= hardness * (1 - 1e-12)) == np.count_nonzero(ours == hardness) > 0
