@@ -127,8 +127,8 @@ def _new(options: argparse.Namespace) -> str:
 
 def _check(options: argparse.Namespace) -> str:
     from pgfmd.job.job import load
-    from pgfmd.run import estimate
-    from pgfmd.run.memory import largest_memory, readable
+    from pgfmd.operation import estimate
+    from pgfmd.operation.memory import largest_memory, readable
 
     job = load(options.job, options.set)
     if options.ranks > job.grid.n[0]:

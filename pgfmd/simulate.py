@@ -21,13 +21,13 @@ from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
+from pgfmd.operation import machine, preflight
+from pgfmd.operation.estimate import estimate
+from pgfmd.operation.progress import Progress
+from pgfmd.operation.stop import Interruptions
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.run import machine, preflight
-from pgfmd.run.estimate import estimate
-from pgfmd.run.progress import Progress
-from pgfmd.run.stop import Interruptions
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import Loads
 from pgfmd.solvers.solution import ContactSolution, State

@@ -269,7 +269,7 @@ def test_estimate_scales():
     """Memory beside that of an empty rank is split over the ranks; files are counted byte for byte: fields × points ×
     width × loads; what is gathered on the way into them counts on several ranks.
     """
-    from pgfmd.run.estimate import BASE_BYTES, estimate
+    from pgfmd.operation.estimate import BASE_BYTES, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
     one, two = (estimate(job, ranks).memory - BASE_BYTES for ranks in (1, 2))

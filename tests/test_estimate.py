@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from pgfmd.job import job
-from pgfmd.run import estimate
+from pgfmd.operation import estimate
 from pgfmd.solvers import cost
 from pgfmd.solvers.active_set import nested_iteration
 

@@ -85,8 +85,8 @@ def test_root_is_small():
     [
         ("mpi4py", {"parallel"}),
         ("mpi4py_fft", {"grid"}),
-        ("pyfftw", {"grid", "run"}),
-        ("h5py", {"io", "surfaces", "run"}),
+        ("pyfftw", {"grid", "operation"}),
+        ("h5py", {"io", "surfaces", "operation"}),
         ("SurfaceTopography", {"surfaces"}),
     ],
 )
@@ -109,5 +109,5 @@ def test_serial_parts_need_no_mpi(name):
 
 def test_checking_a_job_needs_no_mpi():
     """`check` and `info` work where mpi4py is not installed."""
-    code = "import sys; sys.modules['mpi4py'] = None\nimport pgfmd.cli, pgfmd.job.job, pgfmd.run.estimate"
+    code = "import sys; sys.modules['mpi4py'] = None\nimport pgfmd.cli, pgfmd.job.job, pgfmd.operation.estimate"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -12,7 +12,7 @@ from conftest import SIZE, WORLD
 
 from pgfmd.errors import NoProgress, Stopped
 from pgfmd.io.results import Results
-from pgfmd.run.stop import Interruptions
+from pgfmd.operation.stop import Interruptions
 
 MANY = [1e-3 + 1e-6 * number for number in range(2000)]  # loads: more than can be solved while the test looks on
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 
-from pgfmd.run.machine import describe
-from pgfmd.run.memory import available_memory
+from pgfmd.operation.machine import describe
+from pgfmd.operation.memory import available_memory
 
 
 def levels(found, per_rank):

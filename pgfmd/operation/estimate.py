@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.cost import Cost
 from pgfmd.job.job import Job
-from pgfmd.run.memory import readable
+from pgfmd.operation.memory import readable
 from pgfmd.solvers.cost import MOSTLY
 from pgfmd.solvers.cost import cost as solver_cost
 

@@ -11,9 +11,9 @@ from pgfmd import __version__
 from pgfmd.errors import InputError
 from pgfmd.io import hdf5_slabs
 from pgfmd.io.provenance import git_commit, versions
+from pgfmd.operation.memory import available_memory, largest_memory, readable
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
-from pgfmd.run.memory import available_memory, largest_memory, readable
 
 log = logging.getLogger("pgfmd")
 
