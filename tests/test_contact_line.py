@@ -6,10 +6,13 @@ import math
 
 import numpy as np
 import pytest
+from conftest import SIZE
 from mpi4py import MPI
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.line import SMOOTH, contact_line, line_of
+from pgfmd.observables.contact_line import kernels
+from pgfmd.observables.contact_line.line import FARTHEST, SMOOTH, contact_line, line_of
+from pgfmd.observables.contact_line.table import edge_table
 from pgfmd.observables.patches.labelling import label_patches
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
@@ -223,6 +226,19 @@ def test_nothing_and_everything(comm):
     for pressure in (0.0, 1.0):
         fields = np.full(grid.local_shape, pressure), np.full(grid.local_shape, 1 - pressure)
         assert contact_line(grid, *fields, 1.0).total() == (0.0, 0.0)
+
+
+@pytest.mark.skipif(SIZE > 1, reason="once is enough")
+def test_pressures_and_gaps_that_vanish():
+    """Whatever of the pressures and gaps about a pair is next to nothing, as a solver may leave them at an edge, the
+    line passes within a pixel or two."""
+    random, table = np.random.default_rng(3), edge_table(1.0).values
+    for least in (5e-324, 1e-303, 1e-150, 1e-30):
+        for _ in range(2000):
+            around = random.choice([-0.0, least, -least, 1e-3, -0.1], 8)
+            around[1], around[2] = random.choice([least, 1e-3]), -random.choice([0.0, least, 0.1])
+            offset, cosine = kernels.locate(around, 1.0, table, FARTHEST)
+            assert abs(offset) <= 2 and 0 <= cosine <= 2, around
 
 
 def test_no_line_where_roughness_goes_down_to_the_pixel(comm):

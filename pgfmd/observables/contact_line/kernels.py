@@ -16,6 +16,7 @@ _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
 _ROUNDS = 8
+_LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite
 
 Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, ny); two more rows each way (2, 4, ny)
 Form = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # see `line_of_pixel`
@@ -25,8 +26,8 @@ Form = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # se
 def _distance(value: float, scale: float) -> float:
     """Roughly linear in the distance to the edge on both sides: p² inside, −(¾E'g/a)^(2/3) outside."""
     if value > 0:
-        return (value / scale) ** 2
-    return -np.cbrt((0.75 * value / scale) ** 2)
+        return min(value / scale, _LARGEST) ** 2
+    return -np.cbrt((0.75 * max(value / scale, -_LARGEST)) ** 2)
 
 
 @_jit
