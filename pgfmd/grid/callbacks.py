@@ -10,13 +10,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-Rows = Callable[[int, int, np.ndarray], None]
-"""(first local row, stop, rows (stop − first, ny)): fills the rows, or reads them."""
-Columns = Callable[[np.ndarray, int, int], None]
-"""(block (stop − first, nx), first local ky, stop): changes modes of the spectrum in place, makes or reads them."""
+RowAction = Callable[[int, int, np.ndarray], None]
+"""action(first, stop, rows): fills or reads `rows` (stop − first, ny), local rows first … stop−1 of a field."""
+ColumnAction = Callable[[np.ndarray, int, int], None]
+"""action(block, first, stop): changes, makes or reads `block` (stop − first, nx), local ky first … stop−1."""
 
 
-def source(field: np.ndarray) -> Rows:
+def source(field: np.ndarray) -> RowAction:
     """Rows of a field (nx_local, ny), for a transform to read."""
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:
@@ -25,7 +25,7 @@ def source(field: np.ndarray) -> Rows:
     return fill
 
 
-def sink(field: np.ndarray) -> Rows:
+def sink(field: np.ndarray) -> RowAction:
     """Puts the rows of a transform into a field (nx_local, ny)."""
 
     def drain(first: int, stop: int, rows: np.ndarray) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads
 
@@ -39,13 +39,15 @@ class LibraryTransform:
         # The library's own arrays, of both directions: the field (nx_local, ny) and its spectrum (nx, nky_local).
         self._field, self._spectrum = self._fft.forward.input_array, self._fft.forward.output_array
 
-    def rows_forward(self, fill: Rows) -> None:
+    def rows_forward(self, fill: RowAction) -> None:
         """Real rows, made by `fill(first, stop, rows)`, to their spectrum.  Collective."""
         field = self._field
         self.threads.share(lambda _, a, b: fill(a, b, field[a:b]), len(field), ROWS)
         self._fft.forward(normalize=False)
 
-    def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
+    def columns(
+        self, action: ColumnAction, forward: bool = True, backward: bool = True, count: int | None = None
+    ) -> None:
         """`action(block, first, stop)` on the spectrum, or its first `count` columns.
 
         With `forward=False` the action makes the spectrum; with `backward=False` it only reads it.
@@ -62,7 +64,7 @@ class LibraryTransform:
 
         self.threads.share(one, spectrum.shape[1] if count is None else count, ROWS)
 
-    def rows_backward(self, drain: Rows) -> None:
+    def rows_backward(self, drain: RowAction) -> None:
         """The spectrum that the action left to real rows, handed to `drain(first, stop, rows)`.  Collective."""
         self._fft.backward(normalize=False)
         field = self._field

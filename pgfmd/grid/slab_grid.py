@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import Columns, Rows, sink, source
+from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
@@ -123,7 +123,7 @@ class SlabGrid:
         return out
 
     def read_spectrum(
-        self, fill: Rows, action: Columns, dtype: DTypeLike = np.float64, count: int | None = None
+        self, fill: RowAction, action: ColumnAction, dtype: DTypeLike = np.float64, count: int | None = None
     ) -> None:
         """Transform the rows that `fill` writes; call `action(block, first, stop)` on each block of their spectrum.
         Collective.
@@ -137,8 +137,8 @@ class SlabGrid:
 
     def make_field(
         self,
-        action: Columns,
-        drain: Rows,
+        action: ColumnAction,
+        drain: RowAction,
         dtype: DTypeLike = np.float64,
         between: Callable[[], None] | None = None,
     ) -> None:
@@ -155,7 +155,7 @@ class SlabGrid:
             between()
         transform.rows_backward(drain)
 
-    def convolve(self, fill: Rows, action: Columns, drain: Rows, dtype: DTypeLike = np.float64) -> None:
+    def convolve(self, fill: RowAction, action: ColumnAction, drain: RowAction, dtype: DTypeLike = np.float64) -> None:
         """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform back, and hand
         the rows to `drain`.  No 1/N is applied.  Collective.
         """

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
-from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.fftw import plan
 from pgfmd.grid.transpose import ALIGNMENT, Strips, aligned, with_padding
 from pgfmd.parallel.threads import Threads
@@ -65,7 +65,7 @@ class Transform:
         self.workers = [_Worker(self) for _ in range(threads.count)]
         self.cost = self.real.itemsize / 8  # of a transform pair, in double-precision equivalents
 
-    def rows_forward(self, fill: Rows) -> None:
+    def rows_forward(self, fill: RowAction) -> None:
         """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  Collective."""
 
         def one(thread: int, first: int, stop: int) -> None:
@@ -78,7 +78,9 @@ class Transform:
         self.threads.share(one, self.strips.rows, self.row_block)
         self.strips.to_columns(self.complex)
 
-    def columns(self, action: Columns, forward: bool = True, backward: bool = True, count: int | None = None) -> None:
+    def columns(
+        self, action: ColumnAction, forward: bool = True, backward: bool = True, count: int | None = None
+    ) -> None:
         """Call `action(block, first, stop)` on the spectrum in the strips, or its first `count` columns, by blocks.
 
         forward=False: the action writes a new spectrum.  The call is then collective: it waits until no rank reads the
@@ -100,7 +102,7 @@ class Transform:
 
         self.threads.share(one, self.strips.width if count is None else count, self.column_block)
 
-    def rows_backward(self, drain: Rows) -> None:
+    def rows_backward(self, drain: RowAction) -> None:
         """Strips to real rows, each block handed to `drain(first, stop, block)`.  Collective."""
 
         def one(thread: int, first: int, stop: int) -> None:

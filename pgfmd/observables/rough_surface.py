@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pgfmd.grid.callbacks import Columns, Rows, source
+from pgfmd.grid.callbacks import ColumnAction, RowAction, source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
@@ -45,7 +45,7 @@ class RoughSurface:
         """Bins of the wave number with these edges.  Collective."""
         return self.modes if np.array_equal(edges, self.modes.edges) else mode_rings(self.grid, edges)
 
-    def correlate(self, fill: Rows, watch: Columns | None = None) -> Correlations:
+    def correlate(self, fill: RowAction, watch: ColumnAction | None = None) -> Correlations:
         """Spectrum, and autocorrelation if one is asked for, of the field whose rows `fill` makes.  Collective."""
         return correlate(self.grid, fill, self.modes, self.lags, watch)
 

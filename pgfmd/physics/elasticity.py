@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
 from pgfmd.grid import kernels
-from pgfmd.grid.callbacks import Columns
+from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
 
 BASES = ("bonded", "free", "sliding")
@@ -105,14 +105,14 @@ class Elasticity:
         stiffness = self.stiffness(q)
         return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
 
-    def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> Columns:
+    def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         """Column action ũ ← factor · compliance(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
             scale = 2 * factor / self.contact_modulus * min(grid.spacing)
             return _act_by_q(grid, dtype, kernels.divide_by_q, scale)
         return multiply(grid, dtype, lambda q: factor * self.compliance(q))
 
-    def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> Columns:
+    def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
             scale = factor * self.contact_modulus / 2 / min(grid.spacing)
@@ -120,7 +120,7 @@ class Elasticity:
         return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
 
 
-def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) -> Columns:
+def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) -> ColumnAction:
     """Column action by a kernel that takes squares of wave numbers, here over those of the smaller spacing."""
     real, step = np.dtype(dtype), min(grid.spacing)
     qx_squared, qy_squared = (((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0]))
@@ -132,7 +132,7 @@ def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) 
     return act
 
 
-def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], np.ndarray]) -> Columns:
+def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], np.ndarray]) -> ColumnAction:
     """Column action that multiplies each mode by `function(|q|)`."""
     real = np.dtype(dtype)
 

@@ -19,7 +19,7 @@ import math
 import numba
 import numpy as np
 
-from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
 
@@ -29,7 +29,7 @@ ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
-def energy_of_residual(grid: SlabGrid, fill: Rows, stiffness: Columns) -> tuple[float, float]:
+def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction) -> tuple[float, float]:
     """½Σ ρ Kρ and Σ (Kρ)² of the field ρ that `fill` makes, in single precision, by half a transform.  Collective.
 
     stiffness: acts as K over the number of points.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgfmd.grid.callbacks import Columns, Rows
+from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_in_place
 from pgfmd.parallel.mpi import MPI
@@ -83,7 +83,7 @@ def lag_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
 
 
 def correlate(
-    grid: SlabGrid, fill: Rows, modes: Rings, lags: Rings | None = None, watch: Columns | None = None
+    grid: SlabGrid, fill: RowAction, modes: Rings, lags: Rings | None = None, watch: ColumnAction | None = None
 ) -> Correlations:
     """Spectrum, and with `lags` autocorrelation ⟨f(r) f(r + Δr)⟩, of the field whose rows `fill` makes.  Collective.
 
@@ -131,7 +131,7 @@ def along_axis(grid: SlabGrid, values: np.ndarray, axis: int) -> dict[str, np.nd
     return {"r": steps[:-1] * step, "value": values, "count": np.ones(len(values)), "edges": (steps - 0.5) * step}
 
 
-def indicator(field: np.ndarray, threshold: float) -> Rows:
+def indicator(field: np.ndarray, threshold: float) -> RowAction:
     """Fills blocks of rows with 1 where the field is above the threshold, and 0 elsewhere."""
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.grid.callbacks import Columns
+from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import MPI, datatype
 from pgfmd.solvers.active_set import kernels as set_kernels
@@ -83,7 +83,7 @@ class ContactSet:
             self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
         return np.concatenate([[0], np.cumsum(counts)])
 
-    def convolve(self, values: np.ndarray, action: Columns, out: np.ndarray) -> None:
+    def convolve(self, values: np.ndarray, action: ColumnAction, out: np.ndarray) -> None:
         """out = (kernel ∗ values) on the set, by full transforms.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:

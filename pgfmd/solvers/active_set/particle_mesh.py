@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import erf
 
 from pgfmd.grid import kernels
-from pgfmd.grid.callbacks import Columns
+from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
@@ -139,7 +139,7 @@ def _spline_response(x: np.ndarray) -> np.ndarray:
 class FullResponse:
     """S A Sᵀ v by full transforms."""
 
-    def __init__(self, action: Columns) -> None:
+    def __init__(self, action: ColumnAction) -> None:
         self.action = action
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
@@ -151,7 +151,7 @@ class FullResponse:
 
 
 def inner_response(
-    grid: SlabGrid, half_space: Symbol, response: Symbol, action: Columns
+    grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction
 ) -> MeshResponse | FullResponse:
     """A `MeshResponse` if it serves, else a `FullResponse`; `action` multiplies full transforms by A.  Collective."""
     if MeshResponse.serves(grid, half_space, response):
