@@ -9,8 +9,10 @@ from pgfmd.options.rules import POSITIVE, integer, pair
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
-TRANSFORMS = ("blocked", "mpi4py-fft")  # of a grid: blocks in cache over FFTW's plans, or the library's whole arrays
-WORKSPACE = {"blocked": 8.0, "mpi4py-fft": 52.0}  # bytes per grid point: strips; arrays in both precisions (measured)
+TRANSFORMS = ("blocked", "mpi4py-fft")  # who transforms: `grid.transforms`, or the library (`grid.library_transform`)
+WORKSPACE = {"blocked": 8.0, "mpi4py-fft": 52.0}
+"""Memory of transforms in bytes per grid point: the strips of blocked ones; the library's arrays in both precisions,
+measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

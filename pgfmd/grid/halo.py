@@ -12,10 +12,10 @@ from pgfmd.parallel.mpi import MPI, datatype
 
 
 class RowWindow:
-    """Rows low … high−1 (global, periodic) of a field on `grid`, widened where it lacks rows of this rank's slab.  The
-    caller writes the rows of its slab; `exchange` fetches the others.  Collective to make.
+    """Rows low … high−1 (global, periodic) of a field on `grid`; the range is extended to hold this rank's whole slab.
+    The caller writes the rows of its slab; `exchange` fetches the others.  Collective to make.
 
-    Attributes: low; rows (high − low, ny), both after widening; own: the rows of the slab, a view of `rows`.
+    Attributes: low, first row of the extended range; rows (its length, ny); own: the slab's part, a view of `rows`.
     """
 
     def __init__(self, grid: SlabGrid, low: int, high: int, dtype: DTypeLike = np.float32) -> None:

@@ -1,4 +1,4 @@
-"""Compiled loops.  Each keeps the NumPy line that it replaces as its specification, and a test holds the two together.
+"""Compiled loops.  The docstring of each gives the NumPy line that it replaces; a test compares the two.
 
 All kernels release the GIL, so that the threads of one rank can share the blocks of a slab between them.
 """
@@ -12,7 +12,7 @@ import numpy as np
 
 jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, error_model="numpy")
 
-u = np.uintp  # of indices: spares the test for negative ones, without which loops are not vectorised
+u = np.uintp  # for indices: Numba tests signed ones for being negative, and does not vectorise loops with that test
 
 
 @jit
@@ -86,7 +86,7 @@ def divide_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarra
     """
     scale = np.empty_like(qx_squared)
     for j in range(qy_squared.size):
-        for i in range(scale.size):  # apart from the product, so that roots and quotients are taken many at a time
+        for i in range(scale.size):  # a loop of its own, so that it is vectorised
             scale[i] = factor / math.sqrt(qx_squared[i] + qy_squared[j])
         if qx_squared[0] + qy_squared[j] == 0:
             scale[0] = 0

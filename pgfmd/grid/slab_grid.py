@@ -5,7 +5,8 @@ Symbols: nx × ny points on a cell lx × ly; fields are float64 of shape (nx_loc
 Spectra are complex of shape (nky_local, nx): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
 spectra are *transposed*.  A mode with 0 < ky < ny/2 stands for itself and its conjugate: Hermitian weight 2, else 1.
 
-DFT convention, once and for all: forward is the plain sum over points, backward carries 1/(nx ny).
+DFT convention: `forward` is the plain sum over points, `backward` carries 1/(nx ny).  The methods that take callbacks
+(`make_field`, `convolve`) do not apply that factor; one of their callbacks has to.
 """
 
 from __future__ import annotations
@@ -168,12 +169,12 @@ class SlabGrid:
     def coarse(self, factor: int = 2) -> SlabGrid:
         """The grid of the same cell with 1/factor of the points each way (rounded up).
 
-        Where its slabs would be thin, each rank holds the whole coarse grid.  All ranks then do the same work, and no
+        If it is small, or its slabs would be thin, each rank holds all of it.  All ranks then do the same work, and no
         message is sent.
         """
         shape = -(-self.shape[0] // factor), -(-self.shape[1] // factor)
-        thin = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
-        comm = MPI.COMM_SELF if thin else self.comm
+        whole = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
+        comm = MPI.COMM_SELF if whole else self.comm
         return SlabGrid(comm, shape, self.lengths, self.asked_threads, self._transform_name, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:

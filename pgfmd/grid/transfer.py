@@ -1,4 +1,4 @@
-"""From grid to grid of one cell: spectral restriction to fewer points, local interpolation to more."""
+"""From one grid to another of the same cell: spectral restriction to fewer points, local interpolation to more."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pgfmd.parallel.collectives import fetch_rows, slab_starts
 
 
 def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
-    """The field (nx_coarse_local, ny_coarse) on the coarse grid, of its modes below that grid's Nyquist frequencies.
-    Collective.
+    """The field on the coarse grid (nx_coarse_local, ny_coarse): its modes below that grid's Nyquist frequencies are
+    kept, the others dropped.  Collective.
 
     The coarse grid may be distributed over the same ranks or held whole by each.  dtype: precision of the transforms.
     """

@@ -28,7 +28,10 @@ COLUMN_BLOCK = 1 << 19  # bytes of a block of columns: half of that cache, which
 
 
 class _Worker:
-    """Blocks and plans of one thread."""
+    """Blocks and plans of one thread.
+
+    rows: a block of real rows; half: their transforms along y, the half with ky ≥ 0; block: a block of columns.
+    """
 
     def __init__(self, transform: Transform) -> None:
         nx, ny = transform.shape

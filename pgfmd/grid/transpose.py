@@ -201,9 +201,7 @@ class ExchangedStrips(Strips):
         return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
 
     def _counts(self, itemsize: int) -> tuple[Counts, Counts]:
-        """Counts of the packed rows, by the rank whose strip a part belongs to, and of this rank's strip, by the rank
-        whose rows a part holds.
-        """
+        """Counts of `packed`, a part for the strip of each rank, and of `own`, a part for the rows of each rank."""
         packed = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
         strip = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
         return (packed, np.cumsum(packed) - packed), (strip, np.cumsum(strip) - strip)

@@ -1,6 +1,6 @@
-"""Slab decomposition, reductions over ranks, and raising an error on all ranks together.
+"""Slab decomposition, reductions over ranks, rows fetched from other ranks, and errors raised on all ranks together.
 
-Everything takes the communicator as its first argument; nothing here knows about grids or physics.
+What communicates takes the communicator as its first argument; nothing here knows about grids or physics.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def slab_starts(count: int, size: int) -> np.ndarray:
 
 
 class Reduction:
-    """Reductions of a field whose parts lie on the ranks of `comm`.  Each method is collective and returns a Python
-    float.
+    """Reductions of a field whose parts lie on the ranks of `comm`.  Each method is collective; all ranks get the same
+    result.
     """
 
     def __init__(self, comm: MPI.Comm) -> None:
@@ -65,8 +65,10 @@ class Reduction:
         return out
 
     def sums_of_blocks(self, parts: Mapping[int, tuple[float, ...]], count: int) -> np.ndarray:
-        """Sums (count,) over the blocks of rows of all ranks.  parts: the numbers of each block of this rank (which may
-        have none), by first row, in whose order they are added.  Collective.
+        """Sums (count,) of `count` numbers per block of rows or columns, over the blocks of all ranks.  Collective.
+
+        parts: first row of a block → its numbers, for each block of this rank, which may have none.  A rank adds its
+        blocks in the order of their rows, so that the sums do not depend on which thread was first.
         """
         blocks = np.array([parts[first] for first in sorted(parts)])
         return self.sums(*blocks.reshape(-1, count).sum(axis=0))
@@ -78,10 +80,11 @@ class Reduction:
 
 @contextmanager
 def raise_together(comm: MPI.Comm) -> Iterator[None]:
-    """If the block fails on any rank, all ranks raise the error of the lowest failing rank.  Collective at the end of
-    the block.
+    """If the block fails on any rank, all ranks raise an error.  Collective at the end of the block.
 
-    The block must not contain collective calls (a rank that failed would not reach them).
+    A rank that failed raises its own error, the others that of the lowest failing rank: an InputError or SolverError as
+    such, any other error as a RuntimeError that names it.  The block must not contain collective calls (a rank that
+    failed would not reach them).
     """
     failure = None
     try:

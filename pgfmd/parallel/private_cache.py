@@ -1,8 +1,12 @@
 """A folder for what takes long to make and is loaded again by later runs: compiled kernels and plans of transforms.
 
-What is loaded from it is executed.  So it is a folder that the user owns and that nobody else can write or exchange:
-$PGFMD_CACHE, $XDG_CACHE_HOME or ~/.cache, with pgfmd/ below; where that cannot be (a container's user has no home),
-pgfmd-UID in the folder of temporary files; both are made with mode 0700.  No MPI and no numba here.
+What is loaded from it is executed.  So the user must own it, and nobody else may be able to write in it or to put
+another folder in its place.  The first of these that can be made and is private is used:
+
+    $PGFMD_CACHE/pgfmd, $XDG_CACHE_HOME/pgfmd, ~/.cache/pgfmd
+    pgfmd-UID in the folder of temporary files, then in /dev/shm    (a container's user may have no home)
+
+It is made with mode 0700.  This module needs neither MPI nor numba to be imported.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ def private_folder() -> Path | None:
 
 
 def is_private(folder: Path) -> bool:
-    """Whether this user owns a folder and nobody else but root can write in it, or exchange it or one above it."""
+    """Whether this user owns a folder, and nobody else but root can write in it, or rename it or a folder above it."""
     status = os.lstat(folder)
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid() or _others_write(status):
         return False

@@ -85,7 +85,8 @@ class Team:
 
     def run(self, work: Callable[[int], None], count: int) -> None:
         """Call `work(0)` in the caller, and `work(thread)` in each of `count` − 1 helpers that begins before the
-        caller's own call returns.  Since a helper may come late or not at all, `work` shares out what is left to do.
+        caller's own call returns.  A helper may come late or not at all; so each call of `work` must take what is left
+        to do, piece by piece, until nothing is left.
 
         Returns, or raises an exception of the work, when all have finished.  While another thread, or the work itself,
         uses the team, the caller works alone.

@@ -25,8 +25,8 @@ class Threads:
         self.count = count
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
-        """`work(thread, first, stop)` for the blocks of 0 … total−1, each by the thread that is free first; an
-        exception ends in the caller.
+        """Call `work(thread, first, stop)` for each block of 0 … total−1, by the thread that is free first.  An
+        exception of any thread is raised in the caller.
         """
         if self.count == 1 or total <= block:
             for first in range(0, total, block):
@@ -41,7 +41,7 @@ class Threads:
         team().run(part, min(self.count, -(-total // block)))
 
     def split(self, work: Callable[[int, int], None], total: int) -> None:
-        """`work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
+        """Call `work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""
         if total > 0:
             self.share(lambda _, first, stop: work(first, stop), total, -(-total // self.count))
 
@@ -60,8 +60,8 @@ class Threads:
         self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
 
     def deal(self, work: Callable[[int, int], None], total: int, least: int = 256) -> None:
-        """`work(first, stop)` for blocks of at least so many rows, dealt out in turn: like `split`, where some rows are
-        dearer than others.
+        """Call `work(first, stop)` for blocks of at least `least` rows, about four for each thread, each by the thread
+        that is free first: in place of `split` where some rows take longer than others.
         """
         if self.count == 1:
             self.split(work, total)
