@@ -26,8 +26,8 @@ def key(
 ) -> Any:
     """A dataclass field with its rule.
 
-    about: what the key means, for the reference.  needed: the key has no default; the reference shows the example
-    instead.  A default of None means that the key may be left out.
+    about: what the key means, for the reference.  needed: the key must be given; the reference shows the example.  Any
+    other key may be left out: it then has the default, and None stands for no value.
     """
     metadata = {"rule": rule, "needed": needed, "about": about, "example": example}
     if isinstance(rule, type):

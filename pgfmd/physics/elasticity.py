@@ -51,7 +51,12 @@ class Elasticity:
     def slab_factor(self, t: np.ndarray) -> np.ndarray:
         """F(t) for t = q d > 0; tends to 1 as t → ∞.
 
-        Written with e = exp(−2t) and (1 − e), so that nothing overflows, and with series where terms of order 1 cancel.
+            bonded     (k cosh 2t + 2t² + 5 − 4ν(3 − 2ν)) / (k sinh 2t − 2t),   k = 3 − 4ν
+            free       (cosh 2t − 1 − 2t²) / (sinh 2t + 2t)
+            sliding    (sinh 2t + 2t) / (cosh 2t − 1)
+
+        Numerators and denominators are multiplied by e = exp(−2t), so that nothing overflows; series take over where
+        terms of order 1 cancel.
         """
         t = np.minimum(np.asarray(t, dtype=np.float64), 50.0)  # where F is 1, and nothing overflows
         small = t < 0.05
@@ -60,16 +65,16 @@ class Elasticity:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             if self.base == "bonded":
                 k = 3 - 4 * self.poisson
-                # k sinh 2t − 2t = 2t (k − 1) + k (2t)³/6 + …: no cancellation but for ν → ½, where k − 1 → 0 is exact.
-                below = k * np.where(small, _sinh_minus(2 * t) * e, rise * (1 + e) / 2 - 2 * t * e)
-                below = below + 2 * (1 - 2 * self.poisson) * 2 * t * e
-                above = k * (1 + e * e) / 2 + (2 * t * t + 5 - 4 * self.poisson * (3 - 2 * self.poisson)) * e
+                # k sinh 2t − 2t = k (sinh 2t − 2t) + 2t (k − 1), and k − 1 = 2(1 − 2ν) is exact where it is small.
+                divisor = k * np.where(small, _sinh_minus(2 * t) * e, rise * (1 + e) / 2 - 2 * t * e)
+                divisor = divisor + 2 * (1 - 2 * self.poisson) * 2 * t * e
+                dividend = k * (1 + e * e) / 2 + (2 * t * t + 5 - 4 * self.poisson * (3 - 2 * self.poisson)) * e
             elif self.base == "free":
-                above = np.where(small, _cosh_rest(2 * t) * e, rise**2 / 2 - 2 * t * t * e)
-                below = rise * (1 + e) / 2 + 2 * t * e
+                dividend = np.where(small, _cosh_rest(2 * t) * e, rise**2 / 2 - 2 * t * t * e)
+                divisor = rise * (1 + e) / 2 + 2 * t * e
             else:
-                above, below = rise * (1 + e) / 2 + 2 * t * e, rise**2 / 2
-            return np.where(t > 40, 1.0, above / below)
+                dividend, divisor = rise * (1 + e) / 2 + 2 * t * e, rise**2 / 2
+            return np.where(t > 40, 1.0, dividend / divisor)
 
     def mean_stiffness(self) -> float:
         """dp̄/dū of the mean mode (pressure per length): that of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid
@@ -106,7 +111,7 @@ class Elasticity:
         return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
 
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
-        """Column action ũ ← factor · compliance(q) · ũ in the given precision."""
+        """Column action p̃ ← factor · compliance(q) · p̃ in the given precision."""
         if math.isinf(self.thickness):
             scale = 2 * factor / self.contact_modulus * min(grid.spacing)
             return _act_by_q(grid, dtype, kernels.divide_by_q, scale)
@@ -121,7 +126,9 @@ class Elasticity:
 
 
 def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) -> ColumnAction:
-    """Column action by a kernel that takes squares of wave numbers, here over those of the smaller spacing."""
+    """Column action by a kernel that takes squares of wave numbers.  They are multiplied by the square of the smaller
+    spacing, so that they fit into single precision whatever the unit of length is.
+    """
     real, step = np.dtype(dtype), min(grid.spacing)
     qx_squared, qy_squared = (((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0]))
     factor = np.asarray(scale, real)[()]
