@@ -29,7 +29,7 @@ from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.load_control import Loads
+from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.solution import ContactSolution, State
 
 log = logging.getLogger("pgfmd")
@@ -64,8 +64,8 @@ def simulate(
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
         observer = Observer(problem, job.output.asked, job.surface.cutoff(job.grid))
-        loads = Loads(job.load, problem, job.solver.tolerance)
-        loads.refuse(job.load.targets)
+        control = LoadControl(job.load, problem, job.solver.tolerance)
+        control.check_targets(job.load.targets)
         checkpoints = Checkpoints(
             comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
         )  # fmt: skip
@@ -78,7 +78,7 @@ def simulate(
             if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_field("height", heights)
         steps = _Steps(job, grid, interruptions, checkpoints)
-        loads.solver = partial(solve, job, steps)
+        control.solver = partial(solve, job, steps)
         pending, unreachable = writer.pending, {}
         for index in pending:
             target = job.load.targets[index]
@@ -86,15 +86,15 @@ def simulate(
                 with phases("solve"), steps.of_load(index):
                     start = checkpoints.load(index)
                     interruptions.load_begins(resumed=start is not None)
-                    loads.resume(start)
-                    solution = loads.solution(target)
+                    control.resume(start)
+                    solution = control.solution(target)
                     steps.solved(solution)
             except Unreachable as failure:
                 unreachable[index] = failure
                 continue
             with phases("observe"):
                 contact = observer.contact(solution)
-                row = {"target": target, "displacement": loads.displacement(solution)} | observer.row(contact)
+                row = {"target": target, "displacement": control.displacement(solution)} | observer.row(contact)
                 groups = observer.groups(contact)
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))

@@ -108,6 +108,22 @@ def test_limited_hardness_agrees_with_the_active_set(comm, hardness):
     assert grid.reduction.max(one.pressure) <= hardness
 
 
+@pytest.mark.parametrize("wall", [HardWall(), Hardness(hardness=0.05), ExponentialWall(zeta=0.05)])
+def test_progress_shows_the_contact_area(comm, wall):
+    """Every method's last step on the finest grid counts the points in contact as its solution does, to the last digit
+    of a threshold.
+    """
+    grid = SlabGrid(comm, (64, 64))
+    problem = ContactProblem(grid, self_affine(grid, 0.8, 4.0, 0.1, 2), SOLID, wall, 0.01)
+    for method in wall.methods:
+        seen = []
+        watch = lambda level, state, seen=seen: seen.append((level.size, state.contact))  # noqa: E731
+        found = solve_contact(problem, Solver(method=method), monitor=watch)
+        count = grid.reduction.sum(found.pressure_in_contact() > 0)
+        assert 0 < count < grid.size
+        assert seen[-1] == (grid.size, pytest.approx(count, abs=1)), method
+
+
 def test_what_does_not_arrive_is_an_error(comm):
     """Too few steps are said, not hidden."""
     grid = SlabGrid(comm, (32, 32))

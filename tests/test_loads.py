@@ -14,7 +14,7 @@ from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.load_control import Loads
+from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -25,7 +25,7 @@ SOLID = Elasticity(8 / 3)
 
 
 class Counted:
-    """`Loads` of a surface, and how often they solved."""
+    """`LoadControl` of a surface, and how often they solved."""
 
     def __init__(self, control, grid, heights, solid=SOLID, wall=None, tolerance=1e-6, **keywords):
         self.solves = 0
@@ -35,7 +35,7 @@ class Counted:
             return solve_contact(problem, Solver(tolerance=tolerance), start)
 
         problem = ContactProblem(grid, heights, solid, wall or HardWall())
-        self.loads = Loads(Load(**{control: [0.5]}, **keywords), problem, tolerance, solve)
+        self.loads = LoadControl(Load(**{control: [0.5]}, **keywords), problem, tolerance, solve)
 
     def solution(self, target):
         return self.loads.solution(target)
@@ -177,7 +177,7 @@ def test_the_search_counts(rough):
         return solutions[-1]
 
     problem = ContactProblem(grid, heights, SOLID, HardWall())
-    found = Loads(Load(contact_area=[0.1]), problem, 1e-6, solve).solution(0.1)
+    found = LoadControl(Load(contact_area=[0.1]), problem, 1e-6, solve).solution(0.1)
     assert len(solutions) > 1
     assert found.transforms == pytest.approx(sum(each.transforms for each in solutions))
     assert found.iterations == sum(each.iterations for each in solutions)

@@ -15,7 +15,7 @@ from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 
 EQUAL = 4 * np.finfo(float).eps  # of the largest height: points that differ by less from the highest are as high
-TINY = 1e-300  # added as a lower limit, so that logarithms of 0 are finite
+TINY = 1e-300  # lower limit of what a logarithm is taken of
 FINEST = 1e-24  # certified error below which the level's error is rounding, a few 1e-12, and not √error
 
 
@@ -38,7 +38,7 @@ class Control:
         stiffness = problem.solid.mean_stiffness()
         self.mean_compliance = 1 / stiffness if stiffness > 0 else 0.0
 
-    def refuse(self, target: float) -> None:
+    def check_target(self, target: float) -> None:
         """Raises InputError for a target that is wrong input."""
         if self.rms_height == 0:
             name = self.options.control
@@ -66,8 +66,8 @@ class Control:
         raise NotImplementedError
 
     @property
-    def key(self) -> str:
-        """The tolerance as the job says it."""
+    def tolerance_text(self) -> str:
+        """The key of the tolerance and its value, for messages."""
         return f"load.gap_tolerance = {self.options.gap_tolerance:g}"
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
@@ -94,7 +94,7 @@ class Control:
 class Pressure(Control):
     """Mean pressure: the load itself."""
 
-    def refuse(self, target: float) -> None:
+    def check_target(self, target: float) -> None:
         """Raises InputError for a pressure that the law does not carry."""
         self.problem.at(target).check()
 
@@ -113,8 +113,8 @@ class ContactArea(Control):
             raise Unreachable(f"load.contact_area = {target:g}: not reachable, {least:g} touches first")
 
     @property
-    def key(self) -> str:
-        """The tolerance as the job says it."""
+    def tolerance_text(self) -> str:
+        """The key of the tolerance and its value, for messages."""
         return f"load.area_tolerance = {self.options.area_tolerance:g}"
 
     def area(self, found: ContactSolution) -> float:
@@ -155,9 +155,9 @@ class MeanGap(Control):
         """Approach of a solution."""
         return found.approach
 
-    def refuse(self, target: float) -> None:
+    def check_target(self, target: float) -> None:
         """Raises InputError for full contact, which leaves the load open, unless the law admits overlap."""
-        super().refuse(target)
+        super().check_target(target)
         if self.approach(target) >= self.limit:
             name = self.options.control
             limit = "above 0" if name == "mean_gap" else f"below {self.limit:g}"

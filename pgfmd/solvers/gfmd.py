@@ -23,10 +23,11 @@ import numpy as np
 from pgfmd.errors import SolverError
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
-from pgfmd.solvers.relaxation import WallRelaxation, WallState
 from pgfmd.solvers.solution import ContactSolution, Monitor
+from pgfmd.solvers.wall_operations import WallOperations, WallState
 
-INERTIA, INTERVAL = 1.8, 10  # over-relaxation: factor on each step; steps between certificates, a convolution each
+INERTIA, INTERVAL = 1.8, 10
+"""Factor on each step (over-relaxation); steps between certificates, each of which costs a convolution."""
 
 
 def solve_gfmd(
@@ -57,7 +58,7 @@ class Dynamics:
 
     def __init__(self, problem: ContactProblem):
         self.grid, self.heights = problem.grid, problem.heights
-        self.certifier = WallRelaxation(problem)
+        self.certifier = WallOperations(problem)
         stiffness = problem.solid.stiffness(np.sqrt(self.grid.q_squared()))
         softest = self.grid.reduction.min(stiffness[stiffness > 0])
         self.spring = math.sqrt(softest * self.grid.reduction.max(stiffness))
@@ -85,7 +86,7 @@ class Dynamics:
                 return state
         raise SolverError(
             f"GFMD: the certified error is {best:.1e} after {max_steps} steps, above the tolerance {tolerance:.1e}; "
-            "allow more iterations, or ask for less"
+            "allow more iterations, or a larger tolerance"
         )
 
     def step(self, state: WallState) -> None:

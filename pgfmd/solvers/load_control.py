@@ -18,11 +18,10 @@ from pgfmd.errors import SolverError
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.controls import CONTROLS, FINEST
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.options import Load
-from pgfmd.solvers.options import Solver as Options
+from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution
 
-Solver = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
+Solve = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 """(problem, pressure to start from or None, tolerance) → solution."""
 
 NEAR = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
@@ -35,25 +34,26 @@ MOST_SOLVES = 80
 log = logging.getLogger("pgfmd")
 
 
-class Loads:
-    """Solutions for one surface, at targets of the quantity that `load` imposes, in any order.  Collective to make.
+class LoadControl:
+    """Finds the contact of one surface at targets of the quantity that `load` imposes, in any order.  Collective to
+    make.
 
     solver: solves at a given mean pressure; `solve_contact` if not given.
     """
 
-    def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: Solver | None = None):
+    def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: Solve | None = None):
         load.check_law(problem.law)
         self.control, self.name = CONTROLS[load.control](problem, load), load.control
         self.problem, self.grid, self.tolerance = problem, problem.grid, tolerance
-        self.solver = solver or (lambda at, start, tolerance: solve_contact(at, Options(tolerance=tolerance), start))
+        self.solver = solver or (lambda at, start, tolerance: solve_contact(at, Solver(tolerance=tolerance), start))
         self.previous: ContactSolution | None = None
         self._resumed: np.ndarray | None = None
         self._totals = np.zeros(3)
 
-    def refuse(self, targets: Iterable[float]) -> None:
+    def check_targets(self, targets: Iterable[float]) -> None:
         """Raises InputError for the first target that is wrong input on this surface.  Collective."""
         for target in targets:
-            self.control.refuse(target)
+            self.control.check_target(target)
 
     def displacement(self, found: ContactSolution) -> float:
         """Approach of the far side from where the undeformed solid touches the highest point."""
@@ -70,7 +70,7 @@ class Loads:
         Raises InputError for a target that is wrong input, Unreachable for one that no load gives, SolverError if it is
         not met to its tolerance.
         """
-        self.control.refuse(target)
+        self.control.check_target(target)
         self._totals = np.zeros(3)
         if self.name == "pressure" or self.control.met_without_load(target):
             found = self._at(target if self.name == "pressure" else 0.0, self.tolerance)
@@ -104,21 +104,21 @@ class Loads:
                 return found
             if tolerance <= self.tolerance and error < best[0]:
                 best = error, found
-            jumps = search.width <= (JUMP if control.jumps else ROUNDING)
-            if jumps and tolerance <= self.tolerance:
+            narrow = search.width <= (JUMP if control.jumps else ROUNDING)  # at a jump, or no p̄ left in between
+            if narrow and tolerance <= self.tolerance:
                 break
             known = max(found.certified_error, FINEST)
             finer = min(self.tolerance, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
-            if finer < tolerance and (error <= max(1.0, unsure) or jumps):
+            if finer < tolerance and (error <= max(1.0, unsure) or narrow):
                 tolerance = finer
-                search.restart(1.0 if jumps else search.slope)
+                search.restart(1.0 if narrow else search.slope)
                 if error <= max(1.0, unsure):  # the sign of its distance to the target is not certain
                     continue
             search.add(control.distance(found, target))
         if best[1] is None or not (control.jumps and search.width <= JUMP):
-            raise SolverError(f"load.{self.name} = {target:g}: not met to {control.key}; allow more")
+            raise SolverError(f"load.{self.name} = {target:g}: not met to {control.tolerance_text}; allow a larger one")
         if self.grid.comm.rank == 0:
-            log.info("load.%s = %g: it jumps across this at one load; the nearer side is taken", self.name, target)
+            log.info("load.%s = %g: the area jumps across this at one load; the nearer is taken", self.name, target)
         return best[1]
 
     def _first_guess(self, target: float) -> float:
@@ -138,8 +138,8 @@ class Loads:
         except SolverError as failure:
             if tolerance >= self.tolerance:
                 raise
-            asked = f"load.{self.name} = {target:g}: {self.control.key} takes a certified error of {tolerance:.1e}"
-            raise SolverError(f"{asked}: {failure}") from None
+            needs = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
+            raise SolverError(f"load.{self.name} = {target:g}: {needs}: {failure}") from None
 
 
 class _Search:

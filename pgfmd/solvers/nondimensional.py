@@ -16,7 +16,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution, State
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
-STIFFEST = 1e25  # that single precision holds powers of it
+STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
 UNIFORM = 1e15  # range of a law over the rms height above which the pressure is uniform to double precision
 ROUNDING = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
@@ -28,9 +28,9 @@ class Dimensionless:
     """A contact problem with heights about their mean and over their rms value, pressures over their mean.  Collective
     to make.
 
-    uniform: the solution if no solver is needed (no load, no roughness, or a law whose range is far larger than it),
-    else None.  problem: the dimensionless problem, set only if `uniform` is None.  Wave numbers, and so lengths in the
-    plane, keep their unit.
+    uniform: the solution if no solver is needed (no load, no roughness, or a law whose range is far larger than the
+    roughness), else None.  problem: the dimensionless problem, set only if `uniform` is None.  Wave numbers, and so
+    lengths in the plane, keep their unit.
 
     Under a light load, points far below the highest one cannot touch, and how far below does not matter.  They are
     raised to just below the depth that can touch: heights are then of the size of the indentation, and lose no digits.
@@ -62,13 +62,23 @@ class Dimensionless:
     def _uniform(self, heights: np.ndarray, height: float) -> ContactSolution:
         """A pressure that is the same everywhere; without a load the highest point touches.  Collective."""
         mean, law = float(self.physical.mean_pressure), self.physical.law
-        top = law.gap(mean, self.physical.solid) if mean > 0 else self._heights.top * height
+        summit = self._heights.top * height
+        mean_gap = law.gap(mean, self.physical.solid) if mean > 0 else summit
         heights *= height
-        seconds = time.perf_counter() - self._began
-        gap = np.subtract(top, heights, out=heights)
-        approach = self._heights.top * height - top
+        gap = np.subtract(mean_gap, heights, out=heights)
         return ContactSolution(
-            np.full(gap.shape, mean), gap, mean, top, 0.0, 0.0, 0.0, 0, 0.0, seconds, 0.0, approach, 0.0
+            pressure=np.full(gap.shape, mean),
+            gap=gap,
+            mean_pressure=mean,
+            mean_gap=mean_gap,
+            elastic_energy=0.0,
+            certified_error=0.0,
+            max_violation=0.0,
+            iterations=0,
+            transforms=0.0,
+            seconds=time.perf_counter() - self._began,
+            approach=summit - mean_gap,
+            pressure_error=0.0,
         )
 
     def solution(
@@ -91,7 +101,7 @@ class Dimensionless:
         if not error <= tolerance:
             raise SolverError(
                 f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
-                "energy is lost in the last digits of the pressure; ask for less"
+                "energy is lost in the last digits of the pressure; allow a larger tolerance"
             )
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
         lowered, wrong = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
@@ -204,17 +214,19 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
     out = heights if overwrite and depth == math.inf else np.empty(grid.local_shape)
 
-    def lay(size: float) -> tuple[float, float]:
-        """Heights from the highest one over `size`, none below −1; returns their mean and standard deviation."""
-        parts = threads.collect(lambda a, b: lay_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
+    def rescale(size: float) -> tuple[float, float]:
+        """Sets `out` to heights in units of `size`, counted from the highest one and raised to −1 where they are lower;
+        returns their mean and standard deviation.
+        """
+        parts = threads.collect(lambda a, b: rescale_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
         return _spread(grid, parts)
 
     size = high - low
-    mean, spread = lay(size)
+    mean, spread = rescale(size)
     rms = size * spread
     if depth < math.inf:
         size = depth
-        mean, spread = lay(size)
+        mean, spread = rescale(size)
 
     def centre(_: int, first: int, stop: int) -> None:
         part = out[first:stop]
@@ -226,7 +238,7 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def lay_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
+def rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
     """out = max((h − high)/size, −1); returns its sum and that of its squares."""
     total = squares = 0.0
     for i in range(heights.shape[0]):

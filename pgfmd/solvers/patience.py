@@ -22,7 +22,9 @@ class Patience:
         return STEPS - self.left
 
     def take(self, error: float, best: float | None = None) -> bool:
-        """Counts a step that left this error (and, where the error is an estimate, this bound); whether to go on."""
+        """Counts a step that left this error; returns whether to go on.  best: the bound to report, where `error` is
+        only an estimate.
+        """
         self.left = STEPS if error < 0.5 * self.best else self.left - 1
         self.best = min(self.best, error if best is None else best)
         return self.left > 0
@@ -31,5 +33,5 @@ class Patience:
         """What to raise when it is at an end."""
         return SolverError(
             f"{law} wall: the certified error stays at {self.best:.1e}, above the tolerance {tolerance:.1e}, after "
-            f"{iterations} iterations on {grid.shape[0]} x {grid.shape[1]} points; ask for less"
+            f"{iterations} iterations on {grid.shape[0]} x {grid.shape[1]} points; allow a larger tolerance"
         )

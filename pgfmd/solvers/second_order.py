@@ -84,11 +84,11 @@ class Rounding:
         self.factor = ROUNDING[primes] * math.sqrt(math.log2(2 * grid.size))
 
     def bound(self, squares: np.ndarray, heights_squared: float, precision: type[np.floating] = np.float64) -> float:
-        """Of ½‖e‖²_K for the error e of a gap that was computed in that precision; squares: Σ p², Σ u² of it."""
+        """A bound of ½‖e‖²_K for the error e of a gap computed in that precision; squares: its Σ p² and Σ u²."""
         unit, digits = self.factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
         return (unit**2 * float(self.means @ squares) + digits**2 * float(self.means[1]) * heights_squared) / 2
 
 
 def certified(square: float, rounding: float) -> float:
-    """The bound that ½⟨ρ, Kρ⟩, computed, and that of the gap's rounding give."""
+    """The bound of ½‖ρ + e‖²_K; square: the computed ½‖ρ‖²_K, rounding: `Rounding.bound` of ½‖e‖²_K."""
     return ((1 + SINGLE) * math.sqrt(square) + math.sqrt(rounding)) ** 2

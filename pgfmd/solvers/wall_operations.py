@@ -17,7 +17,7 @@ from pgfmd.grid.callbacks import source
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
-PIXELS = 4  # across the region whose compliance splits residuals: of 2, 4 and 8, 4 bounds errors best
+PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 bounds errors best
 
 
 @dataclass
@@ -31,12 +31,12 @@ class WallState:
     error: float = math.inf
     work: float = 0.0  # ⟨p̂, Gp̂⟩
     level: float = 0.0  # c: at the solution the law's gap at p̂ is g − c
-    contact: int = 0  # points whose pressure is above the mean one
+    contact: int = 0  # points in contact
     iterations: int = 0
     pressure_error: float = math.nan  # ‖Kρ‖/‖p̂‖, an estimate
 
 
-class WallRelaxation:
+class WallOperations:
     """Computes gaps, certificates and resolvents for a dimensionless `problem` of mean pressure 1.  Collective to make.
 
     squares: Σ p̂² and Σ u² of the last gap
@@ -84,14 +84,15 @@ class WallRelaxation:
     def certify(self, state: WallState) -> None:
         """Level, contact and certified error of a feasible state, whose gap was computed last.  Collective."""
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
-        potential, load, contact = self.total(law.moments, *fields)
+        threshold = law.contact_above(1.0, self.squares[0] / grid.size)
+        potential, load, contact = self.total(partial(law.moments, threshold=threshold), *fields)
         level = state.level = float(potential / load) if load > 0 else state.level
         state.contact = int(contact)
         compliance, excess = self.local_compliance(PIXELS), dict[int, float]()
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             pressure, gap = (field[first:stop] for field in fields)
-            excess[first] = law.split(pressure, gap, rows, compliance, level)
+            excess[first] = law.excess(pressure, gap, rows, compliance, level)
 
         square, change = energy_of_residual(grid, fill, self.stiffness)
         bound = certified(square, self.rounding.bound(self.squares, grid.size))

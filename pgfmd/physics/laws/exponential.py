@@ -60,18 +60,18 @@ class ExponentialWall(ContactLaw):
         """p with compliance · p + ζ ln p = target + level."""
         return respond(target, pressure, compliance, self.zeta, level)
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
-        """(Σ p (g + ζ ln p), Σ p, #{p > 1})."""
-        return moments(pressure, gap, self.zeta)
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
+        """(Σ p (g + ζ ln p), Σ p, number of points with p > threshold)."""
+        return moments(pressure, gap, threshold, self.zeta)
 
-    def split(
+    def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
         """The excess is ζ times the relative entropy of p to exp(−(g − level − ρ)/ζ)."""
-        return split(pressure, gap, residual, compliance, self.zeta, level)
+        return excess(pressure, gap, residual, compliance, self.zeta, level)
 
     def contact_above(self, mean: float, mean_square: float) -> float:
-        """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure over the load that it bears.
+        """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure weighted with the pressure.
 
         Under this law all points bear pressure.  As ζ → 0 the points above the threshold become those in contact with a
         hard wall, except the 0.2 to 0.8 % of them that bear less there.
@@ -124,11 +124,11 @@ def respond(
 
 
 @_jit
-def moments(pressure: np.ndarray, gap: np.ndarray, zeta: float) -> tuple[float, float, int]:
-    """(Σ p̂ (g + ζ ln p̂), Σ p̂, #{p̂ > 1})."""
+def moments(pressure: np.ndarray, gap: np.ndarray, threshold: float, zeta: float) -> tuple[float, float, int]:
+    """(Σ p̂ (g + ζ ln p̂), Σ p̂, #{p̂ > threshold})."""
     loaded, potential = 0, 0.0
     for point, p in np.ndenumerate(pressure):
-        loaded += p > 1
+        loaded += p > threshold
         if p > 0:
             potential += p * (gap[point] + zeta * math.log(p))
     return potential, pressure.sum(), loaded
@@ -144,7 +144,7 @@ def relative_entropy(pressure: float, exponent: float) -> float:
 
 
 @_jit
-def split(
+def excess(
     pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, zeta: float, level: float
 ) -> float:
     """residual = compliance · (p̂ − p̂⁺), where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ − (g − level); returns

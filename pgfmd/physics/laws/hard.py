@@ -13,7 +13,7 @@ from pgfmd.physics.laws.law import ContactLaw, Units
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
-SATURATED = 1 - 1e-12  # of the largest pressure; what is above bears that but for rounding
+SATURATED = 1 - 1e-12  # part of the highest pressure above which a point bears that pressure, but for rounding
 
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy")
 
@@ -34,18 +34,18 @@ class HardWall(ContactLaw):
         return self
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
-        """A projection: p = target + level over the compliance, between 0 and `highest`."""
+        """A projection: p = (target + level)/compliance, clipped to 0 … `highest`."""
         return project(target, pressure, compliance, level, self.highest)
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
-        """(Σ p g, Σ p, #{p > 1})."""
-        return moments(pressure, gap, self.highest)
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
+        """(Σ p g, Σ p, number of points with p > threshold)."""
+        return moments(pressure, gap, threshold, self.highest)
 
-    def split(
+    def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
         """ρ = g − level, but at most compliance · p, and at least compliance · (p − highest)."""
-        return split(pressure, gap, residual, compliance, level, self.highest)
+        return excess(pressure, gap, residual, compliance, level, self.highest)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """Makes the gap 0 where there is pressure, and nowhere negative."""
@@ -56,7 +56,7 @@ class HardWall(ContactLaw):
 def project(
     target: np.ndarray, pressure: np.ndarray, compliance: float, level: float, highest: float
 ) -> tuple[float, float]:
-    """p = (target + level)/compliance between 0 and `highest`; returns Σ p and Σ dp/dlevel."""
+    """p = (target + level)/compliance, clipped to 0 … `highest`; returns Σ p and Σ dp/dlevel."""
     total = slope = 0.0
     for i in range(target.shape[0]):
         for j in range(target.shape[1]):
@@ -68,14 +68,14 @@ def project(
 
 
 @_jit
-def moments(pressure: np.ndarray, gap: np.ndarray, highest: float) -> tuple[float, float, int]:
-    """(Σ p̂ g, Σ p̂, #{p̂ > 1}), the sums where p̂ < highest."""
+def moments(pressure: np.ndarray, gap: np.ndarray, threshold: float, highest: float) -> tuple[float, float, int]:
+    """(Σ p̂ g, Σ p̂, #{p̂ > threshold}), the sums where p̂ < highest."""
     potential = load = 0.0
     loaded = 0
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p = pressure[i, j]
-            loaded += p > 1
+            loaded += p > threshold
             if p < SATURATED * highest:
                 potential += p * gap[i, j]
                 load += p
@@ -83,11 +83,11 @@ def moments(pressure: np.ndarray, gap: np.ndarray, highest: float) -> tuple[floa
 
 
 @_jit
-def split(
+def excess(
     pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float, highest: float
 ) -> float:
-    """residual = g − level between compliance · (p − highest) and compliance · p; returns Σ excess, which is p g' for a
-    gap g' = g − level − residual > 0 and (p − highest) g' for g' < 0.
+    """residual = g − level, clipped to compliance · (p − highest) … compliance · p; returns Σ excess, which is p g' for
+    a gap g' = g − level − residual > 0 and (p − highest) g' for g' < 0.
     """
     total = 0.0
     for i in range(gap.shape[0]):

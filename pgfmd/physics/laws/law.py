@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 class Units(NamedTuple):
-    """Factors from a dimensionless contact (p̂, ĝ) to the physical one: p = pressure · p̂, gap = height · (ĝ − level) +
-    offset.
+    """From a dimensionless contact (p̂, ĝ) to the physical one: p = pressure · p̂, gap = height · (ĝ − level) + offset,
+    where the solver finds the level.
     """
 
     height: float
@@ -70,17 +70,17 @@ class ContactLaw(Section):
         """
         raise NotImplementedError
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float, int]:
-        """(Σ p (g − gap(p)), Σ p, #{p > 1}) of rows of a pressure of mean 1, the sums over points below the largest
-        pressure.
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
+        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold) of rows; the sums are over the points whose
+        pressure is below `highest`.
         """
         raise NotImplementedError
 
-    def split(
+    def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """What the certificate of second order needs of rows (`solvers.second_order`): fills `residual` with ρ =
-        compliance · (p − p⁺); returns Σ excess(p, g − level − ρ).
+        """What rows contribute to the certificate (`solvers.second_order`): fills `residual` with ρ = compliance ·
+        (p − p⁺), p⁺ from compliance · p⁺ − gap(p⁺) = compliance · p − (g − level); returns Σ excess(p, g − level − ρ).
         """
         raise NotImplementedError
 

@@ -15,8 +15,8 @@ from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.nested_iteration import NestedIteration
 from pgfmd.solvers.nondimensional import Dimensionless
-from pgfmd.solvers.relaxation import WallState
 from pgfmd.solvers.solution import ContactSolution, Monitor
+from pgfmd.solvers.wall_operations import WallState
 
 COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
 LOOSE, REDUCTION = 0.1, 4  # certified error and factor between the steps of a ζ continuation

@@ -29,7 +29,7 @@ from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels as entropy
 from pgfmd.solvers.patience import Patience
-from pgfmd.solvers.relaxation import WallRelaxation, WallState
+from pgfmd.solvers.wall_operations import WallOperations, WallState
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
 BACK = 0.25  # of a step that raised both merits, which is tried next
@@ -39,7 +39,7 @@ LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step: at f
 Merits = tuple[float, float]
 
 
-class Newton(WallRelaxation):
+class Newton(WallOperations):
     """Newton iterations for a problem under an exponential wall."""
 
     law: ExponentialWall
@@ -105,7 +105,7 @@ class Newton(WallRelaxation):
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, its residual × `wanted`.  Collective."""
         grid, zeta, fields = self.grid, self.zeta, (state.pressure, state.gap)
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
-        level = float(self.total(self.law.moments, *fields)[0]) / grid.size
+        level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / grid.size
         start = partial(entropy.newton_start, zeta=zeta, level=level)
         (square,) = self.total(start, *fields, root, residual)
         goal, beta = wanted**2 * square, 0.0
