@@ -95,6 +95,12 @@ def factor_in(folder) -> float:
             for index in range(len(read)):
                 for name in read.fields(index):
                     np.testing.assert_array_equal(file[f"load_{index:04}/{name}"][:], (index + 1) * factor * FIELD)
+                    np.testing.assert_array_equal(file[name][index], (index + 1) * factor * FIELD)
+    if (folder / "fields.vtkhdf").exists():
+        with h5py.File(folder / "fields.vtkhdf", "r") as file:
+            for name, images in file["VTKHDF/PointData"].items():
+                first = images[0] if images.ndim == 3 else images[:]
+                np.testing.assert_array_equal(first, factor * FIELD)
     return factor
 
 
@@ -130,7 +136,8 @@ def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
         left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
         where = Results(folder).provenance["fields_folder"]
         loads = {f"{where}/load_{index:04}.h5" for index in range(2) if fields}
-        assert left == {"observables.h5", ".observables.h5.previous", "fields.h5", f"{where}/height.h5"} | loads
+        both = {"observables.h5", ".observables.h5.previous", "fields.h5", "fields.vtkhdf"}
+        assert left == both | loads | {f"{where}/height.h5"}
         number += 1
     assert number > 20 and found == sorted(found, key=lambda factor: factor == 9.0) and {old, 9.0} == set(found)
 
@@ -163,7 +170,7 @@ def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["observables.h5", "fields.h5", "checkpoint.h5", "fields/load_0001.h5"])
+@pytest.mark.parametrize("name", ["observables.h5", "fields.h5", "fields.vtkhdf", "checkpoint.h5", "fields/load_0001.h5"])
 @pytest.mark.parametrize("content", ["text", "hdf5"])
 def test_foreign_files_are_refused(comm, shared_tmp_path, name, content):
     """A file of somebody else where one is to be written is named in one line; nothing is touched."""
@@ -203,7 +210,7 @@ def test_foreign_files_stay(comm, shared_tmp_path):
         comm.Barrier()
 
 
-@pytest.mark.parametrize("name", ["observables.h5", "fields.h5", "checkpoint.h5"])
+@pytest.mark.parametrize("name", ["observables.h5", "fields.h5", "fields.vtkhdf", "checkpoint.h5"])
 def test_own_files_are_known_though_damaged(tmp_path, name):
     """A file of this program that was cut short may be replaced."""
     folder = tmp_path / "out"

@@ -20,10 +20,10 @@ def name_axes(group: h5py.Group, key: str, axes: Sequence[str]) -> None:
             group[key].dims[number].attach_scale(group[name])
 
 
-def place_on_grid(file: h5py.File, key: str, lengths: tuple[float, float], unit: str) -> None:
-    """Give a field (nx, ny) of a file the coordinates x and y of its points, from 0 on; lengths: of the cell."""
-    for name, count, length in zip("xy", file[key].shape, lengths, strict=True):
+def add_grid_axes(file: h5py.File, shape: tuple[int, int], lengths: tuple[float, float], unit: str) -> None:
+    """The coordinates x and y of the points of a grid, from 0 on, as datasets of a file; lengths: of the cell."""
+    for name, count, length in zip("xy", shape, lengths, strict=True):
         if name not in file:
             axis = file.create_dataset(name, data=np.arange(count) * (length / count))
             axis.attrs.update(description=f"position of the grid points along {name}", units=unit)
-    name_axes(file, key, ("x", "y"))
+            axis.make_scale(name)

@@ -15,7 +15,7 @@ import h5py
 
 from pgfmd.errors import InputError
 from pgfmd.io import atomic, checksum
-from pgfmd.io.schema import CHECKPOINT_FILE, FIELDS_FILE, FIELDS_FOLDER, OBSERVABLES_FILE, load_name
+from pgfmd.io.schema import CHECKPOINT_FILE, FIELDS_FILE, FIELDS_FOLDER, OBSERVABLES_FILE, VTK_FILE, load_name
 
 log = logging.getLogger("pgfmd")
 
@@ -134,7 +134,8 @@ def own_field_files(folder: Path) -> Iterator[Path]:
 def refuse_foreign(directory: Path, folder: str) -> None:
     """Raise InputError if a file that the run would write (fields in `folder`) exists and is not this program's."""
     fields = (path for path in (directory / folder).glob("*.h5") if _FIELD_FILE.fullmatch(path.name))
-    for path in (*(directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, CHECKPOINT_FILE)), *fields):
+    files = (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE, CHECKPOINT_FILE)
+    for path in (*(directory / name for name in files), *fields):
         if os.path.lexists(path) and not is_own(path) and not is_own(atomic.previous(path)):
             raise InputError(f"{path}: was not written by pgfmd, which would replace it; move it away, or choose "
                              "another folder")  # fmt: skip

@@ -15,7 +15,16 @@ from pgfmd.errors import InputError
 from pgfmd.io import checksum
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
-from pgfmd.io.schema import FIELDS, FIELDS_FILE, FIELDS_FOLDER, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
+from pgfmd.io.schema import (
+    FIELDS,
+    FIELDS_FILE,
+    FIELDS_FOLDER,
+    FORMAT_VERSION,
+    LOADS,
+    OBSERVABLES_FILE,
+    VTK_FILE,
+    load_name,
+)  # fmt: skip
 
 
 class Results:
@@ -116,10 +125,13 @@ class Results:
 
     def _open(self, name: str | Path) -> h5py.File:
         # Files are replaced as a whole and never changed in place: nothing to lock, and read-only folders work.
-        try:
-            return h5py.File(self.directory / name, "r", locking=False)
-        except OSError as error:
-            raise InputError(f"{self.directory / name}: cannot be read: {error}") from None
+        # Where this process has the file open with locks, as xarray does, HDF5 wants them here, too.
+        for locking in (False, None):
+            try:
+                return h5py.File(self.directory / name, "r", locking=locking)
+            except OSError as error:
+                reason = error
+        raise InputError(f"{self.directory / name}: cannot be read: {reason}")
 
 
 class _Groups(Mapping):
@@ -148,7 +160,7 @@ def _plain(value: Any) -> Any:
 
 def damage(results: Results) -> dict[Path, str]:
     """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them."""
-    files = [results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE)]
+    files = [results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)]
     folder = results.directory / results.provenance.get("fields_folder", FIELDS_FOLDER)
     fields = [load_name(index) for index in range(len(results)) if results.fields(index)]
     files = [path for path in (*files, folder / "height.h5") if path.exists()]

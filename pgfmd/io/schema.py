@@ -14,6 +14,7 @@ import numpy as np
 FORMAT_VERSION = 2  # what earlier ones had otherwise: see `formats`
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
+VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `views`
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
 
 

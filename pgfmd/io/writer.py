@@ -1,14 +1,15 @@
 """The files of a run, each complete at every instant.
 
     observables.h5          small: one row per load, groups of curves and tables, provenance
-    fields.h5               links to the big fields: height, load_0000/pressure, …; open this one to read them
-    fields/height.h5, fields/load_0000.h5, …        for readers of netCDF, which do not follow such links
+    fields.h5               shows the big fields together: height, load_0000/pressure, …; open this one to read them
+    fields.vtkhdf           shows them to ParaView
+    fields/height.h5, fields/load_0000.h5, …        where they are
 
 Every one of them ends in a seal (module `checksum`), so that a damaged file can be recognised.
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
-results stay whole until the first new load is complete.  Then fields.h5 is removed, observables.h5 is replaced by one
-rename, the old fields are removed, and fields.h5 is written anew.  So fields.h5 never links to fields that are not
+results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5 is
+replaced by one rename, the old fields are removed, and the two are written anew.  So they never show fields that are not
 those of observables.h5.
 """
 
@@ -28,8 +29,8 @@ import h5py
 import numpy as np
 
 from pgfmd.errors import InputError, Stopped
-from pgfmd.io import atomic, hdf5_slabs, provenance, restart
-from pgfmd.io.dimensions import name_axes, place_on_grid
+from pgfmd.io import atomic, hdf5_slabs, provenance, restart, views
+from pgfmd.io.dimensions import add_grid_axes, name_axes
 from pgfmd.io.provenance import Origin
 from pgfmd.io.restart import EarlierResults
 from pgfmd.io.schema import (
@@ -39,6 +40,7 @@ from pgfmd.io.schema import (
     FIELDS_FOLDER,
     LOADS,
     OBSERVABLES_FILE,
+    VTK_FILE,
     Groups,
     Layout,
     load_name,
@@ -99,6 +101,7 @@ class ResultWriter:
         self.earlier, self.replacing, self._fields = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
         self._links = self.earlier.links()
+        self._shown: dict[str, views.Shown] = {}
         self._written = self.earlier.fields.keys() - self.earlier.damaged
         try:
             with raise_together(comm):  # a folder that only rank 0 sees is of no use
@@ -118,7 +121,9 @@ class ResultWriter:
         folder = atomic.OutputFolder(self.directory)
         try:
             found = [
-                name for name in (OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER) if (self.directory / name).exists()
+                name
+                for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE, FIELDS_FOLDER)
+                if (self.directory / name).exists()
             ]
             if found and self._mode == "new":
                 raise InputError(
@@ -243,7 +248,8 @@ class ResultWriter:
 
     def _remove_leftovers(self) -> None:
         """Remove what interrupted runs left behind, and fields that belong to no results in observables.h5."""
-        for draft in (*self.directory.glob(".*.h5.tmp"), *(self.directory / self._fields).glob(".*.h5.tmp")):
+        drafts = [*self.directory.glob(".*.h5.tmp"), *(self.directory / self._fields).glob(".*.h5.tmp")]
+        for draft in (*drafts, atomic.temporary(self.directory / VTK_FILE)):
             draft.unlink(missing_ok=True)
         if not self._links:
             self._remove_fields(self._fields)
@@ -251,12 +257,11 @@ class ResultWriter:
         if not self.replacing:
             self._remove_replaced()
             self.earlier.settle()
-            if self._links:
-                self._write_links()
+            self._write_views()
 
     def _remove_replaced(self) -> None:
-        """Remove the fields of the replaced results, and the links to them."""
-        (self.directory / FIELDS_FILE).unlink(missing_ok=True)
+        """Remove the fields of the replaced results, and what shows them."""
+        self._remove_views()
         for folder in set(restart.FIELDS_FOLDERS) - {self._fields}:
             self._remove_fields(folder)
 
@@ -275,29 +280,44 @@ class ResultWriter:
             self._prepare_observables(file)
             change(file)
 
-        (self.directory / FIELDS_FILE).unlink(missing_ok=True)
+        self._remove_views()
         atomic.previous(path).unlink(missing_ok=True)
         _revise(path, describe, anew=True)
         self._remove_replaced()
-        if self._links:
-            self._write_links()
+        self._write_views()
 
     def _revise_observables(self, change: Callable[[h5py.File], None]) -> None:
         _revise(self.directory / OBSERVABLES_FILE, change, keep=True)
 
     def _link(self, targets: dict[str, tuple[str, str]]) -> None:
-        """Add links, name → (file, dataset), to fields.h5, once it is this run's.  Collective."""
+        """Show more fields, name → (file, dataset), once fields.h5 is this run's.  Collective."""
         self._links |= targets
+        for name in targets:
+            self._shown.pop(name, None)
         if not self.replacing:
-            from_root(self.comm, self._write_links)
+            from_root(self.comm, self._write_views)
 
-    def _write_links(self) -> None:
-        def fill(file: h5py.File) -> None:
+    def _remove_views(self) -> None:
+        for name in (FIELDS_FILE, VTK_FILE):
+            (self.directory / name).unlink(missing_ok=True)
+
+    def _write_views(self) -> None:
+        """Write fields.h5 and fields.vtkhdf anew, if there are fields."""
+        if not self._links:
+            return
+        for name, (target, dataset) in self._links.items():
+            if name not in self._shown:
+                self._shown[name] = views.described(self.directory, f"{self._fields}/{target}", dataset)
+        view = views.View(self.form.shape, self.form.lengths, self.form.length_unit, self._shown)
+        for file_name, fill in ((FIELDS_FILE, view.write_netcdf), (VTK_FILE, view.write_vtk)):
+            self._write_view(file_name, fill)
+
+    def _write_view(self, name: str, fill: Callable[[h5py.File], None]) -> None:
+        def describe(file: h5py.File) -> None:
             file.attrs.update(self._provenance)
-            for name, (target, dataset) in self._links.items():
-                file[name] = h5py.ExternalLink(f"{self._fields}/{target}", dataset)
+            fill(file)
 
-        _revise(self.directory / FIELDS_FILE, fill, anew=True)
+        _revise(self.directory / name, describe, anew=True)
 
     def _prepare_observables(self, file: h5py.File) -> None:
         if self.earlier.job is None:
@@ -310,7 +330,8 @@ class ResultWriter:
         group = file.require_group("loads")
         if "load" not in group:
             numbers = np.arange(self.completed)
-            group.create_dataset("load", data=numbers, maxshape=(None,), chunks=(64,)).attrs["units"] = "1"
+            column = group.create_dataset("load", data=numbers, maxshape=(None,), chunks=(64,))
+            self._annotate(column, "number of the load, counted from 0", "1")
         for name, (units, description) in LOADS.items():
             if name not in group:  # an earlier version may not have written it
                 kind, missing = (np.int64, -1) if name == "iterations" else (np.float64, np.nan)
@@ -372,7 +393,8 @@ class ResultWriter:
             dataset = hdf5_slabs.create_dataset(file, key, form.shape, slabs[key].dtype)
             schema_units, schema_text = FIELDS.get(key, ("1", key))
             self._annotate(dataset, description or schema_text, units or schema_units)
-            place_on_grid(file, key, form.lengths, form.length_unit)
+            add_grid_axes(file, form.shape, form.lengths, form.length_unit)
+            name_axes(file, key, ("x", "y"))
             return dataset
 
         path = self.directory / self._fields / name
