@@ -46,6 +46,10 @@ def run(request, tmp_path_factory):
     return Results(folder)
 
 
+def _refused(status: int, message: str):
+    pytest.fail(f"{status}: {message}")
+
+
 def visited(file) -> dict[str, h5py.Dataset]:
     found = {}
     file.visititems(lambda name, entry: found.update({name: entry}) if isinstance(entry, h5py.Dataset) else None)
@@ -139,7 +143,7 @@ def test_h5web_s_server_reads_every_dataset(run):
     for name in ("fields.h5", "observables.h5"):
         with h5py.File(run.directory / name, "r") as file:
             for key, dataset in visited(file).items():
-                with content.get_content_from_file(run.directory / name, key, lambda *_: pytest.fail(key)) as served:
+                with content.get_content_from_file(run.directory / name, key, _refused) as served:
                     assert served.metadata()["shape"] == dataset.shape
                     np.testing.assert_array_equal(served.data(), dataset[()])
 

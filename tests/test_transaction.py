@@ -25,6 +25,7 @@ from pgfmd.parallel.collectives import slab
 SHAPE = (7, 4)
 FIELD = np.arange(28.0).reshape(SHAPE)
 CHANGES = ("replace", "link", "unlink", "mkdir", "rmdir")
+FILES = ["observables.h5", "fields.h5", "fields.vtkhdf", "checkpoint.h5"]
 
 
 class Killed(BaseException):
@@ -98,7 +99,7 @@ def factor_in(folder) -> float:
                     np.testing.assert_array_equal(file[name][index], (index + 1) * factor * FIELD)
     if (folder / "fields.vtkhdf").exists():
         with h5py.File(folder / "fields.vtkhdf", "r") as file:
-            for name, images in file["VTKHDF/PointData"].items():
+            for images in file["VTKHDF/PointData"].values():
                 first = images[0] if images.ndim == 3 else images[:]
                 np.testing.assert_array_equal(first, factor * FIELD)
     return factor
@@ -170,7 +171,7 @@ def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("name", ["observables.h5", "fields.h5", "fields.vtkhdf", "checkpoint.h5", "fields/load_0001.h5"])
+@pytest.mark.parametrize("name", [*FILES, "fields/load_0001.h5"])
 @pytest.mark.parametrize("content", ["text", "hdf5"])
 def test_foreign_files_are_refused(comm, shared_tmp_path, name, content):
     """A file of somebody else where one is to be written is named in one line; nothing is touched."""
@@ -210,7 +211,7 @@ def test_foreign_files_stay(comm, shared_tmp_path):
         comm.Barrier()
 
 
-@pytest.mark.parametrize("name", ["observables.h5", "fields.h5", "fields.vtkhdf", "checkpoint.h5"])
+@pytest.mark.parametrize("name", FILES)
 def test_own_files_are_known_though_damaged(tmp_path, name):
     """A file of this program that was cut short may be replaced."""
     folder = tmp_path / "out"

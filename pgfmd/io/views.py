@@ -3,8 +3,8 @@
     fields.h5       height (x, y); pressure, gap, … of all loads (load, x, y); load_0000/pressure, … (x, y) of each
     fields.vtkhdf   the same for ParaView and VTK: one image, the loads as its steps in time
 
-Their datasets are virtual (HDF5 1.10): whoever reads them is given what is in the files of fields, which must stay where
-they are.  A file that is missing reads as NaN, or −1 for integers.
+Their datasets are virtual (HDF5 1.10): whoever reads them is given what is in the files of fields, which must stay
+where they are.  A file that is missing reads as NaN, or −1 for integers.
 """
 
 from __future__ import annotations

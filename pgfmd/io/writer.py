@@ -8,9 +8,9 @@
 Every one of them ends in a seal (module `checksum`), so that a damaged file can be recognised.
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
-results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5 is
-replaced by one rename, the old fields are removed, and the two are written anew.  So they never show fields that are not
-those of observables.h5.
+results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5
+is replaced by one rename, the old fields are removed, and the two are written anew.  So they never show fields that are
+not those of observables.h5.
 """
 
 from __future__ import annotations
