@@ -4,7 +4,7 @@
     mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
     python -m pgfmd check JOB.toml
     python -m pgfmd info DIR
-    python -m pgfmd plot FIGURE DIR… [--output FOLDER]
+    python -m pgfmd plot [FIGURE] DIR… [--output FOLDER]
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 75 (EX_TEMPFAIL) if
 the run was asked to stop, and did, ready for --restart; 130 if it was interrupted at once; 1 for anything else.
@@ -161,7 +161,7 @@ def _plot(words: list[str]) -> str:
     try:
         return importlib.import_module("figures").plot(words)
     except ImportError as error:
-        raise InputError(f"plot: {error}") from None
+        raise InputError(f"plot: {error}; figures need matplotlib: pip install 'pgfmd[plot]'") from None
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import csv
 import json
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -350,6 +351,31 @@ def test_wrong_folder_is_one_line(tmp_path, capsys):
         assert capsys.readouterr().err.count("\n") == 1
     assert figures.main(["no_such_figure", folder]) == 2
     assert "area_load" in capsys.readouterr().err
+
+
+def test_a_folder_alone_is_an_overview(runs, tmp_path, capsys):
+    """`pgfmd plot DIR` draws `pgfmd plot overview DIR`."""
+    assert figures.main([str(runs["kept"]), "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "overview.png").stat().st_size > 0
+
+
+def test_every_folder_is_installed():
+    """The packages named in pyproject.toml are the folders of pgfmd/ that hold modules, and tools/."""
+    plan = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    folders = {path.parent.relative_to(ROOT) for path in (ROOT / "pgfmd").rglob("*.py")}
+    assert sorted(plan["packages"]) == sorted({".".join(folder.parts) for folder in folders} | {"pgfmd_tools"})
+
+
+def test_without_matplotlib_one_line_says_how_to_get_it(runs):
+    """Exit code 2 and one line on stderr."""
+    script = f"""
+import sys
+sys.modules["matplotlib"] = None
+from pgfmd.cli import main
+sys.exit(main(["plot", {str(runs["kept"])!r}]))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "pip install" in done.stderr, done.stderr
 
 
 def test_names_from_files_are_text(runs, tmp_path, capsys):

@@ -64,7 +64,7 @@ def listing() -> str:
     """What there is to draw, and what each figure needs."""
     import reading
 
-    lines = ["pgfmd plot FIGURE DIR… [--output FOLDER]   draws one of these (FIGURE --help: its options):", ""]
+    lines = ["pgfmd plot [FIGURE] DIR… [--output FOLDER]   draws one of these (FIGURE --help: its options):", ""]
     for figure in FIGURES:
         drawn = module(figure)
         needs = "; ".join(reading.NEEDS[need][1] for need in drawn.NEEDS)
@@ -94,6 +94,8 @@ def plot(arguments: Sequence[str]) -> str:
     figure, *rest = arguments
     if figure in ("-h", "--help"):
         return listing()
+    if figure not in FIGURES and Path(figure).is_dir():  # no figure is named
+        figure, rest = FIGURES[0], list(arguments)
     drawn = module(figure)
     parser = _Parser(prog=f"pgfmd plot {figure}", description=drawn.__doc__, allow_abbrev=False,
                      formatter_class=argparse.RawDescriptionHelpFormatter)  # fmt: skip

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes .venv/ in this checkout, ready to run pgfmd: the one place of installation.
 #
-#   bash tools/setup.sh [bench] [surfaces]      # with these extras of pyproject.toml; fft, plot, test are always there
+#   bash tools/setup.sh [bench] [surfaces] [look]      # with these extras of pyproject.toml; fft, plot, test are always there
 #
 # Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
 # installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
@@ -94,6 +94,8 @@ missing_packages() { # EXTRAS…
     fi
     case " $* " in *" bench "*) has_header Eigen/Core "${EIGEN3_INCLUDE_DIR:-/usr/include/eigen3}" c++ ||
         echo g++ libeigen3-dev ;; esac # aspher
+    case " $* " in *" look "*) # the page of `pgfmd plot overview` is tested in a browser
+        command -v chromium >/dev/null || command -v google-chrome >/dev/null || echo chromium ;; esac
 }
 
 system_packages() { # EXTRAS…
@@ -110,6 +112,8 @@ system_packages() { # EXTRAS…
         hash -r
         missing=$(missing_packages "$@" | tr '\n' ' ')
     fi
+    case "$missing" in *chromium*) say "no browser here: the test of the overview page is left out" ;; esac
+    missing=${missing/chromium /}
     case "$missing" in
         "" | libhdf5-*-dev\ ) ;;
         *) fail "missing on this system; install them, or load modules that bring the same (an MPI with mpicc, FFTW 3," \

@@ -1,0 +1,1 @@
+"""Figures (`pgfmd plot`), the paper, benchmarks: installed as pgfmd_tools, see README.md."""
