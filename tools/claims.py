@@ -112,6 +112,7 @@ class Claim:
     parts: tuple[Part, ...]
     conditions: str = ""  # departures from those of the paper, and their size
     why: str = ""  # said where it differs or cannot be told
+    decided_by: str = ""  # said where it cannot be told
 
     def verdict(self, findings: dict[str, Findings]) -> str:
         """Of the claim as a whole."""

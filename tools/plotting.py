@@ -78,6 +78,11 @@ SYMBOLS = {
 }  # fmt: skip
 
 
+def _fixed(value: float, error: float) -> str:
+    """The value to the second digit of the error."""
+    return f"{value:.{max(0, 1 - math.floor(math.log10(error)))}f}"
+
+
 @dataclass(frozen=True)
 class Finding:
     """A number with its two errors: the standard error over seeds, and the spread over defensible choices."""
@@ -94,17 +99,15 @@ class Finding:
         return math.hypot(*known) if known else None
 
     def text(self) -> str:
-        """value ± error over seeds ± spread over choices, with as many digits as the errors warrant."""
-        errors = [error for error in (self.seeds, self.choices) if error]
+        """value ± error over seeds ± spread over choices: errors with two digits, the value with as many as they
+        warrant.  Errors of the size of rounding are left out.
+        """
+        named = {"": self.seeds, " (choices)": self.choices}
+        errors = {name: error for name, error in named.items() if error and error > 1e-9 * max(abs(self.value), 1e-3)}
         if not errors:
             return f"{self.value:.4g}"
-        digits = min(9, max(0, 1 - math.floor(math.log10(max(errors)))))
-        shown = f"{self.value:.{digits}f}"
-        if self.seeds is not None:
-            shown += f" ± {self.seeds:.{digits}f}"
-        if self.choices is not None:
-            shown += f" ± {self.choices:.{digits}f} (choices)"
-        return shown
+        shown = _fixed(self.value, max(errors.values()))
+        return shown + "".join(f" ± {_fixed(error, error)}{name}" for name, error in errors.items())
 
 
 class Findings(dict):

@@ -142,7 +142,7 @@ def _introduction(folders: list[Path], asked: list[Claim], findings: dict[str, F
     first = Results(folders[0])
     about = {name: html.escape(str(first.provenance.get(name, "?"))) for name in ("softwareVersion", "host", "threads")}
     worst = max(float(Results(path).loads["certified_error"].max()) for path in folders)
-    said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in claims.ORDER if counts[verdict])
+    said = ", ".join(f"{verdict}: {counts[verdict]}" for verdict in claims.ORDER if counts[verdict])
     return f"""<p>Campañá, Müser &amp; Robbins, <i>J. Phys.: Condens. Matter</i> <b>20</b>, 354013 (2008),
 <a href="https://doi.org/10.1088/0953-8984/20/35/354013">doi:10.1088/0953-8984/20/35/354013</a>, asked how an elastic
 solid touches a rigid surface that is rough on many scales: which part of it is in contact, how the pressure is
@@ -190,7 +190,7 @@ def _section(figure: Figure, folder, sheets, missing, asked, findings, output: P
     runs, sheet = figure.folders(folder), sheets[figure.key]
     caption = " ".join(figures.module(figure.tool).CAPTION.split())
     notes = "".join(f" Note: {html.escape(note)}." for note in sheet.notes)
-    names = ", ".join(html.escape(path.name) for path in runs)
+    names = html.escape(", ".join(figure.runs))
     return "\n".join(
         [
             title,
@@ -214,6 +214,8 @@ def _claims(mine: list[Claim], findings: dict[str, Findings]) -> str:
             text.append(f'<span class="small">Here: {html.escape(claim.conditions)}</span>')
         if claim.why and verdict in (claims.DIFFERS, claims.CANNOT_TELL):
             text.append(f'<span class="small">Why: {html.escape(claim.why)}</span>')
+        if claim.decided_by and verdict == claims.CANNOT_TELL:
+            text.append(f'<span class="small">What would decide it: {html.escape(claim.decided_by)}</span>')
         lines.append(
             f"<p><b>Claim {claim.number}</b> ({html.escape(claim.where)}): {_verdict(verdict)}. {' '.join(text)}</p>"
         )
