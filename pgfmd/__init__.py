@@ -1,7 +1,7 @@
 """Elastic contact of randomly rough surfaces, solved in parallel.
 
-`solve` (arrays in, contact out), `surface` (the heights of a job) and `Results` (the reader of result folders) are
-imported when first used, so that `import pgfmd` needs no MPI.  A whole job: `from pgfmd.simulate import simulate`.
+`solve` (arrays in, contact out), `run` (a job), `surface` (the heights of a job) and `Results` (the reader of result
+folders; `Runs`: of several) are imported when first used, so that `import pgfmd` needs no MPI.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.parallel.private_cache import keep_compiled_code
 
 __version__ = "0.1.0"
-__all__ = ["InputError", "Results", "SolverError", "solve", "surface"]
+__all__ = ["InputError", "Results", "Runs", "SolverError", "run", "solve", "surface"]
 
-_HOMES = {"solve": "pgfmd.api", "surface": "pgfmd.api", "Results": "pgfmd.io.results"}
+_HOMES = {name: "pgfmd.api" for name in ("run", "solve", "surface")}
+_HOMES |= {name: "pgfmd.io.results" for name in ("Results", "Runs")}
 
 keep_compiled_code()
 

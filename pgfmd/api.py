@@ -1,64 +1,155 @@
-"""`pgfmd.solve`: one surface, one load, from a script or notebook; `pgfmd.surface`: the surface of a job."""
+"""For scripts and notebooks: `solve` a surface, `run` a job, make the `surface` of a job."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
-from typing import Any
+import shutil
+import tempfile
+import weakref
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.job.job import Job, load
+from pgfmd.io.results import Results
+from pgfmd.job.job import Job, load, parse, toml_of
+from pgfmd.observables.contact import Contact
+from pgfmd.operation.progress import Progress, is_notebook
 from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
+from pgfmd.options.section import build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import from_root, raise_together
-from pgfmd.parallel.mpi import ALONE, MPI
+from pgfmd.parallel.mpi import ALONE, MPI, launched
 from pgfmd.physics.elasticity import BASES, Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.laws.table import LAWS
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.simulate import simulate
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.options import Solver
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.load_control import LoadControl
+from pgfmd.solvers.options import Load, Solver
+from pgfmd.solvers.solution import ContactSolution, State
+
+Tables = Mapping[str, Mapping[str, Any]]
+"""A job as nested tables: {"grid": {"n": 512}, …}."""
+
+
+class Options(TypedDict, total=False):
+    """Arguments of `solve` beside the heights and what is imposed."""
+
+    contact_modulus: float
+    spacing: float | tuple[float, float]
+    tolerance: float
+    wall: ContactLaw | Mapping[str, Any] | None
+    zeta: float | None
+    thickness: float
+    base: str | None
+    poisson: float
+    method: str
+    area_tolerance: float
+    gap_tolerance: float
+    start: np.ndarray | None
+    comm: MPI.Comm | None
+    threads: int | None
+    progress: bool | None
+
+
+class One(Options, total=False):
+    """One load that is not given by its pressure."""
+
+    contact_area: float
+    mean_gap: float
+    displacement: float
+    force: float
+
+
+class Several(Options, total=False):
+    """A list of them."""
+
+    contact_area: Sequence[float]
+    mean_gap: Sequence[float]
+    displacement: Sequence[float]
+    force: Sequence[float]
+
+
+@overload
+def solve(heights: np.ndarray, pressure: float | None = None, **options: Unpack[One]) -> Contact: ...
+
+
+@overload
+def solve(
+    heights: np.ndarray, pressure: Sequence[float] | np.ndarray | None = None, **options: Unpack[Several]
+) -> Iterator[Contact]: ...
 
 
 def solve(
     heights: np.ndarray,
-    pressure: float,
+    pressure: Any = None,
     *,
+    contact_area: Any = None,
+    mean_gap: Any = None,
+    displacement: Any = None,
+    force: Any = None,
     contact_modulus: float = 1.0,
     spacing: float | tuple[float, float] = 1.0,
     tolerance: float = 1e-8,
+    wall: ContactLaw | Mapping[str, Any] | None = None,
     zeta: float | None = None,
     thickness: float = math.inf,
     base: str | None = None,
     poisson: float = 0.25,
     method: str = "auto",
+    area_tolerance: float = 0.005,
+    gap_tolerance: float = 1e-4,
     start: np.ndarray | None = None,
     comm: MPI.Comm | None = None,
     threads: int | None = None,
-) -> ContactSolution:
-    """Contact of one surface at one mean pressure, for a script or notebook.  Collective over `comm`.
+    progress: bool | None = None,
+) -> Contact | Iterator[Contact]:
+    """The contact of one surface at one load, or an iterator over its contacts at a list of them.  Collective.
 
     heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
-    zeta: range of an exponential wall, with σ_ref = contact_modulus; None: a hard wall.  thickness, base ("bonded" if
-    None), poisson: a slab instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights
-    to begin with.  tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms
-    value).  threads: of this process; OMP_NUM_THREADS or the free cores if None.  Raises InputError for heights that
-    are masked, not finite or wrongly split, values out of range and ranks that do not ask for the same, SolverError if
-    the tolerance cannot be reached.
+
+    Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
+    times the area of the cell) says what is imposed: a number, or a list, whose contacts are solved one after another
+    as they are asked for, each from the last if that is near.  area_tolerance, gap_tolerance: how closely they are met.
+
+    spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; zeta: the range of an exponential
+    wall with σ_ref = contact_modulus; neither: a hard wall.  thickness, base ("bonded" if None), poisson: a slab
+    instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights to begin with.
+    tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
+    this process; OMP_NUM_THREADS or the free cores if None.  progress: whether a bar shows it; None: in notebooks.
+
+    Raises InputError for heights that are masked, not finite or wrongly split, values out of range and ranks that do
+    not ask for the same, SolverError if the tolerance cannot be reached, Unreachable for a load that cannot be.
+
+    >>> import numpy as np, pgfmd
+    >>> wave = np.cos(2 * np.pi * np.arange(64) / 64)
+    >>> heights = wave[:, None] * wave
+    >>> pgfmd.solve(heights, contact_area=0.3).contact_area
+    0.29931640625
+    >>> [round(contact.mean_gap, 3) for contact in pgfmd.solve(heights, [0.01, 0.02, 0.04])]
+    [0.287, 0.132, 0.028]
     """
     comm = ALONE if comm is None else comm
+    imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
+    imposed |= {"displacement": displacement, "force": force}
     with raise_together(comm):
         heights = _real("heights", heights)
         if heights.ndim != 2 or heights.size == 0:
             raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
         if not np.isfinite(heights).all():
             raise InputError("heights: all must be finite")
-        pressure, steps = _checked("pressure", pressure, number(low=0)), _checked("spacing", spacing, SPACING)
+        name, targets, single = _targets(imposed)
+        steps = _checked("spacing", spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
         thickness = _checked("thickness", thickness, number(above=0, infinite=True))
         base = None if base is None else _checked("base", base, choice(*BASES))
@@ -69,36 +160,144 @@ def solve(
             _checked("poisson", poisson, number()),
         )
         solid = Elasticity(modulus, thickness, base or "bonded", poisson)
-        law = HardWall() if zeta is None else ExponentialWall(zeta=zeta)
+        law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
+        meant: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         if start is not None and (start := _real("start", start)).shape != heights.shape:
             raise InputError(f"start of shape {start.shape}: must be that of the heights, {heights.shape}")
-    asked = comm.allgather((pressure, steps, solid, law, options, start is None))
+    asked = comm.allgather((name, targets, single, steps, solid, law, options, meant, start is None))
     if any(other != asked[0] for other in asked):
         raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
     (ax, ay), rows, ny = steps, comm.allgather(len(heights)), heights.shape[1]
     grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
     if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
+    if name == "force":
+        name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
+    asked_load = Load(**{name: targets, **meant})
+    shown = is_notebook() if progress is None else progress
+    solver = partial(_solve, options, shown)
+    control = LoadControl(asked_load, ContactProblem(grid, heights, solid, law), options.tolerance, solver)
+    control.check_targets(targets)
+    control.resume(start)
+    contacts = _contacts(control, targets)
+    if not single:
+        return contacts
     try:
-        return solve_contact(ContactProblem(grid, heights, solid, law, pressure), options, start)
+        return next(contacts)
     finally:
-        grid.free()
+        contacts.close()
 
 
-def surface(job: Job | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:
+def _targets(imposed: Mapping[str, Any]) -> tuple[str, tuple[float, ...], bool]:
+    """The name of what is imposed, its values, and whether it was given as a number.  Raises InputError."""
+    given = [name for name, value in imposed.items() if value is not None]
+    if len(given) != 1:
+        raise InputError(f"give exactly one of {', '.join(imposed)}; found {' and '.join(given) or 'none'}")
+    value = imposed[given[0]]
+    rules = {field.name: field.metadata["rule"] for field in dataclasses.fields(Load)}
+    values = list(value) if isinstance(value, range) else value
+    single = not isinstance(values, (list, tuple)) and np.ndim(values) == 0
+    return given[0], _checked(given[0], values, rules["pressure" if given[0] == "force" else given[0]]), single
+
+
+def _law(wall: ContactLaw | Mapping[str, Any] | None, zeta: float | None) -> ContactLaw:
+    """The contact law of the arguments of `solve`; raises InputError."""
+    if wall is None:
+        return HardWall() if zeta is None else ExponentialWall(zeta=zeta)
+    if zeta is not None:
+        raise InputError(f"zeta = {show(zeta)}: give it or a wall, not both")
+    law = build(LAWS, dict(wall)) if isinstance(wall, Mapping) else wall
+    if not isinstance(law, ContactLaw):
+        raise InputError(f"wall = {show(wall)}: must be a contact law, or a table of its keys")
+    return law
+
+
+def _contacts(control: LoadControl, targets: Sequence[float]) -> Generator[Contact, None, None]:
+    """The contacts at the targets, one after another.  Collective."""
+    try:
+        for target in targets:
+            found = control.solution(target)
+            problem = control.problem.at(found.mean_pressure)
+            yield Contact(**vars(found), problem=problem, displacement=control.displacement(found))
+    finally:
+        control.grid.free()
+
+
+def _solve(
+    options: Solver, shown: bool, problem: ContactProblem, start: np.ndarray | None, tolerance: float
+) -> ContactSolution:
+    """One contact, with a bar of its progress if that is shown.  Collective."""
+    options, grid = dataclasses.replace(options, tolerance=tolerance), problem.grid
+    if not shown:
+        return solve_contact(problem, options, start)
+    label, before = f"pressure {problem.mean_pressure:.4g}", grid.transforms
+    bar = Progress(grid.comm.rank, label, grid.shape, tolerance)
+
+    def see(level: SlabGrid, state: State) -> None:
+        bar.step(level.shape, state.error, state.contact / level.size, grid.transforms - before)
+
+    try:
+        return solve_contact(problem, options, start, see)
+    finally:
+        bar.close()
+
+
+def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:
     """The heights of the surface in a run of `job`.  Collective over `comm`.
 
-    job: a `Job` or the path of a TOML file.  Without `comm` all of them (nx, ny), made by this process alone; with it
-    this rank's rows (nx_local, ny), the same surface.  In units of the job.  Raises InputError on all ranks.
+    job: a `Job`, the path of a TOML file, or its tables, of which only "grid" and "surface" are needed.  Without `comm`
+    all heights (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny), the same surface on any
+    number of ranks.  In units of the job.  Raises InputError on all ranks.
+
+    >>> import pgfmd
+    >>> rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": 3}
+    >>> pgfmd.surface({"grid": {"n": [64, 32]}, "surface": rough}).shape
+    (64, 32)
     """
     comm = ALONE if comm is None else comm
-    job = job if isinstance(job, Job) else from_root(comm, load, job)
+    if isinstance(job, Mapping):
+        job = {"load": {"pressure": 1.0}} | dict(job)
+    job = job if isinstance(job, Job) else from_root(comm, _job, job)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     try:
         return job.surface.heights(grid, job.output.length_unit)
     finally:
         grid.free()
+
+
+def run(
+    job: Job | Tables | str | os.PathLike,
+    output: str | os.PathLike | None = None,
+    *,
+    comm: MPI.Comm | None = None,
+    overwrite: bool = False,
+    restart: bool = False,
+) -> Results:
+    """Run a job, as `pgfmd run` does, and open its results.  Collective over `comm`, all ranks if None.
+
+    job: a `Job`, the path of a TOML file, or its tables.  output: folder of the results; None: a temporary one, which
+    is removed when nothing refers to the results any more.  overwrite: replaces results that are there; restart:
+    continues them.  Raises InputError (nothing is written), SolverError (completed loads are written), Stopped.
+
+    >>> import pgfmd
+    >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
+    >>> pgfmd.run({"grid": {"n": 32}, "surface": wave, "load": {"contact_area": 0.5}})[0]
+    load 0 of ...: mean_pressure 0.1354, contact_area 0.5312, mean_gap 0.1425
+    """
+    comm = launched() if comm is None else comm
+    job = job if isinstance(job, Job) else from_root(comm, _job, job)
+    folder = from_root(comm, tempfile.mkdtemp, None, "pgfmd-") if output is None else output
+    simulate(job, comm, folder, overwrite=overwrite, restart=restart)
+    results = Results(folder)
+    if output is None and comm.rank == 0:
+        weakref.finalize(results, shutil.rmtree, folder, True)
+    return results
+
+
+def _job(source: Tables | str | os.PathLike) -> Job:
+    """The job in a file, or in tables, where relative paths count from the working directory.  Raises InputError."""
+    return parse(toml_of(source), folder=os.getcwd()) if isinstance(source, Mapping) else load(source)
 
 
 SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow
@@ -121,5 +320,5 @@ def _checked(name: str, value: object, rule: Rule) -> Any:
     """The value of an argument as its rule converts it; raises InputError."""
     try:
         return rule.convert(value)
-    except ValueError:
+    except (TypeError, ValueError):
         raise InputError(f"{name} = {show(value)}: must be {rule.allowed}") from None

@@ -1,12 +1,12 @@
-"""Reading result folders: NumPy and serial h5py only, no MPI."""
+"""Reading result folders: NumPy and serial h5py only, no MPI (pandas and xarray for what is called after them)."""
 
 from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -16,6 +16,7 @@ from pgfmd.io import checksum
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
 from pgfmd.io.schema import (
+    ENSEMBLE_FILE,
     FIELDS,
     FIELDS_FILE,
     FIELDS_FOLDER,
@@ -26,18 +27,33 @@ from pgfmd.io.schema import (
     load_name,
 )  # fmt: skip
 
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+BARS = "discretisation"  # the group whose numbers are the errors of columns of the table of loads
 
 class Results:
     """A result folder, also of a run that goes on or was broken off: whatever loads it has completed.
 
     Reads the table of loads at once, everything else when asked for; what was written in an earlier format is given as
-    the present one has it.  Raises InputError if the folder is missing, holds no results, or was written in a newer
-    format.
+    the present one has it.  Iterating gives the loads.  Raises InputError if the folder is missing, holds no results,
+    or was written in a newer format.
+
+    >>> import pgfmd
+    >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
+    >>> results = pgfmd.run({"grid": {"n": 32}, "surface": wave, "load": {"pressure": [0.01, 0.02]}})
+    >>> [round(load.numbers["contact_area"], 3) for load in results]
+    [0.156, 0.219]
+    >>> results.to_dataframe()[["mean_pressure", "contact_area"]].shape
+    (2, 2)
     """
 
     def __init__(self, directory: str | os.PathLike):
         self.directory = Path(directory)
         path = self.directory / OBSERVABLES_FILE
+        if (self.directory / ENSEMBLE_FILE).is_file():
+            raise InputError(f"{self.directory}: an ensemble; pgfmd.Ensemble reads it, or give one of its folders")
         if not path.is_file():
             missing = "no such folder" if not self.directory.is_dir() else f"holds no {OBSERVABLES_FILE}"
             raise InputError(f"{self.directory}: not a result folder: {missing}")
@@ -60,6 +76,25 @@ class Results:
     def __len__(self) -> int:
         """Number of completed loads."""
         return len(self.loads["mean_pressure"])
+
+    def __iter__(self) -> Iterator[LoadResults]:
+        return (self.load(index) for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> LoadResults:
+        return self.load(index)
+
+    def __add__(self, other: Results | Runs) -> Runs:
+        """The loads of both."""
+        return Runs([self]) + other
+
+    def __repr__(self) -> str:
+        return f"{self.directory}: {self.status}\n{table(self)}"
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The table of loads for pandas, with the error bars of the grid where they were measured (NaN: not)."""
+        import pandas
+
+        return pandas.DataFrame([load.numbers for load in self]).rename_axis("load")
 
     @property
     def status(self) -> str:
@@ -84,9 +119,9 @@ class Results:
         lx, ly = self.provenance["lengths"]
         return float(lx), float(ly)
 
-    def load(self, index: int) -> Mapping[str, Mapping[str, np.ndarray]]:
+    def load(self, index: int) -> LoadResults:
         """Curves and tables of one load, read when accessed: load(0)["stress_spectrum"]["q"]; -1 is the last load."""
-        return _Groups(self, load_name(self._index(index)))
+        return LoadResults(self, self._index(index))
 
     def fields(self, load: int | None = None) -> list[str]:
         """Names of the fields that were written, for a load or (None) for the whole run."""
@@ -134,23 +169,83 @@ class Results:
         raise InputError(f"{self.directory / name}: cannot be read: {reason}")
 
 
-class _Groups(Mapping):
-    """The groups of one load as a mapping: name → {dataset: array}."""
+class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
+    """One load of a run: its groups of curves and tables as a mapping, name → {dataset: array}; numbers; fields."""
 
-    def __init__(self, results: Results, name: str):
-        self._results, self._name = results, name
+    def __init__(self, results: Results, index: int):
+        self.results, self.index, self._name = results, index, load_name(index)
 
     def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
-        with self._results._open(OBSERVABLES_FILE) as file:
+        with self.results._open(OBSERVABLES_FILE) as file:
             table = {key: dataset[()] for key, dataset in file[self._name][title].items()}
-        return modern(title, table, self._results.provenance["format_version"], self._results.shape)
+        return modern(title, table, self.results.provenance["format_version"], self.results.shape)
 
     def __iter__(self) -> Iterator[str]:
-        with self._results._open(OBSERVABLES_FILE) as file:
-            return iter(list(file[self._name]))
+        with self.results._open(OBSERVABLES_FILE) as file:
+            return iter(list(file[self._name]) if self._name in file else [])
 
     def __len__(self) -> int:
         return len(list(iter(self)))
+
+    def __repr__(self) -> str:
+        known = self.numbers
+        return f"load {self.index} of {self.results.directory}: " + ", ".join(
+            f"{name} {known[name]:.4g}" for name in ("mean_pressure", "contact_area", "mean_gap")
+        )
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The row of the table of loads, and the estimated errors NAME_error of its numbers, if they were measured."""
+        row = {name: column[self.index].item() for name, column in self.results.loads.items()}
+        return row | {name: float(value) for name, value in (self[BARS] if BARS in self else {}).items()}
+
+    def field(self, name: str, rows: slice = slice(None)) -> np.ndarray:
+        """Rows of a field of this load, or of the heights: (rows, ny)."""
+        return self.results.field(name, None if name == "height" else self.index, rows)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """All fields that were written for this load, and the heights, with named axes and coordinates."""
+        import xarray
+
+        names = self.results.fields() + self.results.fields(self.index)
+        axes = zip(("x", "y"), self.results.shape, self.results.lengths, strict=True)
+        points = {name: np.arange(count) * (length / count) for name, count, length in axes}
+        fields = {name: (("x", "y"), self.field(name), {"description": FIELDS[name][1]}) for name in names}
+        return xarray.Dataset(fields, points, self.numbers)
+
+
+class Runs:
+    """Several runs as one: their loads in turn.
+
+    >>> import pgfmd
+    >>> job = {"grid": {"n": 32}, "surface": {"kind": "paraboloid", "radius": 60.0}, "load": {"pressure": [0.001]}}
+    >>> runs = pgfmd.run(job) + pgfmd.run(job | {"load": {"pressure": [0.002]}})
+    >>> len(runs), [load.numbers["mean_pressure"] for load in runs]
+    (2, [0.001, 0.002])
+    """
+
+    def __init__(self, runs: Iterable[Results]):
+        self.runs = list(runs)
+
+    def __len__(self) -> int:
+        """Number of completed loads of all runs."""
+        return sum(map(len, self.runs))
+
+    def __iter__(self) -> Iterator[LoadResults]:
+        return (load for run in self.runs for load in run)
+
+    def __add__(self, other: Results | Runs) -> Runs:
+        return Runs(self.runs + (other.runs if isinstance(other, Runs) else [other]))
+
+    def __repr__(self) -> str:
+        return "\n\n".join(map(repr, self.runs))
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """The tables of loads one below the other, indexed by the name of the folder and the number of the load."""
+        import pandas
+
+        names = [run.directory.name for run in self.runs]
+        return pandas.concat([run.to_dataframe() for run in self.runs], keys=names, names=["run"])
 
 
 def _plain(value: Any) -> Any:
@@ -171,18 +266,24 @@ def damage(results: Results) -> dict[Path, str]:
 
 def table(results: Results) -> str:
     """The table of loads as aligned text, one row per load; with the error bars of the grid, where they are known."""
-    head, rows = ["load", *results.loads], []
-    for index, values in enumerate(zip(*results.loads.values(), strict=True)):
-        row = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
-        groups = results.load(index)
-        bars = groups["discretisation"] if "discretisation" in groups else {}
-        texts = [f"{entry} ± {bars[f'{name}_error']:.1g}" if f"{name}_error" in bars else entry
-                 for name, entry in zip(results.loads, row, strict=True)]  # fmt: skip
-        rows.append([str(index), *texts])
-    units = ["", *(results.units[name] for name in results.loads)]
-    widths = [max(len(row[column]) for row in (head, units, *rows)) for column in range(len(head))]
+    bars = [dict(load[BARS]) if BARS in load else {} for load in results]
+    errors = {name: np.array([float(bar.get(f"{name}_error", np.nan)) for bar in bars]) for name in results.loads}
+    return aligned(results.loads, results.units, errors)
+
+
+def aligned(
+    loads: Mapping[str, np.ndarray], units: Mapping[str, str], errors: Mapping[str, np.ndarray], mark: str = "load"
+) -> str:
+    """Columns as text: their names, units, and rows of "value ± error", without the error where it is not finite."""
+    columns = [[mark, "", *map(str, range(len(next(iter(loads.values())))))]]
+    for name, values in loads.items():
+        texts = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
+        bars = [f" ± {error:.1g}" if np.isfinite(error) else "" for error in errors[name]]
+        columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
     return "\n".join(
-        "  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in (head, units, *rows)
+        "  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in rows
     )
 
 

@@ -16,6 +16,7 @@ FORMAT_VERSION = 2  # what earlier ones had otherwise: see `formats`
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
 VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `views`
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
+ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 
 
 @dataclass(frozen=True)
@@ -63,3 +64,8 @@ FIELDS = {
 def load_name(index: int) -> str:
     """Name of a load's group: load_0000, load_0001, …"""
     return f"load_{index:04d}"
+
+
+def member_name(seed: int) -> str:
+    """Name of the result folder of one seed of an ensemble: seed_0001, seed_0002, …"""
+    return f"seed_{seed:04d}"

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from pgfmd.job.output import Output, Written
 from pgfmd.job.sections import Run, Solid
 from pgfmd.options import section as tables
 from pgfmd.options.section import Kinds, Section, build
-from pgfmd.options.text import guess, printable, show
+from pgfmd.options.text import as_toml_value, guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
@@ -138,6 +139,20 @@ def _anchor(document: dict, folder: str) -> None:
 def as_toml(job: Job) -> str:
     """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Job."""
     return "\n".join(tables.as_toml(section, getattr(job, section)) for section in SECTIONS)
+
+
+def toml_of(job: Mapping[str, Any]) -> str:
+    """A job in nested tables as TOML; raises InputError for what TOML cannot express."""
+    lines: list[str] = []
+    try:
+        for section, table in job.items():
+            if isinstance(table, Mapping):
+                lines += [f"[{section}]", *(f"{name} = {as_toml_value(value)}" for name, value in table.items()), ""]
+            else:
+                lines.insert(0, f"{section} = {as_toml_value(table)}")
+    except (TypeError, RecursionError) as error:
+        raise InputError(f"job: [{printable(str(section))}]: {error}") from None
+    return "\n".join(lines)
 
 
 def differences(before: Job, after: Job) -> list[str]:

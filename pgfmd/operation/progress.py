@@ -12,6 +12,11 @@ from tqdm import tqdm
 log = logging.getLogger("pgfmd")
 
 
+def is_notebook() -> bool:
+    """Whether this process is the kernel of a notebook."""
+    return "ipykernel" in sys.modules and "IPython" in sys.modules
+
+
 class Progress:
     """Shows how the certified error of one load falls to the tolerance; does nothing on other ranks than 0."""
 
@@ -19,7 +24,7 @@ class Progress:
         self.active, self.label, self.shape, self.tolerance = rank == 0, label, shape, tolerance
         self.began = time.perf_counter()
         self.bar = None
-        if self.active and sys.stderr.isatty():
+        if self.active and (sys.stderr.isatty() or is_notebook()):
             decades = max(1.0, -math.log10(tolerance))
             form = "{desc} |{bar}| {elapsed} {postfix}"
             self.bar = tqdm(total=decades, desc=label, bar_format=form, leave=False)

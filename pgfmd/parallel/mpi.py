@@ -50,6 +50,11 @@ def world() -> MPI.Intracomm:
     return MPI.COMM_WORLD
 
 
+def launched() -> MPI.Intracomm:
+    """All ranks that were launched together; this process alone, without initialising MPI, if it was started alone."""
+    return world() if "mpi4py.MPI" in sys.modules or _launched(_SIZES, 1) > 1 else ALONE
+
+
 def launched_rank() -> int:
     """This process's rank as its launcher tells it, without MPI; 0 if it was started alone."""
     return _launched(_RANKS, 0)

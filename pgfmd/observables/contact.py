@@ -1,0 +1,140 @@
+"""`Contact`: what `pgfmd.solve` returns, a solved contact that can be measured, drawn and handed on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.io.schema import FIELDS, LOADS, Groups
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.observer import Observer
+from pgfmd.observables.table import OBSERVABLES
+from pgfmd.options.section import build
+from pgfmd.options.text import guess
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.solution import ContactSolution
+from pgfmd.surfaces.surface import coordinates
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import xarray
+
+
+@dataclass(repr=False)
+class Contact(ContactSolution):
+    """A solved contact: fields (nx_local, ny), numbers that are the same on all ranks, and what is measured on it.
+
+    What is measured needs transforms, which are made when it is first asked for.
+
+    >>> import numpy as np, pgfmd
+    >>> wave = np.cos(2 * np.pi * np.arange(64) / 64)
+    >>> contact = pgfmd.solve(wave[:, None] * wave, 0.01)
+    >>> contact
+    contact of 64 × 64 points: mean pressure 0.01, mean gap 0.287, contact area 0.2622 (corrected 0.2567)
+    >>> histogram = contact.observables("histogram")["pressure_histogram"]
+    >>> float(histogram["count"].sum()) == contact.contact_area * 64**2
+    True
+    """
+
+    problem: ContactProblem = field(kw_only=True)
+    displacement: float = field(kw_only=True)
+
+    def __repr__(self) -> str:
+        nx, ny = self.problem.grid.shape
+        text = f"contact of {nx} × {ny} points: mean pressure {self.mean_pressure:.4g}, mean gap {self.mean_gap:.4g}"
+        if self.problem.grid.comm.size > 1:  # one rank alone cannot measure
+            return text
+        return f"{text}, contact area {self.contact_area:.4g} (corrected {self.contact_area_corrected:.4g})"
+
+    @property
+    def heights(self) -> np.ndarray:
+        """The surface (nx_local, ny), as it was given."""
+        return self.problem.heights
+
+    @property
+    def force(self) -> float:
+        """Total force: mean pressure times the area of the cell."""
+        return self.mean_pressure * math.prod(self.problem.grid.lengths)
+
+    @cached_property
+    def numbers(self) -> dict[str, float]:
+        """The numbers that a run writes for each load, by their names in its table.  Collective on first use."""
+        observer = Observer(self.problem)
+        row = {"displacement": self.displacement} | observer.row(observer.contact(self))
+        self.problem.grid.free()
+        return {name: row[name] for name in LOADS if name in row}
+
+    @property
+    def contact_area(self) -> float:
+        """Relative contact area: share of the points in contact.  Collective on first use."""
+        return self.numbers["contact_area"]
+
+    @property
+    def contact_area_corrected(self) -> float:
+        """Relative area inside the contact line between pixels.  Collective on first use."""
+        return self.numbers["contact_area_corrected"]
+
+    @cached_property
+    def contact_area_error(self) -> float:
+        """Error bar of `contact_area_corrected`: its estimated error by the grid, from a second contact on half as many
+        points each way; NaN where roughness goes down to the pixel.  Collective on first use.
+        """
+        found = self.observables("discretisation").get("discretisation", {})
+        return self.problem.grid.comm.bcast(float(found.get("contact_area_corrected_error", math.nan)))
+
+    def observables(self, *names: str, **options: Mapping[str, Any]) -> Groups:
+        """Curves and tables, group → dataset → array, as `Results` gives those of a load; on rank 0.  Collective.
+
+        names: observables, as a job lists them; options: further ones with their keys, `spectra={"bins": 10}`.  Raises
+        InputError for an unknown observable or key.
+        """
+        observer = Observer(self.problem, _asked(dict.fromkeys(names, {}) | options))
+        groups = observer.groups(observer.contact(self))
+        self.problem.grid.free()
+        return groups
+
+    def plot(self, axes: matplotlib.axes.Axes | None = None) -> matplotlib.axes.Axes:
+        """Draw the surface in grey, and the pressure where it touches; x to the right, y upwards.  For one process.
+
+        axes: of matplotlib, to draw in; new ones if not given.  Returns them.
+        """
+        import matplotlib.pyplot as plt
+
+        grid = self.problem.grid
+        if grid.comm.size > 1:
+            raise InputError("plot: this process holds a part of the contact; solve in one process, or draw a run")
+        axes = plt.subplots()[1] if axes is None else axes
+        extent = (0.0, grid.lengths[0], 0.0, grid.lengths[1])
+        pressure = np.ma.masked_less_equal(self.pressure_in_contact(), 0.0)
+        axes.imshow(self.heights.T, cmap="gray", origin="lower", extent=extent)
+        image = axes.imshow(pressure.T, cmap="inferno", origin="lower", extent=extent, interpolation="nearest", vmin=0)
+        plt.colorbar(image, ax=axes, label="pressure")
+        axes.set(xlabel="x", ylabel="y", title=f"contact on {100 * self.contact_area:.2g} % of the surface")
+        return axes
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The fields of this rank with named axes and coordinates, the numbers as attributes.  Collective on first use
+        of the numbers.
+        """
+        import xarray
+
+        x, y = coordinates(self.problem.grid)
+        fields = {"height": self.heights, "pressure": self.pressure, "gap": self.gap}
+        described = {name: (("x", "y"), values, {"description": FIELDS[name][1]}) for name, values in fields.items()}
+        return xarray.Dataset(described, {"x": x[:, 0], "y": y[0]}, self.numbers)
+
+
+def _asked(options: Mapping[str, Mapping[str, Any]]) -> Iterable[Observable]:
+    """The observables of those names with those keys; raises InputError."""
+    for name, keys in options.items():
+        if name not in OBSERVABLES:
+            raise InputError(f"observable {name!r} is not known{guess(name, list(OBSERVABLES))}")
+        observable = build(OBSERVABLES[name], dict(keys))
+        assert isinstance(observable, Observable)
+        yield observable

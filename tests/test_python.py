@@ -1,0 +1,181 @@
+"""The Python interface: `pgfmd.solve`, `pgfmd.surface`, `pgfmd.run` and results, beside what jobs give."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import pgfmd
+from pgfmd.errors import InputError
+from pgfmd.job.job import parse, toml_of
+from pgfmd.parallel.collectives import slab
+
+pytestmark = pytest.mark.mpi
+
+ROUGH = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": 3}
+JOB = {
+    "grid": {"n": 48},
+    "surface": ROUGH,
+    "solid": {"contact_modulus": 2.0},
+    "load": {"pressure": [0.004, 0.02]},
+    "solver": {"tolerance": 1e-18},
+    "output": {"fields": ["height", "pressure", "gap"], "observables": ["histogram", "spectra", "discretisation"]},
+}
+SOLVE = {"contact_modulus": 2.0, "tolerance": 1e-18}
+
+
+@pytest.fixture(scope="module")
+def heights(comm):
+    """This rank's rows of the surface of JOB."""
+    return pgfmd.surface(JOB, comm)
+
+
+@pytest.fixture
+def results(comm, shared_tmp_path):
+    """A run of JOB."""
+    return pgfmd.run(JOB, shared_tmp_path / "run", comm=comm)
+
+
+def test_surfaces_do_not_depend_on_the_communicator(comm, heights):
+    """Each rank's rows are those of the surface that one process makes: equal to rounding of the transforms."""
+    whole = pgfmd.surface({"grid": JOB["grid"], "surface": ROUGH})
+    np.testing.assert_allclose(heights, whole[slab(48, comm.size, comm.rank)], atol=1e-13 * np.abs(whole).max())
+
+
+def test_a_call_gives_what_a_run_gives(comm, heights, results):
+    """Pressures, gaps, numbers, curves and error bars of `solve` are those of the run of the same job.
+
+    Both are certified to 1e-18, so that pressures agree to its square root.  Spectra of arrays end at the grid's last
+    mode, those of jobs at λ_s: the observable of the run is asked for with the same bins.
+    """
+    rows = slab(48, comm.size, comm.rank)
+    for load, contact in zip(results, pgfmd.solve(heights, JOB["load"]["pressure"], comm=comm, **SOLVE), strict=True):
+        scale = load.field("pressure").max()
+        np.testing.assert_allclose(contact.pressure, load.field("pressure", rows), atol=1e-8 * scale)
+        np.testing.assert_allclose(contact.gap, load.field("gap", rows), atol=1e-7)
+        for name in ("mean_pressure", "contact_area", "mean_gap", "displacement", "elastic_energy", "kappa"):
+            assert math.isclose(contact.numbers[name], load.numbers[name], rel_tol=1e-6)
+        groups = contact.observables("histogram", spectra={"all_modes": True})
+        if comm.rank == 0:
+            count = groups["pressure_histogram"]["count"]
+            np.testing.assert_array_equal(count, load["pressure_histogram"]["count"])
+            assert groups["stress_spectrum"]["q"][-1] > load["stress_spectrum"]["q"][-1]
+        assert contact.contact_area_error >= 0
+
+
+@pytest.mark.parametrize("name", ["contact_area", "mean_gap", "displacement"])
+def test_what_is_imposed_is_met(comm, heights, name):
+    """A contact solved again by its own area, gap or displacement has the load that it began with.
+
+    The tolerances asked for bound the imposed quantity; loads follow within ten times them (their logarithmic
+    derivatives are of order one).  An area is met to a pixel, of about 400.
+    """
+    first = pgfmd.solve(heights, 0.01, comm=comm, **SOLVE)
+    target = getattr(first, name)
+    again = pgfmd.solve(heights, **{name: target}, gap_tolerance=1e-6, area_tolerance=1e-3, comm=comm, **SOLVE)
+    assert math.isclose(again.mean_pressure, 0.01, rel_tol=1e-2 if name == "contact_area" else 1e-5)
+
+
+def test_a_force_is_pressure_times_area(comm, heights):
+    """Forces of a list are those of the contacts found, and the pressure is the force over the cell's area."""
+    contacts = pgfmd.solve(heights, force=[5.0, 10.0], spacing=0.5, comm=comm)
+    for target, contact in zip((5.0, 10.0), contacts, strict=True):
+        assert math.isclose(contact.force, target) and math.isclose(contact.mean_pressure, target / 24**2)
+
+
+def test_a_list_is_solved_as_it_is_asked_for(comm, heights):
+    """An iterator: what is not asked for is not solved, so that a wrong later load does no harm; each starts from the
+    last if that is near, which the transforms show.
+    """
+    contacts = pgfmd.solve(heights, [0.01, 0.01001, 0.5], comm=comm, **SOLVE)
+    first, second = next(contacts), next(contacts)
+    cold = pgfmd.solve(heights, 0.01001, comm=comm, **SOLVE)
+    assert second.transforms < cold.transforms and first.mean_pressure == 0.01
+    contacts.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "exactly one of"), ({"pressure": 0.1, "force": 1.0}, "pressure and force"),
+        ({"pressure": []}, "pressure = "), ({"force": [1, -1]}, "force = "), ({"contact_area": 1.5}, "contact_area"),
+        ({"pressure": 0.1, "wall": {"kind": "soft"}}, "wall.kind"), ({"pressure": 0.1, "wall": 3}, "wall = 3"),
+        ({"pressure": 0.1, "zeta": 1.0, "wall": {"kind": "hard"}}, "zeta"),
+        ({"pressure": 0.1, "area_tolerance": 0.0}, "area_tolerance"),
+    ],
+)  # fmt: skip
+def test_wrong_loads_and_walls_are_refused(comm, heights, arguments, message):
+    """One line that names the argument, on all ranks, before anything is solved."""
+    with pytest.raises(InputError, match=message) as caught:
+        pgfmd.solve(heights, comm=comm, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+def test_any_wall_of_a_job_can_be_given(comm, heights):
+    """wall={…} as in [wall]: no pressure exceeds the hardness."""
+    contact = pgfmd.solve(heights, 0.05, wall={"kind": "hardness", "hardness": 0.1}, comm=comm)
+    assert contact.pressure.max(initial=0) <= 0.1
+
+
+@pytest.mark.parametrize("observable", ["spectrum", "Spectra"])
+def test_unknown_observables_are_refused(comm, heights, observable):
+    """The name, and the nearest that is known."""
+    contact = pgfmd.solve(heights, 0.01, comm=comm)
+    with pytest.raises(InputError, match="did you mean spectra"):
+        contact.observables(observable)
+
+
+def test_results_can_be_iterated_joined_and_shown(results):
+    """Loads in turn; two runs as one; the representation shows the table; data frames hold its numbers and bars."""
+    pandas = pytest.importorskip("pandas")
+    both = results + results
+    assert [load.index for load in both] == [0, 1, 0, 1] and len(both) == 4
+    assert "contact_area" in repr(results) and "mean_pressure 0.004" in repr(results[0])
+    frame = results.to_dataframe()
+    assert isinstance(frame, pandas.DataFrame) and list(frame["mean_pressure"]) == [0.004, 0.02]
+    assert (frame["contact_area_corrected_error"] >= 0).all()
+    assert len(both.to_dataframe()) == 4
+
+
+def test_fields_have_named_axes(comm, heights, results):
+    """xarray of a contact and of a load of the run: x and y in lengths, the same fields."""
+    pytest.importorskip("xarray")
+    contact = next(pgfmd.solve(heights, [0.004], comm=comm, **SOLVE))
+    mine, whole = contact.to_xarray(), results[0].to_xarray()
+    assert whole.pressure.dims == ("x", "y") and float(whole.x[-1]) == 47.0
+    assert abs(mine.pressure - whole.pressure.sel(x=mine.x)).max() <= 1e-8 * whole.pressure.max()
+    assert mine.attrs["contact_area"] == whole.attrs["contact_area"]
+
+
+def test_a_picture_shows_the_contact():
+    """Axes with the surface and the pressure on it, for one process; x runs to the right."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    wave = np.cos(2 * np.pi * np.arange(32) / 32)
+    contact = pgfmd.solve(wave[:, None] * np.ones(16), 0.1)
+    surface, pressure = contact.plot().get_images()
+    np.testing.assert_array_equal(surface.get_array(), contact.heights.T)
+    np.testing.assert_array_equal(pressure.get_array().mask, contact.pressure.T <= 0)
+
+
+def test_tables_are_jobs():
+    """A job in tables is the job in TOML; what TOML cannot say is refused in one line."""
+    job = parse(toml_of(JOB | {"output": {"observables": ["spectra"], "spectra": {"bins": 7}}}))
+    assert job.output.spectra.bins == 7 and job.surface.seed == 3 and job.load.pressure == (0.004, 0.02)
+    with pytest.raises(InputError, match="load"):
+        toml_of({"load": {"pressure": None}})
+
+
+def test_temporary_results_are_removed(comm):
+    """Without an output folder the results are in a temporary one, which goes with the last reference to them."""
+    if comm.size > 1:
+        pytest.skip("one process")
+    results = pgfmd.run(JOB)
+    folder = results.directory
+    load = results[0]
+    del results
+    assert folder.is_dir() and load["pressure_histogram"]["count"].sum() > 0
+    del load
+    assert not folder.exists()
