@@ -208,7 +208,8 @@ def test_any_unit_of_length(comm, exponent):
 @pytest.mark.parametrize("seed", range(60))
 def test_any_options_on_any_grid(comm, seed):
     """Options drawn from all that a job accepts, on grids of any shape, cell and rank count: the slope is exact, modes
-    are zero outside the band of wavelengths, and it is refused just where no mode lies inside; to rounding.
+    are zero outside the band of wavelengths and beyond the cut-off that the surface names, and it is refused just where
+    no mode lies inside; to rounding.
     """
     chance = np.random.default_rng(seed)
     shape = tuple(int(count) for count in chance.choice([1, 2, 3, 8, 15, 16, 31], 2))
@@ -233,4 +234,5 @@ def test_any_options_on_any_grid(comm, seed):
     power, _ = modes(grid, surface.heights(grid))
     slope = np.sqrt(grid.reduction.sum(grid.hermitian_weight * q**2 * power))
     assert slope == pytest.approx(options["rms_slope"], rel=1e-11)
+    outside |= q > (surface.cutoff(cell) or np.inf) * (1 + 1e-6)
     assert grid.reduction.max(power[outside]) <= 1e-25 * grid.reduction.max(power)

@@ -32,7 +32,7 @@ class Solid(Section):
     contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)")
     thickness: float = key(number(above=0, infinite=True), math.inf, "of a slab; inf is a half-space")
     base: str = key(
-        choice("bonded", "free", "sliding"), "bonded", "slab's face away from the contact; free: constant stress"
+        choice("bonded", "free", "sliding"), "bonded", "slab's far face; free: under constant pressure, not held"
     )
 
     def check(self) -> None:

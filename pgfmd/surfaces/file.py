@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pgfmd")
 
-SLOPES = (1e-6, 10.0)  # rms slopes between neighbours of any surface that is pressed onto another
+SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 CHECKED = 2**21  # heights that are read at once to be checked
-MARGIN = 10  # a taper takes the tenth part of a side at each edge
+MARGIN = 0.1  # part of a side that a taper changes at each edge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class FromFile(Surface):
     )
     dataset: str | None = key(text(), None, "of an HDF5 file; the same as the part of the path after the colon")
     first_axis: str = key(
-        choice("x", "y"), "x", 'axis of the first index of an array, or lines of a text; "x": [i, j] is at x = i a'
+        choice("x", "y"), "x", 'axis of an array\'s first index, or of a text\'s lines; "x": [i, j] is at x = i a'
     )
     missing: str = key(
         choice("refuse", "interpolate"), "refuse", "points that were not measured: NaN, masked, or left out of a list"
@@ -137,7 +137,7 @@ class FromFile(Surface):
     def _check_measured(self, heights: np.ndarray, first: int) -> None:
         """Raise InputError at the first height that is not finite, unless it is missing and to be filled.
 
-        first: row of the surface that is heights[0], heights (rows, ny).
+        heights (rows, ny): some rows of the surface; first: number of the first of them, for the message.
         """
         fine = np.isfinite(heights)
         if self.missing == "interpolate":
@@ -172,7 +172,7 @@ def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> 
     )  # fmt: skip
     if not SLOPES[0] <= slope <= SLOPES[1] and lowest < highest:
         log.warning(
-            "surface: a slope of %.3g is none of a rough surface: are heights and [grid] in the same unit of length? "
+            "surface: no rough surface has a slope of %.3g: are heights and [grid] in the same unit of length? "
             "(height_scale under [surface], length under [grid])", slope,
         )  # fmt: skip
 
@@ -195,4 +195,4 @@ def _subtract_plane(grid: SlabGrid, heights: np.ndarray, folds: list) -> None:
 def _edge_weights(count: int) -> np.ndarray:
     """1 in the middle, falling to 0 at both ends like a cosine, over a tenth of the side each."""
     from_edge = np.minimum(np.arange(count), np.arange(count)[::-1]) + 0.5
-    return np.sin(np.pi / 2 * np.minimum(from_edge * MARGIN / count, 1)) ** 2
+    return np.sin(np.pi / 2 * np.minimum(from_edge / (MARGIN * count), 1)) ** 2

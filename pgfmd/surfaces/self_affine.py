@@ -38,7 +38,7 @@ class SelfAffine(Surface):
     lambda_s: float = key(
         POSITIVE,
         None,
-        "shortest wavelength; 1 or less: every mode of the grid, the corners |q| ≤ √2 π/a included",
+        "shortest wavelength; not above a pixel's longer side (1): every mode, corners |q| ≤ √2 π/a included",
         needed=True,
         example=16.0,
     )
@@ -77,7 +77,7 @@ class SelfAffine(Surface):
 
     def shortest_wavelength(self, cell: Cell) -> float:
         shortest = self.wavelengths(cell)[0]
-        return shortest if shortest > min(cell.steps) * (1 + SLACK) else 0.0
+        return shortest if shortest > max(cell.steps) * (1 + SLACK) else 0.0
 
     def known_slope(self) -> float | None:
         return self.rms_slope
@@ -125,8 +125,7 @@ def _heights(
         if not slope > 0:
             raise InputError(
                 f"surface: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between lambda_l = "
-                f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; lambda_l must reach the cell's longest mode "
-                "and lambda_s must not exceed it"
+                f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; the longest wavelength is {side:g}"
             )
         return rms_slope * side / (2 * math.pi * slope)
 
