@@ -274,7 +274,7 @@ def test_log_says_what_was_understood(comm, shared_tmp_path, tilted, caplog):
     for scale in (1e4, 1e-9):
         caplog.clear()
         read_heights(grid, path, height_scale=scale)
-        assert ("none of a rough surface" in caplog.text) == (comm.rank == 0)
+        assert ("no rough surface has a slope" in caplog.text) == (comm.rank == 0)
 
 
 BAD = {

@@ -19,7 +19,10 @@ NO_UNIT = ("", "1", "length")  # "length" is what the results of a job without a
 
 
 def is_array(path: str, dataset: str | None) -> bool:
-    """Whether the file is .npy or HDF5 with a two-dimensional dataset, so that everyone may read a part of it."""
+    """Whether the file is .npy or HDF5 with a two-dimensional dataset, of which each rank can read its own part.
+
+    True also where a file is missing or damaged: `opened` then says what is wrong with it.
+    """
     if dataset is not None or path.endswith((".npy", *HDF5_SUFFIXES)) or not os.path.isfile(path):
         return True
     try:

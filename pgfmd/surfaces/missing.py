@@ -7,7 +7,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 
-ACCURACY = 1e-12  # of the residual over the first one
+ACCURACY = 1e-12  # norm of the residual, relative to that at the start, at which conjugate gradients stop
 
 
 def count_missing(grid: SlabGrid, heights: np.ndarray) -> int:

@@ -13,7 +13,7 @@ from pgfmd.surfaces.measurement import Measurement, conversion
 STYLES = ((",", "."), ("\t", "."), (None, "."), (";", "."), (";", ","), ("\t", ","), (None, ","))
 NOTHING = {"", "nan", "bad", "na", "n/a", "null", "none", "---", "--", "***"}  # fields of points not measured
 UNIT = re.compile(r"(Lateral|Value) units:\s*(\S+)")  # of coordinates and heights, as Gwyddion exports points
-MEANING = re.compile(r"(?i)\bunit|[:=]\s*\S*\d")  # of a comment that only SurfaceTopography understands
+FOREIGN = re.compile(r"(?i)\bunit|[:=]\s*\S*\d")  # in comments that give sizes or units: SurfaceTopography reads these
 LATTICE = 0.05  # distance from the lattice, over its spacing, at which a point still belongs to it
 SAME = 1e-6  # coordinates closer than that, over their range, are equal
 
@@ -28,7 +28,7 @@ def read(path: str) -> Measurement | None:
     """
     comments, _ = _opening(path)
     units = {match[1]: match[2] for match in map(UNIT.search, comments) if match}
-    if any(MEANING.search(line) for line in comments if not UNIT.search(line)):
+    if any(FOREIGN.search(line) for line in comments if not UNIT.search(line)):
         return None
     numbers = read_table(path)
     if numbers is None or numbers.shape[1] > 3:
