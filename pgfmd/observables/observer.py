@@ -24,8 +24,8 @@ from pgfmd.solvers.solution import ContactSolution
 
 
 class Observer:
-    """Measures solved contacts of one rough surface.  Making one costs half a transform (a whole one for
-    autocorrelations). Collective.
+    """Measures solved contacts of one rough surface.  Creating an `Observer` takes half a transform, or a whole one if
+    autocorrelations are asked for.  Collective.
 
     problem: its heights are kept, not copied; its load does not matter.  cutoff: wave number beyond which the surface
     has no modes; None: it has all of the grid's.  solve: solves the further contacts of "lowpass" and "discretisation";
@@ -52,10 +52,10 @@ class Observer:
         self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
         options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
         self._solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
-        _ = self.surface.rms_slope
+        _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable
 
     def contact(self, solution: ContactSolution) -> SolvedContact:
-        """What is measured on one load."""
+        """The solved contact of one load, for `row` and `groups` to measure."""
         return SolvedContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
 
     def row(self, contact: SolvedContact) -> dict[str, float]:

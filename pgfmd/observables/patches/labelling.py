@@ -1,10 +1,12 @@
 """Contact patches: connected sets of pixels of a doubly periodic mask whose rows lie in slabs on the ranks.
 
 Every rank labels its rows together with a copy of the row above them, the last one of the rank before (of the last
-rank, for rank 0).  The two ranks then hold the same row, so that pieces belong together where they hold the same run:
-there is nothing geometric left to do at a seam, and one rank alone is no special case.  Seams are joined pairwise up a
-binary tree of ranks, groups of neighbours keeping only their two outer rows; the answers come down the same way.
-No rank ever holds more than a few rows of the others, and what does not touch a seam does not travel.
+rank, for rank 0).  Runs that touch are joined to fragments; a piece of a patch is a fragment, or several known to be
+connected.  Two neighbouring ranks hold the same row, so that a piece of one and a piece of the other belong together
+where they hold the same run: there is nothing geometric left to do at a seam, and one rank alone is no special case.
+Seams are joined pairwise up a binary tree of ranks, groups of neighbours keeping only their two outer rows; the answers
+come down the same way.  No rank ever holds more than a few rows of the others, and what does not touch a seam does not
+travel.
 
 Numbers: patches are numbered from 1 in the order of their first pixels, read row by row through the whole grid (rows
 along y, as stored).  This rule does not know about ranks.
@@ -32,7 +34,7 @@ _RANK_BITS = 40  # a key is (rank << 40) + piece: keys are in the order of first
 
 @dataclass(frozen=True)
 class Labels:
-    """The patches of a mask, as runs: what each rank knows of them.  Symbols as in `runs`; row 0 is the copied one.
+    """What each rank knows of the patches of a mask, as runs.  Symbols as in `run_length`; row 0 is the copied one.
 
     A patch is kept by the rank that holds its first pixel.  Local numbers: kept patches first, in the order of their
     labels, then those that others keep (`foreign`), in the order of the ranks that keep them.

@@ -135,7 +135,7 @@ def _measure_shape(
             piece = fragment[k]
             p = patch[piece]
             counts[p, 0] += stop - start
-            counts[p, 1] += 2 * (stop - start - covered[k])  # the pixels above a covered one lack the same edge
+            counts[p, 1] += 2 * (stop - start - covered[k])  # a column enters a patch as often as it leaves it
             counts[p, 2] += 0 if closed and k == begin else 2
             row = corner + i - 1 + shift[piece, 0] * cell[0]
             column = shift[piece, 1] * cell[1]

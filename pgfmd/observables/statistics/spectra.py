@@ -101,7 +101,8 @@ def wave_number_bins(
     bins: int = 20,
     q_max: float | None = None,
 ) -> np.ndarray:
-    """Edges (m + 1,) of bins in |q|: `bins` to a decade ("log") or in all up to the largest |q| or q_max ("linear").
+    """`bin_edges` by the keys of a job: edges (m + 1,) of `bins` bins to a decade ("log"), or of `bins` bins in all, up
+    to the largest |q| or q_max ("linear").
 
     Raises InputError for another spacing.
     """
@@ -113,9 +114,8 @@ def wave_number_bins(
 
 
 def lag_bins(shape: tuple[int, int], lengths: tuple[float, float], spacing: str = "log", bins: int = 20) -> np.ndarray:
-    """Edges (k + 1,) of bins in distance, up to half the shorter side: `bins` to a decade, or in all ("linear").
-
-    The first bin holds Δr = 0 alone.  Raises InputError for another spacing.
+    """Edges (k + 1,) of bins in distance, up to half the shorter side of the cell, by the keys of a job: `bins` to a
+    decade ("log"), or in all ("linear": `lag_edges`).  The first bin holds Δr = 0 alone.
     """
     half, step = min(lengths) / 2, min(length / n for n, length in zip(shape, lengths, strict=True))
     if spacing != "log":
@@ -135,9 +135,9 @@ def distances(shape: Sequence[int], lengths: Sequence[float], rows: slice = slic
 def accumulate(edges: np.ndarray, q: ArrayLike, weight: ArrayLike, *values: ArrayLike) -> np.ndarray:
     """Sums over a block of modes in each bin: rows Σw, Σ w q, and Σ w v for each of `values`; shape (2 + k, m).
 
-    `q`, `weight` and the values broadcast against each other in any layout (also |r| and an autocorrelation).  A mode
-    belongs to bin i if edges[i] < q ≤ edges[i+1]; those outside all bins, q = 0 among them, are left out.  Add up the
-    result over blocks or ranks and hand it to `radial_mean`.
+    `q`, `weight` and the values broadcast against each other in any layout.  For an autocorrelation, q is the distance.
+    A mode belongs to bin i if edges[i] < q ≤ edges[i+1]; those outside all bins, q = 0 among them, are left out.  Add
+    up the result over blocks or ranks and hand it to `radial_mean`.
     """
     q, weight, *fields = np.broadcast_arrays(q, weight, *values)
     count = len(edges) - 1
