@@ -70,7 +70,7 @@ def simulate(
             comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
         )  # fmt: skip
         with phases("write"):
-            if writer.replacing:
+            if writer.replacing:  # earlier results and their checkpoint stay until the first load is written
                 checkpoints.aside, interruptions.resumption = True, "--overwrite"
             elif writer.earlier.job is None:
                 checkpoints.remove()
@@ -114,7 +114,7 @@ def simulate(
 def make_elasticity(job: Job) -> Elasticity:
     """The job's solid."""
     solid = job.solid
-    poisson = 0.0 if solid.poisson is None else solid.poisson  # a solid that needs it was refused without it
+    poisson = 0.0 if solid.poisson is None else solid.poisson  # None: no solid whose response depends on it
     return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 
@@ -148,13 +148,15 @@ class _Steps:
         finally:
             self.progress.close()
 
-    def see(self, mean_pressure: float, level: SlabGrid, state: State) -> None:
-        """Monitors a solver's steps at that load.  Collective over the ranks that hold the grid `level`."""
-        transforms = level.transforms - (self.transforms if level is self.grid else 0.0)
-        self.progress.step(level.shape, state.error, state.contact / level.size, transforms)
-        if level is self.grid:
+    def see(self, mean_pressure: float, grid: SlabGrid, state: State) -> None:
+        """Monitors a solver's steps at that load, on the job's grid or a coarser one.  Collective over the ranks that
+        hold `grid`.
+        """
+        transforms = grid.transforms - (self.transforms if grid is self.grid else 0.0)
+        self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)
+        if grid is self.grid:
             self.interruptions.between_steps(partial(self._save, mean_pressure, state))
-        elif level.comm is self.grid.comm:
+        elif grid.comm is self.grid.comm:
             self.interruptions.between_steps()
 
     def solved(self, solution: ContactSolution) -> None:

@@ -17,7 +17,7 @@ from pgfmd.parallel.threads import threads_per_rank
 
 log = logging.getLogger("pgfmd")
 
-TOO_MUCH = 1.2  # times a node's memory; an estimate above it is refused, since estimates are within 15 %
+TOO_MUCH = 1.2  # an estimate above so many times a node's memory is refused; estimates are right to 15 %
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:

@@ -1,4 +1,4 @@
-"""Where a job is judged against everything that it names, before anything is computed or touched."""
+"""Compares a job with the earlier results that it would continue, before anything is computed or touched."""
 
 from __future__ import annotations
 

@@ -92,7 +92,8 @@ class Interruptions:
 
         save: None if there is nothing to save.  Raises Stopped on all ranks if the run is to end, after a last
         checkpoint; NoProgress instead if a time limit ends the run and no checkpoint or load got ahead of where the run
-        began.  If a checkpoint between two others cannot be written, that is only a warning: the run may never need it.
+        began.  If a checkpoint that is not the last one cannot be written, that is only a warning: the run goes on, and
+        may never need it.
         """
         now = self.now()
         self._longest_step = max(self._longest_step, now - self._last_step)
