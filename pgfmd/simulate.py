@@ -114,7 +114,7 @@ def simulate(
 def make_elasticity(job: Job) -> Elasticity:
     """The job's solid."""
     solid = job.solid
-    poisson = 0.0 if solid.poisson is None else solid.poisson  # None: no solid whose response depends on it
+    poisson = 0.0 if solid.poisson is None else solid.poisson  # None only where the response does not depend on it
     return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 

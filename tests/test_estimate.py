@@ -9,8 +9,6 @@ import pytest
 
 from pgfmd.job import job
 from pgfmd.operation import estimate
-from pgfmd.solvers import cost
-from pgfmd.solvers.active_set import nested_iteration
 
 JOB = """
 [grid]
@@ -90,11 +88,6 @@ def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     text = JOB.format(n=1024, wall=wall, pressure=pressure).replace("[solver]", f"[solver]\n{solver}")
     expected = estimate.estimate(job.parse(text), 1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
-
-
-def test_gaps_are_the_unknowns_from_the_same_area():
-    """What `check` takes for the share of contact above which gaps are the unknowns is what the solver takes."""
-    assert cost.MOSTLY == nested_iteration.MOSTLY
 
 
 def test_dynamics_take_longer():

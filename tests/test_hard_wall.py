@@ -350,7 +350,7 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
     found = []
     for mostly in (0.0, 2.0):
-        monkeypatch.setattr(nested_iteration, "MOSTLY", mostly)
+        monkeypatch.setattr(nested_iteration, "GAPS_FROM", mostly)
         found.append(
             nested_iteration.solve_hard_wall(
                 ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0085 * MODULUS), 1e-18

@@ -9,7 +9,7 @@ from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.cost import Cost
 from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
-from pgfmd.solvers.cost import MOSTLY
+from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
@@ -73,7 +73,7 @@ def contact_areas(job: Job) -> list[float]:
         return list(targets)
     slope = job.surface.known_slope()
     if job.load.control != "pressure" or not slope:
-        return [MOSTLY]
+        return [GAPS_FROM]
     full = job.solid.contact_modulus * slope / math.sqrt(2)
     areas = [math.erf(target / full) for target in targets]
     return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]

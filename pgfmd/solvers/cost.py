@@ -1,9 +1,9 @@
 """What each method costs, for `pgfmd check`.  No MPI here.
 
 Bytes per grid point at the peak, measured (peak of the resident memory less that of a 16² run, 1024² and 2048² points,
-one to four ranks); transforms are those of a solve to the default tolerance, other work counted as what it takes as
-long as, measured on surfaces with λ_s = 4a and 16a at contact areas of 0.06 and 0.5.  Surfaces that are rough down to
-the grid take up to three times as long.
+one to four ranks).  Work, in transforms, of a solve to the default tolerance; other work is counted as the transforms
+that would take as long; measured on surfaces with λ_s = 4a and 16a at contact areas of 0.06 and 0.5.  Surfaces that are
+rough down to the grid take up to three times as long.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MESH = 5.0  # of half the side: strips, field, influence, means over blocks and 
 # the coarse grid (6): single precision where that serves.
 NEWTON = 64.0
 DYNAMICS = 42.0  # displacements now and before, forces, two spectra
-MOSTLY = 0.45  # contact area above which gaps are the unknowns: that of `active_set.nested_iteration`
+GAPS_FROM = 0.45  # contact area above which the active set takes the gaps of the other points as unknowns: most memory
 
 
 def cost(method: str, area: float) -> Cost:
@@ -29,5 +29,5 @@ def cost(method: str, area: float) -> Cost:
         return Cost(15, SCALED + NEWTON)
     if method == "gfmd":
         return Cost(150, SCALED + DYNAMICS)
-    unknowns = PER_PRESSURE * area if area <= MOSTLY else PER_GAP * (1 - area)
+    unknowns = PER_PRESSURE * area if area <= GAPS_FROM else PER_GAP * (1 - area)
     return Cost(40, SCALED + MESH + unknowns)

@@ -17,12 +17,12 @@ from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import carry
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import NestedIteration
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor
 
 PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
-MOSTLY = 0.45  # share of points in contact with a hard wall above which the gaps of the others are the unknowns
 
 
 def solve_hard_wall(
@@ -110,13 +110,13 @@ class ActiveSetIteration(NestedIteration[State]):
         return self.relax(problem, State(np.full(shape, problem.mean_pressure), np.empty(shape)), exact)
 
     def prolong(self, coarse: ContactProblem, found: State, problem: ContactProblem) -> tuple[State, bool]:
-        """Full contact, if the coarse grid has it and so has this one."""
+        """Full contact and True, if both grids have it; else a start from the coarse state and False."""
         full = _full_contact(problem) if found.between == coarse.grid.size else None
         return (full, True) if full is not None else (_prolong(coarse, found, problem), False)
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
-        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`MOSTLY`).  Collective."""
-        by_gaps = problem.law.highest == np.inf and state.between > MOSTLY * problem.grid.size
+        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`).  Collective."""
+        by_gaps = problem.law.highest == np.inf and state.between > GAPS_FROM * problem.grid.size
         steps = GapSteps if by_gaps else PressureSteps
         solver = steps(problem, exact)
         state = solver.relax(state, self.tolerance, self.watch(problem))
