@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -89,7 +90,6 @@ class Relaxation:
         self.compliance = {kind: solid.apply_compliance(grid, kind, 1 / grid.size) for kind in kinds}
         self.stiffness = {kind: solid.apply_stiffness(grid, kind, 1 / grid.size) for kind in kinds}
         self.squares, self.heights_squared = np.zeros(2), 0.0
-        self._rounding: Rounding | None = None
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
@@ -211,12 +211,10 @@ class Relaxation:
         return certified(square, self.rounding(precision)) / (2 * state.energy)
 
     def rounding(self, precision: Precision) -> float:
-        """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective at first."""
+        """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective on first use."""
         return self.roundings.bound(self.squares, self.heights_squared, precision)
 
-    @property
+    @cached_property
     def roundings(self) -> Rounding:
-        """Of this grid and solid.  Collective at first."""
-        if self._rounding is None:
-            self._rounding = Rounding(self.grid, self.solid)
-        return self._rounding
+        """The bounds of rounding errors on this grid for this solid.  Collective on first use."""
+        return Rounding(self.grid, self.solid)

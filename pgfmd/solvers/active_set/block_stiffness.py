@@ -18,7 +18,7 @@ from pgfmd.solvers.active_set.stencil import Symbol
 FEWEST = 64  # larger blocks are used if there are at least so many per side
 FACTOR = 4  # side of a larger block, in blocks
 LARGEST = 512  # larger blocks per side at most: every rank holds them all, and each application sums them twice
-SOFTENING = 0.125  # compliance of the contact within a block, over that to a wave of wave number 1/side
+SOFTENING = 0.125  # compliance of the contact within a block, over the compliance to a wave of wave number 1/side
 
 
 def grid_of_blocks(comm: MPI.Comm, grid: SlabGrid, side: int) -> SlabGrid:

@@ -18,7 +18,7 @@ class Operator(Protocol):
     """A linear operator between the points of a set."""
 
     def apply(self, points: ContactSet, values: SetVector, out: Any, /) -> None:
-        """out = A · values: an array (count,), or of approximate inverses a `SetVector`.  Collective."""
+        """out = A · values.  `out` is an array (count,), or for a preconditioner a `SetVector`.  Collective."""
 
 
 class ConjugateGradients:

@@ -2,7 +2,7 @@
 ½⟨g, Kg⟩ + ⟨p̄ + Kh, g⟩ over g ≥ 0.
 
 This is the dual programme; its gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the
-open points.  The stiffness K falls off as r⁻³, so that they converge in a few iterations if these are few.  Then gaps
+open points.  Since the stiffness K falls off as r⁻³, a few iterations suffice where few points are open.  Then gaps
 below 0 are cut, and points in tension become unknowns.
 
 The certificate needs a feasible pressure.  So p = p̄ + K(h + g) is settled: set to 0 where there is a gap or tension,
@@ -80,7 +80,7 @@ class GapSteps(Relaxation):
         state.opened = True
 
     def compute_pressure(self, state: State, precision: Precision) -> None:
-        """p' = p̄ + K(h + g) for the state's gap.  Collective."""
+        """p = p̄ + K(h + g) for the state's gap, with either sign.  Collective."""
         mean, sums = self.load / self.grid.size, []
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:

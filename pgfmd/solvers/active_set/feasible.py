@@ -21,7 +21,7 @@ from pgfmd.solvers.active_set.kernels import Change, Fields
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
-CANCELLED = 1e-6  # part of the pressures that tensions must leave uncancelled: less is rounding, and no load is kept
+CANCELLED = 1e-6  # if pressures and tensions cancel but for this part, the rest is rounding: blocks keep no load then
 
 
 def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, stiffness: float) -> None:

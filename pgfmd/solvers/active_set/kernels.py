@@ -316,7 +316,7 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
             target[j] = min(around, g[j] - level) if p[j] <= 0 else max(around, g[j] - level)
 
 
-ROUGHER = 0.5  # of the pressure that would close a pixel: what heights between the points of the coarser grid add
+ROUGHER = 0.5  # heights that only the finer grid resolves add this part of the pressure that flattens one pixel alone
 
 
 @jit
@@ -327,8 +327,9 @@ def start_rows(
     pressure: np.ndarray,
     gap: np.ndarray,
 ) -> None:
-    """p = max(coarse p + ROUGHER · new/compliance, tiny), where new = h − coarse h, if compliance · coarse p exceeds
-    the gap, which is the coarse one less what is new; else 0.  There, and nowhere else, a gap is left open.
+    """Pressure and gap that start a finer grid, from those of the coarse one interpolated.  With new = h − coarse h,
+    the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact: its pressure is
+    max(coarse p + ROUGHER · new/compliance, tiny), its gap 0.  Elsewhere the pressure is 0 and the gap max(g, 0).
     """
     coarse_pressure, coarse_gap, coarse_heights = coarse
     for i in range(pressure.shape[0]):
@@ -340,7 +341,7 @@ def start_rows(
             pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if closed else 0.0
 
 
-LARGEST = 1e25  # of a residual: products and sums of such stay below what single precision holds
+LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
 
 
 @jit
@@ -394,8 +395,8 @@ def _changed(p: float, g: float, change: Change, top: float) -> float:
 
 @jit
 def changed_sums(fields: Fields, change: Change, top: float, first: int, stop: int) -> tuple[float, float]:
-    """Σ p once it is changed, over rows first … stop−1, and how it grows with the level, or if there is no stiffness
-    with the factor.
+    """Σ p after the change, over rows first … stop−1, and its derivative by the level, or by the factor if there is no
+    stiffness.
     """
     pressure, gap = fields
     total = slope = 0.0

@@ -1,11 +1,11 @@
 """The elastic response between the points of a set at a fraction of the cost of a transform: particle–mesh, as in
 Ewald sums.
 
-Near part: times erf(q/2α), the compliance 2/(E'q) decays in real space like erfc(αr)/r, the stiffness E'q/2 as fast.
-It is truncated to two pixels and summed over points of the set only.  Far part: the rest is smooth on the scale of two
-pixels, and acts on a mesh with half as many points per side.  Values are spread to the mesh by cubic B-splines,
-transformed, multiplied by the influence function that is best for these splines (Hockney and Eastwood, Computer
-Simulation Using Particles, 1988, section 8), and interpolated back by the same splines.
+Near part: the compliance 2/(E'q) times erf(q/2α) decays in real space like erfc(αr)/r, and the stiffness E'q/2 times
+the same factor decays as fast.  This part is truncated to two pixels and summed over points of the set only.  Far part:
+the rest is smooth on the scale of two pixels, and acts on a mesh with half as many points per side.  Values are spread
+to the mesh by cubic B-splines, transformed, multiplied by the influence function that is best for these splines
+(Hockney and Eastwood, Computer Simulation Using Particles, 1988, section 8), and interpolated back by the same splines.
 
 Both parts are symmetric.  Their sum differs from the compliance by about one per cent, from the stiffness by a few per
 cent.  That suffices for inner iterations, for the residuals of the outer ones are computed by full transforms.
@@ -68,14 +68,14 @@ class MeshResponse:
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective."""
-        mesh, own = self.mesh, self.mesh.rows.start
+        mesh, start = self.mesh, self.mesh.rows.start
         extended = values.exchange()
         self.stencil.apply(points, extended, out)
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:
             block[...] = 0
-            low, high = np.searchsorted(self.x_first, (own + first - 3, own + stop))
-            set_kernels.spread_points(extended, points.extended, (low, high), self._splines(0), own + first, block)
+            low, high = np.searchsorted(self.x_first, (start + first - 3, start + stop))
+            set_kernels.spread_points(extended, points.extended, (low, high), self._splines(0), start + first, block)
 
         def act(block: np.ndarray, first: int, stop: int) -> None:
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.influence[first:stop])
@@ -84,8 +84,8 @@ class MeshResponse:
             self.window.own[first:stop] = block
 
         def add(first: int, stop: int) -> None:
-            near, splines = self.window, self._splines(HALO)
-            set_kernels.add_interpolated(near.rows, near.low, points.lists, (first, stop), splines, out)
+            window, splines = self.window, self._splines(HALO)
+            set_kernels.add_interpolated(window.rows, window.low, points.lists, (first, stop), splines, out)
 
         mesh.convolve(fill, act, drain, np.float32)
         self.window.exchange()

@@ -37,7 +37,9 @@ class PressureSteps(Relaxation):
         self.preconditioner.free()
 
     def goal(self, estimate: float, tolerance: float) -> float:
-        """A part (`PART`) of the error of the start, which interpolation has left and the next one will leave again."""
+        """`PART` of the error of the start, within limits.  That error comes from interpolation, and interpolation to
+        the next grid will make one of about the same size.
+        """
         return max(min(PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
     def look(self, state: State, precision: Precision) -> ConjugateGradients:

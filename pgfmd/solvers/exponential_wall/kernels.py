@@ -117,7 +117,7 @@ def weight_and_potential(pressure: np.ndarray, gap: np.ndarray, zeta: float, lea
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p, away = pressure[i, j], gap[i, j] - least
-            if away < 745 * zeta:
+            if away < 745 * zeta:  # beyond, exp underflows
                 weight += math.exp(-away / zeta)
             if p > 0:
                 potential += p * (away + zeta * math.log(p))

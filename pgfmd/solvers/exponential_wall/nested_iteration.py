@@ -1,4 +1,4 @@
-"""Nested iteration by Newton's method for the exponential wall: the coarsest grid with ζ reduced step by step."""
+"""Nested iteration by Newton's method for the exponential wall; on the coarsest grid, ζ is reduced step by step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pgfmd.solvers.solution import ContactSolution, Monitor
 from pgfmd.solvers.wall_operations import WallState
 
 COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
-LOOSE, REDUCTION = 0.1, 4  # certified error and factor between the steps of a ζ continuation
+LOOSE, REDUCTION = 0.1, 4  # of a continuation in ζ: certified error to which each ζ is solved, and ζ over the next one
 
 
 def solve_exponential_wall(
@@ -77,7 +77,7 @@ class NewtonIteration(NestedIteration[WallState]):
         return self.tolerance if exact else max(self.tolerance, COARSE_TOLERANCE)
 
     def prolong(self, coarse: ContactProblem, found: WallState, problem: ContactProblem) -> tuple[WallState, bool]:
-        """Its wall answers to the interpolated displacement and pressure."""
+        """The pressure with which the wall responds to the interpolated displacement and pressure, and False."""
         grid, heights = problem.grid, problem.heights
         interpolation = Interpolation(coarse.grid, grid, [found.gap + coarse.heights, found.pressure])
         target = np.empty(grid.local_shape)

@@ -5,15 +5,16 @@ of mean 1.  Newton's equation for the change δp̂ = √p̂ y is
 
     (ζ + √p̂ G √p̂) y = −√p̂ (g + ζ ln p̂ − c),  g = Gp̂ − h.
 
-Its spectrum decays fast from the largest eigenvalues on, no entry overflows however small p̂ is, and conjugate gradients
-take one convolution per iteration.
+The spectrum of this operator decays fast from the largest eigenvalues on, no entry overflows however small p̂ is, and
+conjugate gradients take one convolution per iteration.
 
-The step is taken point by point in x = α p̂ + ζ ln p̂ (α: compliance of a few points), so that p̂ stays positive.  In
-contact this is a step in p̂, outside it is one in ln p̂.  The old ln p̂ cancels:
+The step is taken point by point in x = α p̂ + ζ ln p̂ (α: compliance of a region `REACH` pixels across), so that p̂ stays
+positive.  In contact this is a step in p̂, outside it is one in ln p̂.  The old ln p̂ cancels:
 
     α p̂ + ζ ln p̂ = α (p̂ + δp̂) − (g + Gδp̂) + c.
 
-As ζ → 0 this becomes the primal–dual active set of the hard wall.  c makes the pressures bear the load.
+As ζ → 0 this becomes the primal–dual active set of the hard wall.  The constant c (`level` in the code) is chosen so
+that the pressures bear the load.
 """
 
 from __future__ import annotations
@@ -27,14 +28,14 @@ import numpy as np
 from pgfmd.grid.callbacks import sink
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.exponential_wall import kernels as entropy
+from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.patience import Patience
 from pgfmd.solvers.wall_operations import WallOperations, WallState
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
-BACK = 0.25  # of a step that raised both merits, which is tried next
+BACK = 0.25  # a step that raises both merits is tried again with this part of its length
 MOST_INNER, MOST_OUTER = 1000, 200
-LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step: at first, and after one that cut the error
+LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step; MOST_CUT after one that cut the error by 10
 
 Merits = tuple[float, float]
 
@@ -82,9 +83,9 @@ class Newton(WallOperations):
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
             # Back towards the old state the objective is convex, and the gap linear, so that no convolution is needed.
-            self.each(partial(entropy.mix, fraction=BACK), pressure, state.pressure)
-            self.each(partial(entropy.mix, fraction=BACK), gap, state.gap)
-            (work,) = self.total(entropy.work, state.pressure, state.gap, self.heights)
+            self.each(partial(kernels.mix, fraction=BACK), pressure, state.pressure)
+            self.each(partial(kernels.mix, fraction=BACK), gap, state.gap)
+            (work,) = self.total(kernels.work, state.pressure, state.gap, self.heights)
             state.work = float(work) / self.grid.size
         self.certify(state)
         return merits
@@ -95,18 +96,20 @@ class Newton(WallOperations):
         """
         count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
         fields = state.pressure, state.gap
-        weight, potential = self.total(partial(entropy.weight_and_potential, zeta=zeta, least=least), *fields)
+        weight, potential = self.total(partial(kernels.weight_and_potential, zeta=zeta, least=least), *fields)
         log_scale = -math.log(weight / count)
-        answer = partial(entropy.divergence, zeta=zeta, least=least, log_scale=log_scale)
+        answer = partial(kernels.divergence, zeta=zeta, least=least, log_scale=log_scale)
         (apart,) = self.total(answer, *fields)
         return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
 
     def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
-        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step in single precision, its residual × `wanted`.  Collective."""
+        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Conjugate gradients in single precision reduce the residual of its
+        linear equation by the factor `wanted`.  Collective.
+        """
         grid, zeta, fields = self.grid, self.zeta, (state.pressure, state.gap)
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
         level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / grid.size
-        start = partial(entropy.newton_start, zeta=zeta, level=level)
+        start = partial(kernels.newton_start, zeta=zeta, level=level)
         (square,) = self.total(start, *fields, root, residual)
         goal, beta = wanted**2 * square, 0.0
 
@@ -116,16 +119,16 @@ class Newton(WallOperations):
         def step(first: int, stop: int) -> float:
             rows = slice(first, stop)
             system, sums = (direction[rows], product[rows]), (change[rows], response[rows])
-            return entropy.step(root[rows], system, sums, residual[rows], numbers)
+            return kernels.step(root[rows], system, sums, residual[rows], numbers)
 
         for _ in range(MOST_INNER):
             if square <= goal:
                 break
-            self.each(partial(entropy.next_direction, beta=np.float32(beta)), residual, direction)
+            self.each(partial(kernels.next_direction, beta=np.float32(beta)), residual, direction)
             grid.convolve(fill, self.compliance[np.float32], sink(product), np.float32)
-            curved, length, along = self.total(entropy.curvature_sums, root, direction, product)
-            size = square / (curved + zeta * length)
-            numbers = np.float32(along / grid.size), np.float32(zeta), np.float32(size)
+            curved, norm, along = self.total(kernels.curvature_sums, root, direction, product)
+            length = square / (curved + zeta * norm)
+            numbers = np.float32(along / grid.size), np.float32(zeta), np.float32(length)
             new = grid.reduction.sum(grid.threads.collect(step, len(root)))
             beta, square = new / square, new
             state.iterations += 1
@@ -134,7 +137,7 @@ class Newton(WallOperations):
         def aim(first: int, stop: int) -> None:
             rows = slice(first, stop)
             sums = change[rows], response[rows]
-            entropy.newton_target(state.pressure[rows], state.gap[rows], root[rows], sums, target[rows], self.alpha)
+            kernels.newton_target(state.pressure[rows], state.gap[rows], root[rows], sums, target[rows], self.alpha)
 
         grid.threads.split(aim, len(target))
         return target
