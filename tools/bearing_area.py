@@ -12,8 +12,7 @@ import sys
 
 import figures
 import numpy as np
-from estimators import fit_power_law, windows
-from estimators import window as within
+from estimators import fit_power_law, windows, within
 from exponents import default_window
 from plotting import BLACK, BLUE, RED, Sheet, tex
 from reading import Ensemble, Load, common_bins, ensembles, near

@@ -138,25 +138,6 @@ def _wavelength(length: str, n: int) -> float:
     return n / float(length[2:]) if length.startswith("n/") else float(length)
 
 
-def _promising(folder: Path, case: Case, plan: list) -> list:
-    """The plan without settings of peers that were never the fastest on a smaller grid (all, if none was measured)."""
-    from benchmarks.report import LEVELS, fastest, load
-
-    if not (folder / "runs.csv").exists():
-        return plan
-    smaller = [
-        (key[0], curves)
-        for key, curves in load(folder).items()
-        if 1024 <= key[0] < case.n and key[1] == case.hurst and key[3] == case.area
-        if key[2] == case.lambda_s or key[0] / key[2] == case.n / case.lambda_s
-    ]
-    if not smaller:
-        return plan
-    _, curves = max(smaller, key=lambda item: item[0])
-    good = {name: {fastest(curves, name, error)[1] for error in LEVELS} for name in PEERS}
-    return [step for step in plan if not step[1] or _key(step)[1] in good[step[0]]]
-
-
 def _key(step) -> tuple[str, str, int, int]:
     method, setting, ranks, threads = step
     return method, " ".join(str(value) for value in setting.values()), ranks, threads

@@ -449,7 +449,7 @@ def _by_solve(case: Case, folder: Path, comm):
         "solid": {"thickness": math.inf, "base": "bonded", "poisson": 0.25} | solid,
         "wall": {"kind": "hard"} | wall,
         "load": {"pressure": [document["load"]["pressure"]]},
-        "solver": {"tolerance": 1e-6} | solver,
+        "solver": {"tolerance": 1e-8} | solver,
         "surface": document["surface"],
     }
     return job, case.heights, [answer]

@@ -29,7 +29,7 @@ from pgfmd.errors import InputError
 AGREES, DIFFERS, CANNOT_TELL, IDENTITY, VIOLATED, NOT_RUN, GIVEN = (
     "agrees", "differs", "cannot tell", "identity", "violated", "not run", "",
 )  # fmt: skip
-ORDER = (VIOLATED, DIFFERS, NOT_RUN, CANNOT_TELL, AGREES, IDENTITY)  # a claim is the first that a part is
+ORDER = (VIOLATED, DIFFERS, NOT_RUN, CANNOT_TELL, AGREES, IDENTITY)  # a claim gets the first of these that a part has
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Part:
         return AGREES if outside <= 1 and small_enough else CANNOT_TELL
 
     def outside(self, found: Finding | None) -> float:
-        """How far the number lies out, in combined errors: what makes one part of a claim the most telling."""
+        """How far the number lies outside of what the paper says, in combined errors; −1 for a part without a rule."""
         decided = self.number is not None or self.range is not None or self.beyond is not None
         return self._outside(found)[0] if found is not None and decided else -1.0
 
@@ -158,7 +158,7 @@ def _find(reference: str, findings: dict[str, Findings]) -> Finding | None:
 
 
 def _combined(first: Finding, other: Finding, quotient: bool) -> Finding:
-    """first/other or first − other, each kind of error added in squares, as if independent; unknown if both are."""
+    """first/other or first − other.  Errors of a kind are added in squares, as if independent; None where both are."""
     if not quotient:
         value, scales = first.value - other.value, (1.0, 1.0)
     else:

@@ -2,7 +2,8 @@
 
     pgfmd plot correlation_decay DIR… [--areas 0.08] [--window 4 64]
 
-C_c(∞) is f_c².  The fit range in units of the shortest wavelength; its neighbours give the spread over choices.
+C_c(∞) is f_c².  `--window` is the fit range in units of the shortest wavelength; its neighbours give the spread over
+choices.
 """
 
 from __future__ import annotations
@@ -11,8 +12,7 @@ import sys
 
 import figures
 import numpy as np
-from estimators import fit_power_law, windows
-from estimators import window as within
+from estimators import fit_power_law, windows, within
 from plotting import BLACK, Finding, Sheet, limited, standard_error, style
 from reading import Ensemble, Load, common_bins, ensembles, near
 

@@ -1,9 +1,10 @@
-"""Elastic energy by scale: how much of it waves up to q hold, beside Persson's theory.
+"""Elastic energy by scale: the share that waves up to q hold, beside Persson's theory.
 
     pgfmd plot energy_by_scale DIR… [--areas 0.08]
 
-A mode of the stress holds ½ |σ̃|²/stiffness(q) per area.  From the field pressure mode by mode, else from the spectra
-with the mean q of each bin; spectra end at the surface's shortest wave, and the share beyond is said.
+A mode of the stress holds ½ |σ̃|²/stiffness(q) per area.  Modes are summed one by one from the field pressure, or else
+bin by bin from the spectra, with the mean q of each bin.  Spectra end at the surface's shortest wave; a note says what
+share of the energy their bins hold.
 """
 
 from __future__ import annotations

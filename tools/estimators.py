@@ -20,7 +20,7 @@ def fit_power_law(x, *curves) -> tuple[float, list[float]]:
     return exponent, list(values.mean(axis=1) - exponent * logarithm.mean())
 
 
-def window(x, limits: tuple[float, float]) -> np.ndarray:
+def within(x, limits: tuple[float, float]) -> np.ndarray:
     """Mask of the x within limits, both included."""
     return (np.asarray(x) >= limits[0] * (1 - 1e-9)) & (np.asarray(x) <= limits[1] * (1 + 1e-9))
 

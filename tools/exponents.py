@@ -15,8 +15,7 @@ from collections.abc import Sequence
 
 import figures
 import numpy as np
-from estimators import fit_power_law, windows
-from estimators import window as within
+from estimators import fit_power_law, windows, within
 from plotting import BLACK, BLUE, COLOURS, GREY, RED, Finding, Sheet
 from reading import Ensemble, Load, common_bins, ensembles, near
 from stress_contact_spectra import ratio_of_means
@@ -75,7 +74,7 @@ def draw(
 
 
 def default_window(group: Ensemble) -> tuple[float, float]:
-    """From 8 q_l to q_s/16, or to q_s/2 where that leaves less than a factor of 4; of the grid, q_s is 2π/a."""
+    """From 8 q_l to q_s/16, or to q_s/2 where that leaves less than a factor of 4; without a cut-off, q_s is 2π/a."""
     shortest, longest = group.wavelengths
     top = longest / max(shortest, max(group.steps))
     return (8.0, top / 16) if top / 16 >= 32 else (min(8.0, top / 16), top / 2)
@@ -126,7 +125,9 @@ def exponent(x: np.ndarray, curves: Curves, kind: str, seed: int, limits: tuple[
 
 
 def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[float, float]) -> str:
-    """Every μ over every range in the tables, and those over `limits` as findings; the name of the joint one."""
+    """Puts every μ over every range into the tables, and those over `limits` into the findings; the joint fit's name
+    there is returned.
+    """
     x, curves = data
     seeds = len(next(iter(curves.values()))["stress"])
     for kind in KINDS:

@@ -2,8 +2,8 @@
 
     pgfmd plot field_theory DIR…
 
-Theory is summed mode by mode from the heights, so that one that is exactly obeyed reads 1 in every band.  Runs that
-differ by the seed alone are averaged; bands in q/q_l carry the standard error over the seeds.
+Theory is summed mode by mode from the heights, so that the ratio is 1 in every band where theory holds exactly.  Runs
+that differ by the seed alone are averaged; bands in q/q_l carry the standard error over the seeds.
 """
 
 from __future__ import annotations

@@ -34,8 +34,7 @@ def draw(loads: list[Load]) -> Sheet:
     first = loads[0].results.directory
     load = [load for load in loads if load.results.directory == first][-1]
     drawings = {"height": draw_surface, "histogram": draw_distribution, "spectra": draw_spectra}
-    if math.isnan(load.area):  # no contact in the sense of a hard wall
-        drawings["height"] = draw_surface
+
     there = {need: function for need, function in drawings.items() if TESTS[need][0](load)}
     if not there:
         raise InputError(f"{load.folder}: nothing to draw: no field height, no observable histogram or spectra")

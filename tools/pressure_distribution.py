@@ -53,7 +53,7 @@ def distribution(load: Load) -> tuple[np.ndarray, np.ndarray]:
 
 
 def averaged(group: Ensemble, edges: np.ndarray) -> np.ndarray:
-    """P(σ) E'g/2 of each load (loads, m) in bins of σ/(E'g/2): shares of the run's own bins."""
+    """P(σ) E'g/2 of each load (loads, m) in bins of σ/(E'g/2); the run's own bins are divided among these evenly."""
     densities = []
     for load in group:
         own, density = distribution(load)

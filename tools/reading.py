@@ -24,7 +24,7 @@ from pgfmd.options.text import printable
 log = logging.getLogger("pgfmd")
 
 FIELD_OF = {"stress": "pressure", "contact": "pressure", "height": "height", "gap": "gap"}
-CONTROLS = {"contact_area": "f_c", "pressure": "p̄", "mean_gap": "ḡ", "displacement": "ū"}
+CONTROLS = {"contact_area": "f_c", "pressure": "p̄", "mean_gap": "mean gap", "displacement": "displacement"}
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Load:
     def number(self, name: str) -> float:
         """A column of the table of loads; NaN where the run has none.
 
-        Runs before contact lines were measured counted, under an exponential wall, the points where exp(−gap/ζ) has not
-        underflowed, which is no contact area: NaN as well.
+        NaN also for contact areas under an exponential wall in old results, without contact lines: they count all
+        points where exp(−gap/ζ) does not underflow, which is no contact area.
         """
         old = "contact_line" not in self.results.loads
         if old and self.law == "exponential" and (name == "kappa" or name.startswith("contact_area")):
@@ -435,7 +435,7 @@ def setting(load: Load) -> dict[str, object]:
     return dict(sorted(flat.items()))
 
 
-def alike(group: Sequence[Load]) -> str | None:
+def difference(group: Sequence[Load]) -> str | None:
     """The first key, other than the grid's, by which the settings of loads differ; None if they are one problem."""
     known = ("grid.", "surface.lambda", "surface.path", "surface.dataset")
     settings = [{k: str(v) for k, v in setting(load).items() if not k.startswith(known)} for load in group]

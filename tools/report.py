@@ -281,7 +281,7 @@ def _short(value: float | None) -> str:
 
 
 def _seconds(path: Path) -> float:
-    """Wall time of a run, from its first to its last entry; NaN-free for runs whose end is not known."""
+    """Wall time of a run, from its first to its last entry; 0 for runs whose end is not known."""
     about = Results(path).provenance
     if "finished" not in about:
         return 0.0

@@ -13,7 +13,7 @@ import sys
 import figures
 import numpy as np
 from plotting import BLUE, GREEN, GREY, ORANGE, RED, Sheet, guide
-from reading import Load, alike
+from reading import Load, difference
 
 from pgfmd.errors import InputError
 
@@ -59,7 +59,7 @@ def choose(loads: list[Load]) -> tuple[list[Load], Sheet]:
 
     Raises InputError if the loads are not of one problem, or of fewer than three grids.
     """
-    differing = alike(loads)
+    differing = difference(loads)
     if differing is not None:
         raise InputError(f"resolution takes one problem on several grids; these runs differ by {differing}")
     seeds = {load.seed for load in loads}

@@ -3,8 +3,7 @@
     printf '%s\\n' "NAME JOB.toml section.key=value …" … | python tools/runs.py RESULTS [--jobs 2]
 
 Reads one run per line; those whose folder RESULTS/NAME holds a complete run of that very job are not repeated.  Each
-run has one thread per OMP_NUM_THREADS, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its
-message.
+run has OMP_NUM_THREADS threads, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its message.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ def run(line: str, folder: Path) -> str:
     try:
         simulate(job.load(path, overrides), MPI.COMM_SELF, folder / name, overwrite=True)
     except (InputError, SolverError) as error:
-        raise RuntimeError(f"{name}: {error}") from None  # one that travels between processes
+        raise RuntimeError(f"{name}: {error}") from None  # an exception that can be sent to the parent process
     finally:
         log.removeHandler(handler)
         handler.close()

@@ -182,9 +182,9 @@ def verify(found, heights: np.ndarray, grid: SlabGrid, elasticity: Elasticity, c
 def bound_of(pressure, heights, grid, elasticity, case) -> tuple[float, float]:
     """A bound of the energy error, of second order, and ⟨p, Gp⟩ per point from NumPy's transforms.
 
-    Hard wall: ½⟨ρ, Kρ⟩ as in `solvers.active_set.active_set`.  Exponential one: the least of the duality gap and of
-    that with ρ = g + ζ ln p − λ where p is large, and the loss ζ (s − p + p ln(p/s)) against s = exp((λ − g)/ζ) where
-    it is not.
+    Hard wall: ½⟨ρ, Kρ⟩ as in `solvers.active_set.active_set`.  Exponential wall: the least of several bounds.  One is
+    the duality gap.  The others are ½⟨ρ, Kρ⟩ with ρ = g + ζ ln p − λ where p is above some value and 0 elsewhere, plus
+    the loss ζ (s − p + p ln(p/s)) against s = exp((λ − g)/ζ) at those other points.
     """
     qy = 2 * np.pi / grid.lengths[1] * np.arange(grid.shape[1] // 2 + 1)
     q = np.hypot(grid.qx[0][:, None], qy[None, :])
