@@ -13,6 +13,7 @@ from conftest import SIZE, WORLD
 from pgfmd.errors import NoProgress, Stopped
 from pgfmd.io.results import Results
 from pgfmd.operation.stop import Interruptions
+from pgfmd.parallel.collectives import raise_together
 
 MANY = [1e-3 + 1e-6 * number for number in range(2000)]  # loads: more than can be solved while the test looks on
 
@@ -157,19 +158,22 @@ def test_ignored_signals_stay_ignored(comm, shared_tmp_path):
 
 @pytest.mark.mpi
 def test_full_disk(comm, shared_tmp_path):
-    """A checkpoint on the clock that cannot be written is a warning; one at the end is an error."""
+    """A checkpoint on the clock that all ranks or one cannot write is a warning on all; one at the end is an error."""
 
-    def full():
-        raise OSError(28, "No space left on device")
+    def full(failing=range(comm.size)):
+        with raise_together(comm):
+            if comm.rank in failing:
+                raise OSError(28, "No space left on device")
 
     run, _ = interruptions_at(comm, shared_tmp_path, interval=0.0)
     run.between_steps(full)
+    run.between_steps(lambda: full([comm.size - 1]))
     with run:
         comm.Barrier()
         if comm.rank == 0:
             run.stop_file.touch()
         with pytest.raises(OSError, match="No space"):
-            run.between_steps(full)
+            run.between_steps(lambda: full([comm.size - 1]))
 
 
 @pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")

@@ -82,24 +82,27 @@ class Reduction:
 def raise_together(comm: MPI.Comm) -> Iterator[None]:
     """If the block fails on any rank, all ranks raise an error.  Collective at the end of the block.
 
-    A rank that failed raises its own error, the others that of the lowest failing rank: an InputError or SolverError as
-    such, any other error as a RuntimeError that names it.  The block must not contain collective calls (a rank that
-    failed would not reach them).
+    A rank that failed raises its own error, the others that of the lowest failing rank (see `_for_others`).  The block
+    must not contain collective calls (a rank that failed would not reach them).
     """
     failure = None
     try:
         yield
     except Exception as error:  # any failure must reach the other ranks, which would otherwise wait for ever
         failure = error
-    failures = comm.allgather(None if failure is None else (type(failure).__name__, str(failure)))
-    first = next((rank for rank, found in enumerate(failures) if found), None)
+    failures = comm.allgather(None if failure is None else _for_others(failure, comm.rank))
+    first = next((found for found in failures if found is not None), None)
     if first is None:
         return
-    if failure is not None:
-        raise failure
-    name, message = failures[first]
-    kind = {"InputError": InputError, "SolverError": SolverError}.get(name, RuntimeError)
-    raise kind(message if kind is not RuntimeError else f"rank {first}: {name}: {message}")
+    raise first if failure is None else failure
+
+
+def _for_others(failure: Exception, rank: int) -> Exception:
+    """What other ranks raise for a failure of `rank`: the kinds that callers tell apart as such, else RuntimeError."""
+    for kind in (InputError, SolverError, OSError, MemoryError):
+        if isinstance(failure, kind):
+            return kind(str(failure))
+    return RuntimeError(f"rank {rank}: {type(failure).__name__}: {failure}")
 
 
 def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
