@@ -19,7 +19,7 @@ from pgfmd.io.schema import CHECKPOINT_FILE, FIELDS_FILE, FIELDS_FOLDER, OBSERVA
 
 log = logging.getLogger("pgfmd")
 
-FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # new results use the one that the results they replace do not
+FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results that replace others use the one that those do not
 _FIELD_FILE = re.compile(r"(height|load_\d{4,})\.h5")
 
 

@@ -98,7 +98,9 @@ class Results:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "failed" or "interrupted" (it said running, and no process holds the folder)."""
+        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": no process holds the folder, though
+        the run said that it was running.
+        """
         status = self.provenance.get("status", "interrupted")
         return "interrupted" if status == "running" and holder(self.directory) is None else status
 

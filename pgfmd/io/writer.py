@@ -83,7 +83,8 @@ class ResultWriter:
     Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
     written, is in use, or holds results or files that are not to be replaced.
 
-    completed : loads written so far;  earlier : the results that are continued
+    completed : number of loads up to the last one written (earlier ones may be `pending`)
+    earlier : the results that are continued
     replacing : whether old results are still there, which the first load will replace
     """
 

@@ -73,8 +73,8 @@ class Load(Section):
     gap_tolerance: float = key(
         number(above=0, below=1),
         1e-4,
-        "of mean_gap and displacement, relative to the approach from first contact or, if less, to the mean gap (or "
-        "zeta, if more)",
+        "of mean_gap and displacement, relative to the approach from first contact or to the mean gap, whichever is "
+        "less, but at least to zeta",
     )
 
     def check(self) -> None:

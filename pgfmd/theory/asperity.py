@@ -7,6 +7,7 @@ them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -17,6 +18,8 @@ from pgfmd.errors import InputError
 from pgfmd.theory.reals import Reals
 from pgfmd.theory.surface import SpectralMoments
 
+Model = Callable[[Reals, SpectralMoments, Reals], tuple[np.ndarray, np.ndarray]]
+"""(separation, moments, contact modulus) → area fraction, mean pressure."""
 LOW_LOAD_KAPPA_BGT = np.sqrt(2 * np.pi)
 """κ = f_c E' g/p̄ of Bush, Gibson & Thomas in the limit of low load, for any bandwidth."""
 
@@ -66,16 +69,16 @@ def bush_gibson_thomas(
 
 
 def at_pressure(
-    model: Reals, pressure: Reals, moments: SpectralMoments, contact_modulus: Reals
+    model: Model, pressure: Reals, moments: SpectralMoments, contact_modulus: Reals
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Area fraction and separation at which `model` (a function of this module) carries the mean pressure, any shape.
+    """(area fraction, separation) where `model` carries the mean pressure, each in the pressure's shape.
 
     :raises InputError: if the pressure is not reached between separations of −10 and +30 rms heights.
     """
     height = np.sqrt(moments.m0)
 
-    def solve(target: Reals) -> Reals:
-        def excess(d: Reals) -> Reals:
+    def solve(target: float) -> tuple[np.ndarray, float]:
+        def excess(d: float) -> float:
             return np.log(model(d, moments, contact_modulus)[1]) - np.log(target)
 
         if not excess(30 * height) < 0 < excess(-10 * height):
@@ -88,7 +91,7 @@ def at_pressure(
     return pairs[:, 0].reshape(pressure.shape), pairs[:, 1].reshape(pressure.shape)
 
 
-def _integrate_summits(separation: Reals, moments: Reals, contact_modulus: Reals) -> Reals:
+def _integrate_summits(separation: float, moments: SpectralMoments, contact_modulus: float) -> tuple[float, float]:
     """Area fraction and pressure at one separation: over z beyond d, over t given z, over r given t."""
     m0, m2, m4 = moments.m0, moments.m2, moments.m4
     nodes, weights = np.polynomial.legendre.leggauss(80)
@@ -121,7 +124,7 @@ def _integrate_summits(separation: Reals, moments: Reals, contact_modulus: Reals
 
 
 @cache
-def _ellipse_table() -> Reals:
+def _ellipse_table() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Nodes ρ = r/t, their weights, and how the Hertzian area and load differ from those of a sphere of curvature t.
 
     With b/a = k and e² = 1 − k² the axes of the contact ellipse (Johnson, Contact Mechanics, section 4.2), at

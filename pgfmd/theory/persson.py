@@ -61,7 +61,7 @@ def mean_square(mean_pressure: Reals, std: Reals) -> np.ndarray:
 
 
 def normalised_second_moment(mean_pressure: Reals, std: Reals) -> np.ndarray:
-    """m₂ = ⟨σ²⟩_c/σ_c² over the contact: 4/π at low load, tending to 1 at high load."""
+    """m₂ = ⟨σ²⟩_c/σ_c², means over the contact, σ_c = p̄/f: 4/π at low load, tending to 1 at high load."""
     return mean_square(mean_pressure, std) * contact_fraction(mean_pressure, std) / np.square(mean_pressure)
 
 
