@@ -1,4 +1,4 @@
-"""The stress test itself: all its cases end right, and its judge is not to be fooled."""
+"""The test of extremes itself: all its cases end right, and its judge is not to be fooled."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import pytest
 
 pytest.importorskip("mpi4py")
 
-PATH = Path(__file__).resolve().parent.parent / "tools" / "stress.py"
+PATH = Path(__file__).resolve().parent.parent / "tools" / "extremes.py"
 
 
 @pytest.fixture(scope="module")
-def stress():
-    specification = importlib.util.spec_from_file_location("stress", PATH)
+def extremes():
+    specification = importlib.util.spec_from_file_location("extremes", PATH)
     module = importlib.util.module_from_spec(specification)
-    sys.modules["stress"] = module  # dataclasses look their module up
+    sys.modules["extremes"] = module  # dataclasses look their module up
     specification.loader.exec_module(module)
     return module
 
 
-def test_every_extreme_ends_right_or_in_a_clear_error(stress, capsys):
+def test_every_extreme_ends_right_or_in_a_clear_error(extremes, capsys):
     """No NaN, warning, hang, or wrong answer in any case."""
-    code = stress.main([])
+    code = extremes.main([])
     table = capsys.readouterr().out
     assert code == 0, [line for line in table.splitlines() if "WRONG" in line]
 
@@ -40,17 +40,17 @@ def test_every_extreme_ends_right_or_in_a_clear_error(stress, capsys):
         (lambda found: setattr(found, "certified_error", 1.0), "tolerance"),
     ],
 )
-def test_the_judge_sees_what_is_wrong(stress, monkeypatch, change, verdict):
+def test_the_judge_sees_what_is_wrong(extremes, monkeypatch, change, verdict):
     """A solution that is spoilt on purpose is called wrong."""
-    case = next(case for case in stress.cases() if case.name == "load 1e-1 E'g")
-    solve = stress.solve_contact
+    case = next(case for case in extremes.cases() if case.name == "load 1e-1 E'g")
+    solve = extremes.solve_contact
 
     def spoilt(*arguments):
         found = solve(*arguments)
         change(found)
         return found
 
-    monkeypatch.setattr(stress, "solve_contact", spoilt)
-    found, _, _, right = stress.judge(case, 1e-6)
+    monkeypatch.setattr(extremes, "solve_contact", spoilt)
+    found, _, _, right = extremes.judge(case, 1e-6)
     assert not right
     assert any(word in found for word in verdict.split("|"))
