@@ -84,7 +84,8 @@ def _step(p, gap, direction, response, mean):
 
 @_jit
 def _move(p, gap, direction, step):
-    """p = (p − step·direction)₊, and −step·gap where that is 0 and the gap negative; returns Σp and if none was"""
+    """p = (p − step·direction)₊, or −step·gap where that is 0 and the gap negative; returns Σp, and whether there was
+    no such point."""
     total, same = 0.0, True
     for i in range(p.shape[0]):
         for j in range(p.shape[1]):

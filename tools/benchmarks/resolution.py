@@ -10,7 +10,9 @@ import numpy as np
 HURST, RATIO, PRESSURE, LENGTH = 0.3, 32, 0.0032, 1024.0  # λ_l/λ_s and the cell; the surface of PHYSICS section 6
 REFINEMENTS = (2, 4, 8, 16, 32, 128)  # points per λ_s; the last one is the reference
 COLUMNS = ("points_per_lambda_s", "n", "area_raw", "area_corrected", "mean_gap", "second_moment", "energy")
-STAIRCASE = (np.pi - 1 + np.log(2)) / 24  # Yastrebov, Anciaux, Molinari 2017
+# Area per pixel edge by Yastrebov, Anciaux, Molinari 2017.  Here area_corrected is by this constant, not by the contact
+# line as in a run.
+STAIRCASE = (np.pi - 1 + np.log(2)) / 24
 
 
 def main(folder: Path) -> None:
