@@ -25,8 +25,8 @@ BASES = ("bonded", "free", "sliding")
 
 @dataclass(frozen=True)
 class Elasticity:
-    """Contact modulus E' = E/(1−ν²), and for a slab its thickness, base and Poisson's ratio (which matters for a
-    bonded base only).
+    """Contact modulus E' = E/(1−ν²), and for a slab its thickness, base and Poisson's ratio.  On a bonded base all of
+    the response depends on Poisson's ratio, on a sliding one only the mean stiffness.
     """
 
     contact_modulus: float
