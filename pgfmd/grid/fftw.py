@@ -28,8 +28,9 @@ _loaded = False
 def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], None]:
     """A function without arguments that transforms `source` into `target` along the last axis, unnormalised.
 
-    Real to complex, complex to complex (also in place) or complex to real, as the types say.  Overwrites `source`
-    and, when planning, both.  The planner is not thread-safe; the plans are.  Raises InputError without pyfftw.
+    Real to complex, complex to complex (also in place) or complex to real, as the types say.  Planning overwrites both
+    arrays; the function overwrites `source` too.  The planner is not thread-safe; the plans are.  Raises InputError
+    without pyfftw.
     """
     if pyfftw is None:
         raise InputError('solver.transform = "blocked": needs the package pyfftw; install it, or choose "mpi4py-fft"')

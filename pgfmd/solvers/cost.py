@@ -1,9 +1,9 @@
 """What each method costs, for `pgfmd check`.  No MPI here.
 
-Bytes per grid point at the peak, measured (peak of the resident memory less that of a 16² run, 1024² and 2048² points,
-one to four ranks).  Work, in transforms, of a solve to the default tolerance; other work is counted as the transforms
-that would take as long; measured on surfaces with λ_s = 4a and 16a at contact areas of 0.06 and 0.5.  Surfaces that are
-rough down to the grid take up to three times as long.
+Memory: bytes per grid point at the peak, measured (peak of the resident memory less that of a 16² run, 1024² and 2048²
+points, one to four ranks).  Work: transforms of a solve to the default tolerance, measured on surfaces with λ_s = 4a
+and 16a at contact areas of 0.06 and 0.5; other work counts as the transforms that would take as long.  Surfaces that
+are rough down to the grid take up to three times as long.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ SCALED = 8.0  # heights about their mean, over their rms value
 # of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
 # for pressures the residual without means of blocks, tensions cut off and the response to that, with their halo (15).
 PER_PRESSURE, PER_GAP = 43.0, 28.0
-MESH = 5.0  # of half the side: strips, field, influence, means over blocks and their response
+MESH = 5.0  # the mesh of half as many points each way (strips, field, influence), means over blocks, their response
 # Newton's pressure as its root, residual, direction, image, change, response (24), targets and their sums (34), rows of
 # the coarse grid (6): single precision where that serves.
 NEWTON = 64.0
-DYNAMICS = 42.0  # displacements now and before, forces, two spectra
-GAPS_FROM = 0.45  # contact area above which the active set takes the gaps of the other points as unknowns: most memory
+DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
+GAPS_FROM = 0.45  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 
 
 def cost(method: str, area: float) -> Cost:
