@@ -296,7 +296,8 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
     for i in range(first - 1, first + out.shape[0] + 1):
         line = lines[(i + 1) % 3]
         if i < 0 or i == rows:
-            line[:] = edges[0 if i < 0 else 1]
+            for j in range(ny):  # an assignment of arrays takes seconds to compile, for its messages
+                line[j] = edges[0 if i < 0 else 1, j]
         else:
             for j in range(ny):
                 line[j] = gap[i, j] - level if 0 < pressure[i, j] < top else 0.0
