@@ -172,10 +172,8 @@ def _run(options: argparse.Namespace) -> int:
     try:
         from pgfmd.job.job import load
         from pgfmd.parallel.collectives import from_root
-        from pgfmd.parallel.private_cache import announce_compiling
         from pgfmd.simulate import simulate
 
-        announce_compiling()
         job = from_root(comm, load, options.job, options.set)
         simulate(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
     except (Exception, KeyboardInterrupt) as error:  # whatever it is, all ranks must end, and one of them must say why

@@ -139,3 +139,58 @@ def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
     monkeypatch.setattr(fftw, "_loaded", False)
     fftw._load_wisdom()
     assert set(before[0].split()) == set(fftw.pyfftw.export_wisdom()[0].split())
+
+
+COMPILE = """
+import sys
+from numba.core import event
+import numpy as np
+import pgfmd
+from pgfmd.grid import kernels
+
+class Count(event.Listener):
+    names = []
+    def on_start(self, found):
+        self.names.append(found.data["dispatcher"].__name__)
+    def on_end(self, found):
+        pass
+
+event.register("numba:compile", Count())
+print("ready", flush=True)
+sys.stdin.readline()
+half, tiles, block = np.arange(32.0).reshape(4, 8), np.zeros((2, 5, 4)), np.zeros((4, 4))
+kernels.rows_to_tiles(half, 0, 8, 0, tiles)
+kernels.gather_columns(tiles, 4, 0, 4, block)
+kernels.scatter_columns(block, 4, 0, 4, tiles)
+kernels.tiles_to_rows(tiles, 0, half, 0, 8)
+assert (half == np.arange(32.0).reshape(4, 8)).all()
+print(*Count.names)
+"""
+
+
+LOOPS = ("rows_to_tiles", "tiles_to_rows", "gather_columns", "scatter_columns", "_from_tile", "_to_tile")
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_loop_is_compiled_by_one_process(tmp_path, count):
+    """However many processes begin together with an empty cache, each loop is compiled by one of them; the others wait
+    for it and load it.  A process after them compiles nothing."""
+    environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
+
+    def start() -> subprocess.Popen:
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+        return subprocess.Popen([sys.executable, "-c", COMPILE], env=environment, **pipes)
+
+    def names(run: subprocess.Popen) -> list[str]:
+        found = run.communicate("go\n", timeout=120)[0].split()
+        assert run.returncode == 0
+        return found
+
+    together = [start() for _ in range(count)]
+    assert all(run.stdout.readline() == "ready\n" for run in together)
+    for run in together:
+        run.stdin.write("go\n")
+        run.stdin.flush()
+    compiled = [name for run in together for name in names(run)]
+    assert sorted(name for name in compiled if name in LOOPS) == sorted(LOOPS)
+    assert names(start()) == ["ready"]

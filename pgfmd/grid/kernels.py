@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, error_model="numpy")
+from pgfmd.parallel.compiled import compiled
+
+jit = compiled(fastmath={"contract", "arcp", "nsz", "reassoc"})
 
 u = np.uintp  # for indices: Numba tests signed ones for being negative, and does not vectorise loops with that test
 

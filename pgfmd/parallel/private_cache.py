@@ -11,7 +11,6 @@ It is made with mode 0700.  This module needs neither MPI nor numba to be import
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import logging
 import os
@@ -68,30 +67,12 @@ def _candidates() -> Iterator[Path]:
 
 def keep_compiled_code() -> None:
     """Have numba keep what it compiles in the private folder; it also looks for a folder beside the source, which may
-    be somebody else's.  To be called before kernels are imported.
+    be somebody else's.  To be called before loops are imported.  Without such a folder each process compiles for itself
+    (`compiled`).
     """
     folder = private_folder()
-    if folder is None:  # nothing is kept: each process compiles for itself
-        with contextlib.suppress(ImportError):
-            from numba.core.dispatcher import Dispatcher
-
-            setattr(Dispatcher, "enable_caching", lambda _: None)  # noqa: B010  (a method, to a type checker)
+    if folder is None:
         return
     os.environ["NUMBA_CACHE_DIR"] = str(folder / "kernels")
     if sys.modules.get("numba"):  # imported already: it has read the variable
         sys.modules["numba"].config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
-
-
-def announce_compiling() -> None:
-    """Log it when the first kernel is compiled: a run is silent for some seconds then."""
-    from numba.core import event
-
-    class Compiling(event.Listener):
-        def on_start(self, _: event.Event) -> None:
-            event.unregister("numba:compile", self)
-            log.info("compiling for this machine: some seconds, the first time only")
-
-        def on_end(self, _: event.Event) -> None:
-            pass
-
-    event.register("numba:compile", Compiling())

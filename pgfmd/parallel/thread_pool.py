@@ -16,12 +16,14 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
+from pgfmd.parallel.compiled import compiled
+
 POLLS = 30000  # before a helper falls asleep: about ten milliseconds
 
 _yield_core = numba.types.ExternalFunction("sched_yield", numba.types.intc())
 
 
-@numba.njit(nogil=True, cache=True)
+@compiled()
 def _poll(number: np.ndarray, value: float, polls: int) -> None:
     """Return when number[0] differs from `value`, at the latest after that many polls."""
     for _ in range(polls):

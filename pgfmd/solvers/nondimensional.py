@@ -6,11 +6,11 @@ import math
 import time
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution, State
@@ -237,7 +237,7 @@ def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
     return Heights(out, -mean / spread, size * spread, rms, high, depth)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled()
 def rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
     """out = max((h − high)/size, −1); returns its sum and that of its squares."""
     total = squares = 0.0

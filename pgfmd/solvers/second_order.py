@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.elasticity import Elasticity
 
 SINGLE = 1e-3  # relative error of ‖ρ‖_K, which is summed in single precision
@@ -48,7 +48,7 @@ def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction)
     return float(square) / 2, float(change) * grid.size
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled()
 def spectral_dot(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float:
     """Σ_j weights[j] Σ_i Re(a* b); the last axis of a and b holds (real, imaginary)."""
     total = 0.0

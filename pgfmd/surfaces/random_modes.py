@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from pgfmd.parallel.compiled import compiled
+
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
@@ -121,7 +123,7 @@ def _mix(z: np.uint64) -> np.uint64:
     return z ^ (z >> np.uint64(31))
 
 
-@numba.njit(nogil=True, cache=True)
+@compiled()
 def _uniform(
     seed: int, kx: np.ndarray, ky: int, uniform: np.ndarray, cosine: np.ndarray, sine: np.ndarray
 ) -> None:

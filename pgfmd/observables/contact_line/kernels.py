@@ -3,17 +3,17 @@ pressure E' g/a, outside; `around` are the values about one pair of neighbours, 
 
     around[0 … 3]    along the pair, outward: the pixel before the contact pixel, the pair, the pixel after the open one
     around[4 … 7]    left and right of the contact pixel, left and right of the open one
-    around[8 … 12]   room for what is looked up in a table
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_jit = numba.njit(nogil=True, cache=True, error_model="numpy")
+from pgfmd.parallel.compiled import compiled
+
+_jit = compiled()
 
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
 _ROUNDS = 8
@@ -56,18 +56,15 @@ def describe_all(around: np.ndarray, ratio: float, share: np.ndarray, angle: np.
 
 
 @_jit
-def _look_up(table: np.ndarray, share: float, angle: float, found: np.ndarray) -> None:
-    """Bilinear interpolation in table (angles, shares, quantities), even in angle from 0 to π/2, share from 0 to 1, of
-    all quantities.
-    """
+def _look(table: np.ndarray, share: float, angle: float, which: int) -> float:
+    """Bilinear interpolation in table (angles, shares, quantities), even in angle from 0 to π/2, share from 0 to 1."""
     y = min(angle * (2 / math.pi), 1.0) * (table.shape[0] - 1)
     x = min(share, 1.0) * (table.shape[1] - 1)
     j, i = min(int(y), table.shape[0] - 2), min(int(x), table.shape[1] - 2)
     y, x = y - j, x - i
-    for which in range(found.size):
-        low = table[j, i, which] * (1 - x) + table[j, i + 1, which] * x
-        high = table[j + 1, i, which] * (1 - x) + table[j + 1, i + 1, which] * x
-        found[which] = low * (1 - y) + high * y
+    low = table[j, i, which] * (1 - x) + table[j, i + 1, which] * x
+    high = table[j + 1, i, which] * (1 - x) + table[j + 1, i + 1, which] * x
+    return low * (1 - y) + high * y
 
 
 @_jit
@@ -84,21 +81,19 @@ def locate(around: np.ndarray, ratio: float, table: np.ndarray, farthest: float)
     g₂/g over their values at α = β = 0.  a and b cancel the terms of first and second order.  farthest: bound of P, G.
     """
     plain, angle = describe(around, ratio)
-    pressure, gap, found = around[1], -around[2], around[8:]
+    pressure, gap = around[1], -around[2]
     share = plain
     for _ in range(_ROUNDS):
-        _look_up(table, share, angle, found)
-        t = min(max(found[PLACE], -0.2), 1.0)
-        inner = _bounded(found[INNER] * max(around[0], 0.0) / pressure, farthest)
-        outer = _bounded(found[OUTER] * max(-around[3], 0.0) / max(gap, 1e-300), farthest)
+        t = min(max(_look(table, share, angle, PLACE), -0.2), 1.0)
+        inner = _bounded(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure, farthest)
+        outer = _bounded(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300), farthest)
         first = 0.6 + 0.4 * t
         b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
         a = first + 0.6 * b
         before, share = share, pressure / (pressure + gap * inner**a * outer**b)
         if abs(share - before) < 1e-4:
             break
-    _look_up(table, share, angle, found)
-    return found[OFFSET], found[COSINE]
+    return _look(table, share, angle, OFFSET), _look(table, share, angle, COSINE)
 
 
 @_jit
@@ -161,7 +156,7 @@ def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray
 @_jit
 def add_line(fields: Fields, form: Form, first: int, stop: int) -> np.ndarray:
     """Sums of `line_of_pixel` over the contact pixels of rows first … stop−1."""
-    around = np.empty(13)
+    around = np.empty(8)
     total = np.zeros(4)
     pressure = fields[0]
     for i in range(first, stop):
@@ -180,7 +175,7 @@ def add_lines_of_patches(
     fields: Fields, form: Form, runs: np.ndarray, first: np.ndarray, patch: np.ndarray, total: np.ndarray
 ) -> None:
     """Add `line_of_pixel` to total[p] for the pixels of each patch p = patch[run]; runs as in `patches.run_length`."""
-    around = np.empty(13)
+    around = np.empty(8)
     for i in range(1, len(first) - 1):
         for k in range(first[i], first[i + 1]):
             p = patch[k]

@@ -13,7 +13,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from pgfmd.parallel.compiled import compiled
 
 
 def find_runs(above: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +30,7 @@ def find_runs(above: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return edges[:-1].reshape(-1, 2), first
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _count_runs(above: np.ndarray, mask: np.ndarray, first: np.ndarray) -> None:
     """first[1:] = cumulative number of runs, row by row; first[0] stays 0."""
     for i in range(len(first) - 1):
@@ -40,7 +41,7 @@ def _count_runs(above: np.ndarray, mask: np.ndarray, first: np.ndarray) -> None:
         first[i + 1] = first[i] + count
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _find_edges(above: np.ndarray, mask: np.ndarray, edges: np.ndarray) -> None:
     """Columns where the mask changes, row by row: starts and stops in turn.
 
@@ -72,7 +73,7 @@ def find_fragments(runs: np.ndarray, first: np.ndarray, reach: int) -> tuple[np.
     return fragment, covered, below, count
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _root(parent: np.ndarray, k: int) -> int:
     while parent[k] != k:
         parent[k] = parent[parent[k]]
@@ -80,7 +81,7 @@ def _root(parent: np.ndarray, k: int) -> int:
     return k
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _find_fragments(
     runs: np.ndarray, first: np.ndarray, reach: int, parent: np.ndarray, covered: np.ndarray
 ) -> tuple[int, int]:
@@ -118,7 +119,7 @@ def _find_fragments(
     return below, count
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _number_roots(parent: np.ndarray, begin: int, end: int, count: int) -> int:
     """Give the runs begin … end − 1 the number of their root, which gets the next one, from `count`, if it has none."""
     for k in range(begin, end):
@@ -170,7 +171,7 @@ class PeriodicSets:
         _flatten(self.parent, self.shift)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _place(parent: np.ndarray, shift: np.ndarray, k: int) -> tuple[int, int, int]:
     """Root of piece k and what to add to the coordinates of k in its frame; halves the path."""
     x = y = 0
@@ -185,7 +186,7 @@ def _place(parent: np.ndarray, shift: np.ndarray, k: int) -> tuple[int, int, int
     return k, x, y
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _unite(
     parent: np.ndarray, shift: np.ndarray, winds: np.ndarray, a: np.ndarray, b: np.ndarray, moved: np.ndarray
 ) -> None:
@@ -205,7 +206,7 @@ def _unite(
         winds[low, 1] |= winds[high, 1]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _flatten(parent: np.ndarray, shift: np.ndarray) -> None:
     for k in range(len(parent)):
         up = parent[k]
@@ -215,7 +216,7 @@ def _flatten(parent: np.ndarray, shift: np.ndarray) -> None:
             shift[k, 1] += shift[up, 1]
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def paint(runs: np.ndarray, first: np.ndarray, label: np.ndarray, fragment: np.ndarray, out: np.ndarray) -> None:
     """out[i − 1, start … stop − 1] = label[fragment[k]] for each run k of the rows i ≥ 1; overwrites `out`."""
     out[:] = 0

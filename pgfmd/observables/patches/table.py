@@ -10,10 +10,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from pgfmd.observables.patches.labelling import Labels, label_patches
 from pgfmd.parallel.collectives import raise_together
+from pgfmd.parallel.compiled import compiled
 
 __all__ = ["Labels", "PatchTable", "label_patches", "patch_table"]
 
@@ -117,7 +117,7 @@ def _gather(labels: Labels, column: np.ndarray | None) -> np.ndarray | None:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _measure_shape(
     found: tuple[np.ndarray, ...], places: tuple[np.ndarray, ...], cell: np.ndarray, corner: int,
     counts: np.ndarray, box: np.ndarray,
@@ -145,7 +145,7 @@ def _measure_shape(
             box[p, 3] = min(box[p, 3], 1 - column - stop)
 
 
-@njit(cache=True, nogil=True)
+@compiled()
 def _measure_pressure(
     found: tuple[np.ndarray, ...], patch: np.ndarray, pressure: np.ndarray, total: np.ndarray, peak: np.ndarray
 ) -> None:

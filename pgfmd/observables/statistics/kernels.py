@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_jit = numba.njit(nogil=True, cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+from pgfmd.parallel.compiled import compiled
+
+_jit = compiled(fastmath={"contract", "nsz"})
 
 
 @_jit

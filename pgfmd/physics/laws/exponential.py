@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numba
 import numpy as np
 
 from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
+from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ SHARE = 0.01
 f_c differs from that by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, by 12 to 17 % at 5e-3, and is twice as large at .05
 (`tests/test_exponential`)."""
 
-_jit = numba.njit(nogil=True, cache=True, error_model="numpy")
+_jit = compiled()
 
 
 @dataclass(frozen=True, kw_only=True)

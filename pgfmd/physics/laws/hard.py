@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-import numba
 import numpy as np
 
+from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 SATURATED = 1 - 1e-12  # part of the highest pressure above which a point bears that pressure, but for rounding
 
-_jit = numba.njit(nogil=True, cache=True, error_model="numpy")
+_jit = compiled()
 
 
 @dataclass(frozen=True, kw_only=True)

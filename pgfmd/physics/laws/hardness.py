@@ -9,11 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numba
 import numpy as np
 
 from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
+from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import Units
 
@@ -41,7 +41,7 @@ class Hardness(HardWall):
         return finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled()
 def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float) -> float:
     """p = unit · p and gap = height · (gap − level), cut to 0, ≥ 0 or ≤ 0 by the bound at which p is; returns the
     largest part that is cut off.

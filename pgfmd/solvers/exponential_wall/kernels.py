@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.exponential import relative_entropy
 
 Pair = tuple[np.ndarray, np.ndarray]
 
-_jit = numba.njit(nogil=True, cache=True, error_model="numpy")
+_jit = compiled()
 
 
 @_jit

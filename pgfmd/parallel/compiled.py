@@ -1,0 +1,109 @@
+"""`compiled`: numba's decorator for the loops of this package, kept for later runs and compiled by one process only.
+
+A loop is compiled when it is first called with arrays of a kind, once for a machine; a default job needs some fifty.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import gc
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numba
+from numba.core import caching, event
+
+from pgfmd.parallel.private_cache import private_folder
+
+log = logging.getLogger("pgfmd")
+
+INTERVAL = 2.0  # seconds between two lines of progress
+
+
+def compiled(**options: Any) -> Callable[[Callable], Any]:
+    """A decorator: the function is compiled, runs without the interpreter's lock, and is not to be called from C."""
+
+    settings: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options
+
+    def decorate(function: Callable) -> Any:
+        loop: Any = numba.njit(**settings)(function)
+        if private_folder() is not None:
+            loop._cache = _SharedCache(function)
+        return loop
+
+    return decorate
+
+
+class _SharedCache(caching.FunctionCache):
+    """Numba's cache of one function.  While a process compiles it, others that need it wait, and load it then.
+
+    The lock is the kernel's (flock), so that it dies with its process; where a file system has none, each compiles.
+    Who compiles a function holds no lock but its and those of the functions that call it: there is no circle.
+    """
+
+    _lock: IO | None = None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled code, or None if this process is to compile it."""
+        found = super().load_overload(sig, target_context)
+        if found is None and self._lock is None:
+            with contextlib.suppress(OSError):
+                self._impl.locator.ensure_cache_path()
+                self._lock = open(Path(self.cache_path) / f"{self._impl.filename_base}.lock", "w")
+                fcntl.flock(self._lock, fcntl.LOCK_EX)
+            found = super().load_overload(sig, target_context)
+            if found is not None:
+                self._release()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the compiled code; whoever waits for it goes on."""
+        try:
+            super().save_overload(sig, data)
+        finally:
+            self._release()
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
+
+
+class _Compiling(event.Listener):
+    """Logs how compiling goes on, and keeps the garbage collector out of it, which would take a tenth of the time."""
+
+    def __init__(self) -> None:
+        self.depth, self.count, self.seconds = 0, 0, 0.0
+        self._began = self._said = self.seconds
+        self._collects = False
+
+    def on_start(self, _: event.Event) -> None:
+        """A function is compiled, perhaps for another one."""
+        self.depth += 1
+        if self.depth > 1:
+            return
+        self._began, self._collects = time.monotonic(), gc.isenabled()
+        gc.disable()
+        if self.count == 0:
+            log.info("compiling for this machine: some seconds, the first time only")
+            self._said = self._began
+
+    def on_end(self, _: event.Event) -> None:
+        """It is compiled."""
+        self.depth -= 1
+        if self.depth > 0:
+            return
+        if self._collects:
+            gc.enable()
+        now = time.monotonic()
+        self.count, self.seconds = self.count + 1, self.seconds + now - self._began
+        if now - self._said > INTERVAL:
+            self._said = now
+            log.info("compiled %d loops in %.1f s", self.count, self.seconds)
+
+
+event.register("numba:compile", _Compiling())
