@@ -297,6 +297,7 @@ def test_row(comm):
     assert schema.LOADS.keys() - row.keys() == {"target", "displacement"}  # those the load control knows
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12)
+    assert 0 < row["pressure_error"] == solution.pressure_error < 1
     unloaded = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0))
     nothing = observer.row(observer.contact(unloaded))
     assert nothing["contact_area"] == nothing["contact_area_corrected"] == 0 and math.isnan(nothing["kappa"])

@@ -46,6 +46,7 @@ LOADS = {
     "displacement": ("{length}", "approach of the solid's far side from where the flat solid touches the summit"),
     "elastic_energy": ("{pressure}*{length}", "elastic energy per area of the cell"),
     "certified_error": ("1", "upper bound of the energy error over 2 E_el"),
+    "pressure_error": ("1", "estimated rms error of the pressure over its rms value; NaN: none is known"),
     "max_violation": ("1", "largest of |gap| in contact and penetration outside, over the rms height"),
     "iterations": ("1", "iterations of the solver"),
     "transforms": ("1", "work, in forward + backward transforms of the full grid in double precision"),

@@ -71,6 +71,7 @@ class Observer:
             "mean_gap": solution.mean_gap,
             "elastic_energy": solution.elastic_energy,
             "certified_error": solution.certified_error,
+            "pressure_error": solution.pressure_error,
             "max_violation": solution.max_violation,
             "iterations": solution.iterations,
             "transforms": solution.transforms,

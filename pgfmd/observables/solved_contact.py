@@ -52,6 +52,8 @@ class SolvedContact:
     @cached_property
     def area(self) -> Area:
         """The contact area: that of the pixels in contact, and that inside the contact line."""
+        if "patches" in self.asked:  # the pass that they need gives the whole line, too
+            self.line_of_patches(getattr(self.asked["patches"], "connectivity"))  # noqa: B009 (mypy)
         return contact_area(self.grid, self.pressure, self.line)
 
     @cached_property
@@ -105,10 +107,22 @@ class SolvedContact:
     def _labels(self) -> dict[int, Labels]:
         return {}
 
+    def line_of_patches(self, connectivity: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Area beyond that of the pixels and length of the line of each patch that this rank keeps, if there is one;
+        found on the first call.
+        """
+        if connectivity not in self._lines:
+            self._lines[connectivity] = None if self.line is None else self.line.of_patches(self.labels(connectivity))
+        return self._lines[connectivity]
+
+    @cached_property
+    def _lines(self) -> dict[int, tuple[np.ndarray, np.ndarray] | None]:
+        return {}
+
     def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
         """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.
         """
-        line = None if pressure is None or self.line is None else self.line.of_patches(labels)
+        line = None if pressure is None else self.line_of_patches(labels.connectivity)
         table = patch_table(labels, self.grid.spacing, pressure, line)
         if table is None:
             return {}

@@ -56,12 +56,17 @@ def describe_all(around: np.ndarray, ratio: float, share: np.ndarray, angle: np.
 
 
 @_jit
-def _look(table: np.ndarray, share: float, angle: float, which: int) -> float:
-    """Bilinear interpolation in table (angles, shares, quantities), even in angle from 0 to π/2, share from 0 to 1."""
-    y = min(angle * (2 / math.pi), 1.0) * (table.shape[0] - 1)
-    x = min(share, 1.0) * (table.shape[1] - 1)
-    j, i = min(int(y), table.shape[0] - 2), min(int(x), table.shape[1] - 2)
-    y, x = y - j, x - i
+def _cell(at: float, count: int) -> tuple[int, float]:
+    """First of the two of `count` points, evenly spaced from 0 to 1, about `at`, and the weight of the other."""
+    x = min(at, 1.0) * (count - 1)
+    i = min(int(x), count - 2)
+    return i, x - i
+
+
+@_jit
+def _look(table: np.ndarray, row: tuple[int, float], column: tuple[int, float], which: int) -> float:
+    """Bilinear interpolation in table (angles, shares, quantities)."""
+    (j, y), (i, x) = row, column
     low = table[j, i, which] * (1 - x) + table[j, i + 1, which] * x
     high = table[j + 1, i, which] * (1 - x) + table[j + 1, i + 1, which] * x
     return low * (1 - y) + high * y
@@ -82,18 +87,21 @@ def locate(around: np.ndarray, ratio: float, table: np.ndarray, farthest: float)
     """
     plain, angle = describe(around, ratio)
     pressure, gap = around[1], -around[2]
-    share = plain
+    farther = max(around[0], 0.0) / pressure, max(-around[3], 0.0) / max(gap, 1e-300)
+    row, share = _cell(angle * (2 / math.pi), table.shape[0]), plain
     for _ in range(_ROUNDS):
-        t = min(max(_look(table, share, angle, PLACE), -0.2), 1.0)
-        inner = _bounded(_look(table, share, angle, INNER) * max(around[0], 0.0) / pressure, farthest)
-        outer = _bounded(_look(table, share, angle, OUTER) * max(-around[3], 0.0) / max(gap, 1e-300), farthest)
+        column = _cell(share, table.shape[1])
+        t = min(max(_look(table, row, column, PLACE), -0.2), 1.0)
+        inner = _bounded(_look(table, row, column, INNER) * farther[0], farthest)
+        outer = _bounded(_look(table, row, column, OUTER) * farther[1], farthest)
         first = 0.6 + 0.4 * t
         b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
         a = first + 0.6 * b
-        before, share = share, pressure / (pressure + gap * inner**a * outer**b)
+        before, share = share, pressure / (pressure + gap * math.exp(a * math.log(inner) + b * math.log(outer)))
         if abs(share - before) < 1e-4:
             break
-    return _look(table, share, angle, OFFSET), _look(table, share, angle, COSINE)
+    column = _cell(share, table.shape[1])
+    return _look(table, row, column, OFFSET), _look(table, row, column, COSINE)
 
 
 @_jit
@@ -154,34 +162,49 @@ def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray
 
 
 @_jit
-def add_line(fields: Fields, form: Form, first: int, stop: int) -> np.ndarray:
-    """Sums of `line_of_pixel` over the contact pixels of rows first … stop−1."""
+def add_line(fields: Fields, form: Form, i: int, columns: tuple[int, int], total: np.ndarray) -> None:
+    """Adds `line_of_pixel` of the contact pixels of row i in columns start … stop−1 to `total` (4,)."""
     around = np.empty(8)
-    total = np.zeros(4)
-    pressure = fields[0]
-    for i in range(first, stop):
-        for j in range(pressure.shape[1]):
-            if pressure[i, j] > 0:
-                area, length_x, length_y, corners = line_of_pixel(fields, form, i, j, around)
-                total[0] += area
-                total[1] += length_x
-                total[2] += length_y
-                total[3] += corners
-    return total
+    pressure, halo = fields[0], fields[2]
+    rows, ny = pressure.shape
+    row = pressure[i]
+    above = pressure[i - 1] if i > 0 else halo[0, 1]
+    below = pressure[i + 1] if i + 1 < rows else halo[0, 2]
+    for j in range(columns[0], columns[1]):
+        if not row[j] > 0:
+            continue
+        left, right = j - 1 if j > 0 else ny - 1, j + 1 if j + 1 < ny else 0
+        least = min(row[left], row[right], above[j], below[j])
+        if min(least, above[left], above[right], below[left], below[right]) > 0:
+            continue
+        area, length_x, length_y, corners = line_of_pixel(fields, form, i, j, around)
+        total[0] += area
+        total[1] += length_x
+        total[2] += length_y
+        total[3] += corners
+
+
+@_jit
+def add_lines_of_rows(fields: Fields, form: Form, first: int, total: np.ndarray) -> None:
+    """`add_line` of row first + i to total[i], for each i."""
+    for i in range(len(total)):
+        add_line(fields, form, first + i, (0, fields[0].shape[1]), total[i])
 
 
 @_jit
 def add_lines_of_patches(
-    fields: Fields, form: Form, runs: np.ndarray, first: np.ndarray, patch: np.ndarray, total: np.ndarray
-) -> None:
-    """Add `line_of_pixel` to total[p] for the pixels of each patch p = patch[run]; runs as in `patches.run_length`."""
-    around = np.empty(8)
-    for i in range(1, len(first) - 1):
-        for k in range(first[i], first[i + 1]):
-            p = patch[k]
-            for j in range(runs[k, 0], runs[k, 1]):
-                area, length_x, length_y, corners = line_of_pixel(fields, form, i - 1, j, around)
-                total[p, 0] += area
-                total[p, 1] += length_x
-                total[p, 2] += length_y
-                total[p, 3] += corners
+    fields: Fields, form: Form, runs: tuple[np.ndarray, np.ndarray], patch: np.ndarray, total: np.ndarray,
+    of_rows: np.ndarray,
+) -> None:  # fmt: skip
+    """`add_line` of each run to total[p] of its patch p = patch[run] and to of_rows[i] of its row i.
+
+    runs: themselves and the first of each row, as in `patches.run_length`
+    """
+    columns, first = runs
+    for i in range(len(of_rows)):
+        for k in range(first[i + 1], first[i + 2]):
+            of_run = np.zeros(4)
+            add_line(fields, form, i, (columns[k, 0], columns[k, 1]), of_run)
+            for which in range(4):
+                total[patch[k], which] += of_run[which]
+                of_rows[i, which] += of_run[which]

@@ -15,12 +15,12 @@ is the length of that outer line.  The sum of the areas is too small by b = π(a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.kernels import Form, add_line, add_lines_of_patches
+from pgfmd.observables.contact_line.kernels import Form, add_lines_of_patches, add_lines_of_rows
 from pgfmd.observables.contact_line.table import EdgeTable, edge_table
 from pgfmd.observables.patches.labelling import Labels
 from pgfmd.physics.problem import ContactProblem
@@ -37,7 +37,7 @@ this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives 
 contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class ContactLine:
     """The line of a contact.  `fields`: pressure and gap (nx_local, ny) and the two rows of each before and after."""
 
@@ -46,6 +46,7 @@ class ContactLine:
     modulus: float  # E'
     tables: tuple[EdgeTable, EdgeTable]  # for pairs along x, along y
     farthest: float = FARTHEST
+    _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `kernels.line_of_pixel`, (nx_local, 4)
 
     @property
     def _form(self) -> Form:
@@ -62,23 +63,28 @@ class ContactLine:
         curved = math.pi / 32 * (ax**2 + ay**2) + table.square * ax**2 / 2
         return offset * (ax * ay) + curved * corners, length_x * ay + length_y * ax - table.shift * ax * corners
 
+    def _sums(self) -> np.ndarray:
+        if self._of_rows is None:
+            sums, form = np.zeros((self.grid.local_shape[0], 4)), self._form
+            self.grid.threads.deal(lambda a, b: add_lines_of_rows(self.fields, form, a, sums[a:b]), len(sums))
+            self._of_rows = sums
+        return self._of_rows
+
     def total(self) -> tuple[float, float]:
         """Area beyond that of the pixels, and perimeter.  Collective."""
-        form, rows = self._form, self.grid.local_shape[0]
-        parts = self.grid.threads.collect(lambda first, stop: add_line(self.fields, form, first, stop), rows)
-        area, perimeter = self._finish(self.grid.reduction.sums(*np.sum(parts, axis=0)))
+        area, perimeter = self._finish(self.grid.reduction.sums(*self._sums().sum(axis=0)))
         return float(area), float(perimeter)
 
-    def of_rows(self, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same of the pixels of each of this rank's rows first … stop−1, without communication."""
-        form = self._form
-        return self._finish(np.array([add_line(self.fields, form, row, row + 1) for row in range(first, stop)]))
+    def of_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the pixels of each of this rank's rows, without communication."""
+        return self._finish(self._sums())
 
     def of_patches(self, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
-        """The same of each patch that this rank keeps.  Collective."""
-        sums = np.zeros((labels.kept + len(labels.foreign), 4))
+        """The same of each patch that this rank keeps; called first, it spares the others their pass.  Collective."""
+        sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((self.grid.local_shape[0], 4))
         patch = labels.patch[labels.fragment]
-        add_lines_of_patches(self.fields, self._form, labels.runs, labels.first, patch, sums)
+        add_lines_of_patches(self.fields, self._form, (labels.runs, labels.first), patch, sums, of_rows)
+        self._of_rows = of_rows
         np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
         return self._finish(sums[: labels.kept])
 

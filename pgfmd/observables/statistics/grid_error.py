@@ -61,12 +61,13 @@ def long_waves(problem: ContactProblem, solution: ContactSolution, line: Contact
         rows["mean_square_pressure"][first:stop] = np.einsum("ij,ij->i", p, p)
         work = np.einsum("ij,ij->i", p - problem.mean_pressure, g + problem.heights[first:stop])
         rows["elastic_energy"][first:stop] = work / 2
-        if line is not None:
-            area, perimeter = line.of_rows(first, stop)
-            rows["area"][first:stop] = np.count_nonzero(p > 0, axis=1) + area / grid.pixel_area
-            rows["perimeter"][first:stop] = perimeter / grid.pixel_area
+        rows["area"][first:stop] = np.count_nonzero(p > 0, axis=1)
 
     grid.threads.share(lambda _, first, stop: add(first, stop), grid.local_shape[0], 64)
+    if line is not None:
+        area, perimeter = line.of_rows()
+        rows["area"] += area / grid.pixel_area
+        rows["perimeter"] += perimeter / grid.pixel_area
     place = np.arange(grid.rows.start, grid.rows.stop) / grid.shape[0]
     waves = np.exp(-2j * np.pi * np.outer(np.arange(MODES + 1), place))
     sums = np.array([waves @ rows[name] for name in FACTORS]) / grid.size
