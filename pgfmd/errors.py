@@ -9,6 +9,10 @@ class SolverError(RuntimeError):
     """A solver could not certify its answer; the message says why.  The command line exits with 3."""
 
 
+class Uncertifiable(SolverError):
+    """An error that rounding alone keeps above the tolerance: no other method could certify less."""
+
+
 class Unreachable(SolverError):
     """A target that no load gives, such as an area below that of first contact; other targets may be fine."""
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.errors import SolverError
+from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
@@ -48,7 +48,7 @@ def solve_contact(
     try:
         return SOLVERS[method](problem, options.tolerance, start, monitor, overwrite_heights, **limit)
     except SolverError as failure:
-        if overwrite_heights or start is None and not rescued:
+        if overwrite_heights or start is None and not rescued or isinstance(failure, Uncertifiable):
             raise
         again = "without the start" if start is not None else "by dynamics, slower but always convergent"
         if problem.grid.comm.rank == 0:

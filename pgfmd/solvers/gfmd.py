@@ -67,7 +67,9 @@ class Dynamics:
         self.displacement, self.force = np.zeros(self.grid.local_shape), np.ones(self.grid.local_shape)
 
     def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> WallState:
-        """Steps until the certified error is at most `tolerance`; after `max_steps`, SolverError.  Collective."""
+        """Steps until the certified error is at most `tolerance`; after `max_steps`, SolverError, or Uncertifiable if
+        rounding keeps it above.  Collective.
+        """
         state = WallState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
         level, best = 0.0, math.inf
         for step in range(1, max_steps + 1):
@@ -82,7 +84,7 @@ class Dynamics:
             best = min(best, state.error)
             if monitor is not None:
                 monitor(self.grid, state)
-            if state.error <= tolerance:
+            if self.certifier.arrived(state, tolerance):
                 return state
         raise SolverError(
             f"GFMD: the certified error is {best:.1e} after {max_steps} steps, above the tolerance {tolerance:.1e}; "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pgfmd.errors import SolverError
+from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 
 STEPS = 12  # without halving the least error, before giving up
@@ -13,19 +13,20 @@ STEPS = 12  # without halving the least error, before giving up
 class Patience:
     """Steps that are left, and the least error so far."""
 
-    def __init__(self) -> None:
-        self.left, self.best = STEPS, math.inf
+    def __init__(self, steps: int = STEPS) -> None:
+        self.steps = self.left = steps
+        self.best = math.inf
 
     @property
     def lost(self) -> int:
         """Steps since the least error was halved."""
-        return STEPS - self.left
+        return self.steps - self.left
 
     def take(self, error: float, best: float | None = None) -> bool:
         """Counts a step that left this error; returns whether to go on.  best: the bound to report, where `error` is
         only an estimate.
         """
-        self.left = STEPS if error < 0.5 * self.best else self.left - 1
+        self.left = self.steps if error < 0.5 * self.best else self.left - 1
         self.best = min(self.best, error if best is None else best)
         return self.left > 0
 
@@ -35,3 +36,11 @@ class Patience:
             f"{law} wall: the certified error stays at {self.best:.1e}, above the tolerance {tolerance:.1e}, after "
             f"{iterations} iterations on {grid.shape[0]} x {grid.shape[1]} points; allow a larger tolerance"
         )
+
+
+def uncertifiable(rounding: float, tolerance: float) -> Uncertifiable:
+    """What to raise where rounding in double precision alone may be an error above the tolerance."""
+    return Uncertifiable(
+        f"the tolerance {tolerance:.1e} cannot be certified: rounding in double precision may amount to "
+        f"{rounding:.1e}; allow a larger tolerance"
+    )

@@ -15,6 +15,7 @@ import numpy as np
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import source
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.patience import uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 bounds errors best
@@ -34,6 +35,7 @@ class WallState:
     contact: int = 0  # points in contact
     iterations: int = 0
     pressure_error: float = math.nan  # ‖Kρ‖/‖p̂‖, an estimate
+    rounding: float = 0.0  # the part of the error that is the gap's rounding
 
 
 class WallOperations:
@@ -95,10 +97,20 @@ class WallOperations:
             excess[first] = law.excess(pressure, gap, rows, compliance, level)
 
         square, change = energy_of_residual(grid, fill, self.stiffness)
-        bound = certified(square, self.rounding.bound(self.squares, grid.size))
-        bound += grid.reduction.sum([excess[first] for first in sorted(excess)])
-        state.error = bound / grid.size / state.work if state.work > 0 else math.inf
+        rounding = self.rounding.bound(self.squares, grid.size)
+        bound = certified(square, rounding) + grid.reduction.sum([excess[first] for first in sorted(excess)])
+        work = grid.size * state.work
+        state.error, state.rounding = (bound / work, rounding / work) if work > 0 else (math.inf, 0.0)
         state.pressure_error = math.sqrt(change / self.squares[0])
+
+    @staticmethod
+    def arrived(state: WallState, tolerance: float) -> bool:
+        """Whether the certified error is at most the tolerance.  Raises Uncertifiable if only rounding is left of it,
+        and that is more.
+        """
+        if tolerance < state.rounding and state.error < 4 * state.rounding:
+            raise uncertifiable(state.rounding, tolerance)
+        return state.error <= tolerance
 
     def respond(self, state: WallState, target: np.ndarray, compliance: float) -> None:
         """The law's answer p̂ with compliance · p̂ − gap(p̂) = target + c, with c such that its mean is 1; the search

@@ -39,7 +39,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import pass_on
-from pgfmd.solvers.patience import STEPS, Patience
+from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
@@ -47,7 +47,7 @@ Precision = type[np.float32] | type[np.float64]
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
 MARGIN = 0.15  # the last step aims at this part of the tolerance
-MOST_INNER, MOST_OUTER = 300, 200
+MOST_INNER = 300
 STUCK = 3  # steps without halving the least error, before double precision is taken
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
@@ -79,8 +79,12 @@ class Relaxation:
     starts the next finer one, they are estimated.
 
     Attributes: top, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, Σ h² where
-    p > 0.
+    p > 0.  precision: the one to begin with; patience: steps without halving the least error, and most_steps, before
+    giving up.
     """
+
+    precision: Precision = np.float32
+    patience, most_steps = STEPS, 200
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
@@ -94,11 +98,12 @@ class Relaxation:
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
 
-        `state.pressure` must be feasible.  Raises SolverError if the error stops falling above the tolerance.
+        `state.pressure` must be feasible.  Raises SolverError if the error stops falling above the tolerance, and
+        Uncertifiable if that is due to rounding in double precision.
         """
-        precision: Precision = np.float32
-        before, patience, low = math.inf, Patience(), 1.0  # low: by how much estimates were too low
-        for step in range(MOST_OUTER):
+        precision = self.precision
+        before, patience, low = math.inf, Patience(self.patience), 1.0  # low: by how much estimates were too low
+        for step in range(self.most_steps):
             system = self.look(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
             estimate = low * system.square / (2 * state.energy) if state.energy > 0 else math.inf
@@ -115,6 +120,8 @@ class Relaxation:
                 monitor(state)
             if negligible and state.error <= tolerance:
                 return state
+            if precision is np.float64 and rounding > max(tolerance, estimate):
+                raise uncertifiable(rounding, tolerance)
             if not patience.take(estimate, state.error):
                 break
             stay_single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK

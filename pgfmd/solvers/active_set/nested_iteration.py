@@ -9,11 +9,13 @@ from functools import partial
 
 import numpy as np
 
+from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid import kernels
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.active_set import State
+from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import carry
 from pgfmd.solvers.active_set.primal import PressureSteps
@@ -115,11 +117,20 @@ class ActiveSetIteration(NestedIteration[State]):
         return (full, True) if full is not None else (_prolong(coarse, found, problem), False)
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
-        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`).  Collective."""
+        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
+        falling, by steps that lower the energy each time.  Collective.
+        """
         by_gaps = problem.law.highest == np.inf and state.between > GAPS_FROM * problem.grid.size
         steps = GapSteps if by_gaps else PressureSteps
         solver = steps(problem, exact)
-        state = solver.relax(state, self.tolerance, self.watch(problem))
+        try:
+            state = solver.relax(state, self.tolerance, self.watch(problem))
+        except Uncertifiable:
+            raise
+        except SolverError:
+            solver.free()
+            solver, state.opened = Descent(problem, exact), False
+            state = solver.relax(state, self.tolerance, self.watch(problem))
         solver.free()
         return state
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pgfmd.errors import SolverError
+from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.laws.exponential import ExponentialWall
@@ -53,8 +53,8 @@ class NewtonIteration(NestedIteration[WallState]):
         """Newton from that state; should it fail, by continuation in ζ from a uniform pressure."""
         try:
             return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
-        except SolverError:
-            if state.error <= LOOSE:
+        except SolverError as failure:
+            if state.error <= LOOSE or isinstance(failure, Uncertifiable):
                 raise
         state.pressure[...] = 1.0
         return self.continuation(problem, state, exact)

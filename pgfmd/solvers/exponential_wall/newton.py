@@ -54,7 +54,7 @@ class Newton(WallOperations):
     ) -> WallState:
         """Iterate until the certified error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
 
-        Raises SolverError if the error stops falling above the tolerance.
+        Raises SolverError if the error stops falling above the tolerance, Uncertifiable if that is due to rounding.
         """
         self.compute_gap(state)
         self.certify(state)
@@ -63,7 +63,7 @@ class Newton(WallOperations):
         for _ in range(MOST_OUTER):
             if monitor is not None:
                 monitor(state)
-            if state.error <= tolerance:
+            if self.arrived(state, tolerance):
                 return state
             before = state.error
             enough = min(LEAST_CUT, 0.3 * math.sqrt(tolerance / before))

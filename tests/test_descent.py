@@ -1,0 +1,84 @@
+"""Active-set steps that lower the energy each time: right where the larger steps go round in circles, and anywhere."""
+
+import math
+
+import numpy as np
+import pytest
+from reference import Contact, Solid
+
+from pgfmd.errors import Uncertifiable
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers import dispatch
+from pgfmd.solvers.active_set.active_set import State
+from pgfmd.solvers.active_set.descent import Descent
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
+
+pytestmark = pytest.mark.mpi
+
+TOLERANCE = 1e-10
+
+
+def whole(grid, slab):
+    """The complete field on every rank."""
+    return grid.fetch(slab, 0, grid.shape[0])
+
+
+def awkward(seed: int):
+    """White heights of up to 16², under a load from light to half of full contact, on pixels of ratios up to 100 or
+    under a thin slab with a free base, which bends like a plate."""
+    random = np.random.default_rng(seed)
+    shape = tuple(int(n) for n in random.integers(4, 17, 2))
+    steps, thickness = (1.0, 1.0), math.inf
+    if seed % 2:
+        steps = (10 ** random.uniform(1, 2), 1.0)
+    else:
+        thickness = max(shape) * 10 ** random.uniform(-2.5, -1)
+    heights, solid = random.standard_normal(shape), Solid(1.0, thickness, "free" if seed % 2 == 0 else "bonded")
+    contact = Contact(heights, steps, solid)
+    return heights, steps, Elasticity(1.0, thickness, solid.base), contact.full_stress * 10 ** random.uniform(-3, -0.3)
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_oblong_pixels_and_thin_slabs(comm, seed):
+    """The method "active-set" certifies its answer, and its true error is not above that (slow reference)."""
+    heights, steps, solid, load = awkward(seed)
+    grid = SlabGrid(comm, heights.shape, (heights.shape[0] * steps[0], heights.shape[1] * steps[1]))
+    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), float(load))
+    found = solve_contact(problem, Solver(method="active-set", tolerance=TOLERANCE))
+    exact = Contact(heights, steps, Solid(1.0, solid.thickness, solid.base)).hard(found.mean_pressure)
+    assert exact.error_of(whole(grid, found.pressure)) <= found.certified_error <= TOLERANCE, seed
+
+
+@pytest.mark.parametrize("hardness", [math.inf, 0.6])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_energy_falls_with_each_step(comm, seed, hardness):
+    """½⟨p, Gp⟩ − ⟨p, h⟩ never rises by more than rounding, from a uniform pressure down to the tolerance."""
+    heights, steps, solid, load = awkward(2 * seed + 1)
+    grid = SlabGrid(comm, heights.shape, (heights.shape[0] * steps[0], heights.shape[1] * steps[1]))
+    law = HardWall() if hardness == math.inf else Hardness(hardness=float(load) * 4)
+    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, law, float(load))
+    energies = []
+
+    def see(state):
+        energies.append(state.energy - grid.reduction.dot(state.pressure, problem.heights))
+
+    relaxation = Descent(problem)
+    start = State(np.full(grid.local_shape, problem.mean_pressure), np.empty(grid.local_shape))
+    relaxation.relax(start, TOLERANCE, see)
+    relaxation.free()
+    assert len(energies) > 2 and np.all(np.diff(energies) <= 1e-12 * np.abs(energies[-1])), energies
+
+
+def test_what_rounding_forbids_is_not_tried_again(comm, monkeypatch):
+    """Where rounding in double precision alone may exceed the tolerance, no other method is tried."""
+    heights, steps, solid, _ = awkward(1)
+    grid = SlabGrid(comm, heights.shape)
+    monkeypatch.setattr(dispatch, "solve_gfmd", lambda *_: pytest.fail("dynamics were tried"))
+    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), 0.1)
+    with pytest.raises(Uncertifiable, match="rounding in double precision"):
+        solve_contact(problem, Solver(tolerance=1e-33))
