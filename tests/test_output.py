@@ -6,6 +6,7 @@ import errno
 import subprocess
 import sys
 import tomllib
+import warnings
 import zipfile
 from pathlib import Path
 
@@ -136,6 +137,20 @@ def test_single_precision_and_integers(comm, shared_tmp_path, transport):
     assert read.field("gap", 0).dtype == np.float32 and read.field("labels", 0).dtype == np.int32
     np.testing.assert_array_equal(read.field("gap", 0), FIELD.astype(np.float32))
     np.testing.assert_array_equal(read.field("labels", 0), labels)
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e-60, 1e-38, 1e38, 1e60])
+def test_single_precision_never_loses_a_field(comm, shared_tmp_path, transport, scale):
+    """A field that float32 would turn to infinities or zeros, or hold with fewer digits than its own, stays float64;
+    others are rounded.  Its largest value decides, on whichever rank that is."""
+    field, small = FIELD * (scale / np.abs(FIELD).max()), FIELD * 1e-10
+    with warnings.catch_warnings(), writer(comm, shared_tmp_path / "out", precision="float32") as result:
+        warnings.simplefilter("error")
+        result.write_load(0, {}, None, {"gap": field[result.form.rows], "pressure": small[result.form.rows]})
+    read = Results(shared_tmp_path / "out")
+    assert np.abs(read.field("gap", 0) / field - 1)[field != 0].max() < (1e-7 if scale == 1e38 else 1e-15)
+    assert read.field("pressure", 0).dtype == np.float32
+
 
 
 def test_long_job_text(comm, shared_tmp_path):

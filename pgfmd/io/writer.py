@@ -45,7 +45,7 @@ from pgfmd.io.schema import (
     Layout,
     load_name,
 )  # fmt: skip
-from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI, library
 
 log = logging.getLogger("pgfmd")
@@ -379,8 +379,7 @@ class ResultWriter:
         """Write `fields` under a temporary name, then rename the file to `name`.  Collective."""
         form, slabs = self.form, {}
         for key, local in fields.items():
-            real = np.issubdtype(local.dtype, np.floating)
-            slabs[key] = hdf5_slabs.Field(local, np.dtype(form.precision) if real else local.dtype)
+            slabs[key] = hdf5_slabs.Field(local, self._stored(key, local))
         with raise_together(self.comm):
             expected = (form.rows.stop - form.rows.start, form.shape[1])
             for key, local in fields.items():
@@ -400,6 +399,21 @@ class ResultWriter:
 
         path = self.directory / self._fields / name
         hdf5_slabs.replace_by(self.comm, path, form.rows, slabs, create, False)
+
+
+    def _stored(self, name: str, local: np.ndarray) -> np.dtype:
+        """The type of a field in the file: the job's precision for real ones, or double where the field would overflow
+        in that, or be lost below its smallest numbers.  Collective.
+        """
+        if not np.issubdtype(local.dtype, np.floating):
+            return local.dtype
+        asked, reduction = np.dtype(self.form.precision), Reduction(self.comm)
+        largest, limits = max(reduction.max(local), -reduction.min(local)), np.finfo(asked)
+        if largest == 0 or float(limits.tiny) / float(limits.eps) <= largest <= float(limits.max):
+            return asked
+        if self.comm.rank == 0 and asked != np.float64:
+            log.info("%s is written in float64: %s does not hold values of %.1e", name, asked, largest)
+        return np.dtype(np.float64)
 
 
 def _revise(path: Path, change: Callable[[h5py.File], None], **options: bool) -> None:
