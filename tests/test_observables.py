@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
@@ -476,6 +477,31 @@ def test_area_of_a_surface_without_waves(comm):
     found = observer.groups(contact)["lowpass_area"]
     assert found["area"][0] == found["area_corrected"][0] == 1
     assert found["area"][1] == pytest.approx(contact.area.fraction, abs=2 / 48)  # the wave itself is there
+
+
+@pytest.mark.parametrize("failure", [SolverError, InputError])
+def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
+    """If a further contact that an observable asks for cannot be certified, its number is NaN, the log says why, and
+    all others are there."""
+    grid = SlabGrid(comm, (64, 64))
+    heights = self_affine(grid, 0.5, 16, 0.05, 5)
+    problem = ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.003)
+    waves = 2 * np.pi / np.array([64, 32, 16])
+
+    def solve(problem, start, options=None):
+        if options is not None or lengths.append(start) or len(lengths) == 1:
+            raise failure("no such luck")
+        return solve_hard_wall(problem, 1e-4)
+
+    lengths = []
+    observer = Observer(problem, asked(["lowpass", "discretisation"], lowpass={"q": waves}), 2 * np.pi / 16, solve)
+    contact = observer.contact(solve_hard_wall(problem, 1e-6))
+    found = observer.groups(contact)
+    for name in ("area", "area_corrected"):
+        assert np.isnan(found["lowpass_area"][name]).sum() == 1
+    errors = found["discretisation"]
+    assert all(np.isnan(value) == name.endswith("_error") for name, value in errors.items())
+    assert ("no such luck" in caplog.text) == (comm.rank == 0)
 
 
 @pytest.mark.parametrize("thickness", [np.inf, 20.0])

@@ -42,7 +42,7 @@ class Lowpass(Observable):
     layout = {
         "lowpass_area": {
             "q": Dataset("1/({length})", "cut-off wave number, radians per length", ("q",)),
-            "area": Dataset("1", "relative contact area f_c of the surface without modes beyond q", ("q",)),
+            "area": Dataset("1", "relative contact area f_c without modes beyond q; NaN: not certified", ("q",)),
             "area_corrected": Dataset("1", "f_c inside the contact line, as contact_area_corrected", ("q",)),
         }
     }

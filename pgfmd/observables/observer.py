@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Iterable
 from functools import partial
+from typing import Any
 
+from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Groups
 from pgfmd.observables.acf import Acf
@@ -21,6 +24,8 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution
+
+log = logging.getLogger("pgfmd")
 
 
 class Observer:
@@ -51,12 +56,23 @@ class Observer:
         lags = lag_rings(grid, acf.edges(cell)) if isinstance(acf, Acf) else None
         self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
         options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
-        self._solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
+        self._solver = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable
 
     def contact(self, solution: ContactSolution) -> SolvedContact:
         """The solved contact of one load, for `row` and `groups` to measure."""
         return SolvedContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
+
+    def _solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
+        """A further contact; None, and a line in the log, if it cannot be had: the load itself is solved.
+        Collective.
+        """
+        try:
+            return self._solver(problem, **options)
+        except (InputError, SolverError) as failure:
+            if self.problem.grid.comm.rank == 0:
+                log.warning("an observable lacks a contact that it asks for: %s", failure)
+            return None
 
     def row(self, contact: SolvedContact) -> dict[str, float]:
         """The numbers of `schema.LOADS`; the same on all ranks.  Collective."""

@@ -21,8 +21,9 @@ from pgfmd.options.section import Section
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
-Solve = Callable[..., ContactSolution]
-"""solve(problem, start=pressure to start from, or None): returns the contact; may overwrite the heights of `problem`.
+Solve = Callable[..., ContactSolution | None]
+"""solve(problem, start=pressure to start from, or None): returns the contact, or None if it cannot be had; may
+overwrite the heights of `problem`.
 """
 
 

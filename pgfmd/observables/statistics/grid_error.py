@@ -22,8 +22,9 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution
 
-Solve = Callable[..., ContactSolution]
-"""solve(problem, start=None, options=…) → the contact; its heights may be overwritten.  Collective."""
+Solve = Callable[..., ContactSolution | None]
+"""solve(problem, start=None, options=…) → the contact, or None if it cannot be had; its heights may be overwritten.
+Collective."""
 MODES = 4
 FACTORS = {"area": 0.4, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.3, "mean_square_pressure": 0.6}
 """c of each number."""
@@ -32,12 +33,17 @@ FACTORS = {"area": 0.4, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.
 def grid_errors(
     problem: ContactProblem, solution: ContactSolution, line: ContactLine | None, solve: Solve
 ) -> dict[str, float]:
-    """Estimated errors of the numbers of FACTORS; NaN of the area and perimeter without a line.  Collective."""
+    """Estimated errors of the numbers of FACTORS; NaN of the area and perimeter without a line, and of all without the
+    second contact.  Collective.
+    """
     grid, coarse = problem.grid, problem.grid.coarse()
     fine = long_waves(problem, solution, line)
     half = problem.on(coarse, restrict(grid, coarse, problem.heights))
     options = Solver(method=problem.law.methods[0])
     found = solve(half.on(coarse, half.heights.copy()), start=None, options=options)
+    if found is None:
+        coarse.free()
+        return dict.fromkeys(FACTORS, np.nan)
     other = None if line is None else contact_line(coarse, found.pressure, found.gap, line.modulus)
     waves = long_waves(half, found, other)
     coarse.free()

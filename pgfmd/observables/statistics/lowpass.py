@@ -14,15 +14,16 @@ from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
 
-Solve = Callable[..., ContactSolution]
-"""solve(problem, start=pressure to start from or None) → the contact; its heights may be overwritten.  Collective."""
+Solve = Callable[..., ContactSolution | None]
+"""solve(problem, start=pressure to start from or None) → the contact, or None if it cannot be had; its heights may be
+overwritten.  Collective."""
 
 
 def lowpass_areas(
     problem: ContactProblem, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
 ) -> np.ndarray:
-    """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2).
-    Collective.
+    """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2), NaN
+    where the contact cannot be had.  Collective.
 
     cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per length
     start: a pressure (nx_local, ny) from which contacts on the full grid start; a contact on a coarser grid starts from
@@ -47,6 +48,9 @@ def lowpass_areas(
                 areas[index] = 1.0
                 continue
             solution = solve(smooth, start=before)
+            if solution is None:
+                areas[index] = np.nan
+                continue
             area = contact_area(coarse, solution.pressure_in_contact(), line_of(smooth, solution, cutoffs[index][1]))
             areas[index] = area.fraction, area.corrected
             before = solution.pressure if factor > 1 else before
