@@ -38,7 +38,8 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import reference  # noqa: E402
 
-HANG = 120.0  # seconds that a job of at most 24² points may take
+HANG = 120.0  # seconds of processor time that a job of at most 24² points may take
+ASLEEP = 20  # times that, of wall time: a process that waits for nothing
 LARGEST_SIDE = 24
 AREA_PIXEL = 1.0  # pixels by which an area may miss, whatever area_tolerance says: README
 JUMP = 1e-4  # relative width of the loads across which an area jumps
@@ -745,6 +746,16 @@ def work(seed: int, first: int, count: int) -> None:
             print(json.dumps(found), flush=True)
 
 
+def _clocks(process: int) -> tuple[float, float]:
+    """Seconds of processor time of a process (of wall time, where the system does not tell), and of wall time."""
+    wall = time.monotonic()
+    try:
+        times = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
+        return sum(map(int, times)) / os.sysconf("SC_CLK_TCK"), wall
+    except (OSError, ValueError):
+        return wall, wall
+
+
 def supervise(seed: int, first: int, count: int):
     """Results of jobs, run in another process, which is replaced when it hangs or dies."""
     number, stop = first, first + count
@@ -752,14 +763,14 @@ def supervise(seed: int, first: int, count: int):
         command = [sys.executable, __file__, "--seed", str(seed), "--work", str(number), str(stop - number)]
         with tempfile.TemporaryFile("w+") as errors:
             worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, stdin=subprocess.DEVNULL)
-            verdict, buffer, since, patience = None, b"", time.monotonic(), 4 * HANG
+            verdict, buffer, since, patience = None, b"", _clocks(worker.pid), 4 * HANG
             while number < stop:
                 ready, _, _ = select.select([worker.stdout], [], [], 1.0)
                 chunk = os.read(worker.stdout.fileno(), 1 << 16) if ready else b""
                 buffer += chunk
                 *lines, buffer = buffer.split(b"\n")
                 for line in map(json.loads, lines):
-                    since, patience = time.monotonic(), HANG
+                    since, patience = _clocks(worker.pid), HANG
                     if "verdict" in line:
                         number = line["number"] + 1
                         patience = 4 * HANG
@@ -767,7 +778,8 @@ def supervise(seed: int, first: int, count: int):
                 if ready and not chunk:
                     verdict = TRACEBACK  # it died
                     break
-                if time.monotonic() - since > patience:
+                busy, wall = np.subtract(_clocks(worker.pid), since)
+                if busy > patience or wall > ASLEEP * patience:
                     verdict = HANGS
                     worker.send_signal(signal.SIGUSR1)  # says where it is
                     time.sleep(1)
