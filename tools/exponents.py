@@ -22,7 +22,7 @@ from stress_contact_spectra import ratio_of_means
 
 CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all q
 ≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that they
-span. (b) The ratio of the scaled spectra at the largest and the smallest load in octaves of q, with standard errors.
+span, drawn a factor of 1.6 above the data. (b) The ratio of the scaled spectra at the largest and the smallest load in octaves of q, with standard errors.
 (c) Exponents of the joint fit against the Hurst exponent with both errors, beside 1 + H and published ones."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {
