@@ -20,10 +20,11 @@ from plotting import BLACK, BLUE, COLOURS, GREY, RED, Finding, Sheet
 from reading import Ensemble, Load, common_bins, ensembles, near
 from stress_contact_spectra import ratio_of_means
 
-CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all q
-≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that they
-span, drawn a factor of 1.6 above the data. (b) The ratio of the scaled spectra at the largest and the smallest load in octaves of q, with standard errors.
-(c) Exponents of the joint fit against the Hurst exponent with both errors, beside 1 + H and published ones."""
+CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all
+q ≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that
+they span, drawn a factor of 1.6 above the data. (b) The ratio of the scaled spectra at the largest and the smallest
+load in octaves of q, with standard errors. (c) Exponents of the joint fit against the Hurst exponent with both
+errors, beside 1 + H and published ones."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
