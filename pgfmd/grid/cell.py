@@ -11,8 +11,8 @@ from pgfmd.options.text import show
 
 TRANSFORMS = ("blocked", "mpi4py-fft")  # who transforms: `grid.transforms`, or the library (`grid.library_transform`)
 WORKSPACE = {"blocked": 8.0, "mpi4py-fft": 52.0}
-"""Memory of transforms in bytes per grid point: the strips of blocked ones; the library's arrays in both precisions,
-measured."""
+"""Memory of transforms in bytes per grid point: the strips of blocked ones on one node (on several it is twice that);
+the library's arrays in both precisions, measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

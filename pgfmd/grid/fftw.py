@@ -20,7 +20,7 @@ try:
 except ImportError:
     pyfftw = None
 
-PRECISIONS = 3  # double, single and long double: FFTW's own texts of what it learnt
+PRECISIONS = 3  # FFTW exports its wisdom as three texts: for double, single and long double precision
 BETWEEN = b"\0"
 _loaded = False
 
@@ -41,7 +41,7 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], 
 
 
 def wisdom_file() -> Path | None:
-    """Where wisdom is kept, per processor model and FFTW; None if no private folder can be had."""
+    """Where wisdom is kept, per processor model and pyFFTW version; None if no private folder can be had."""
     folder, model = private_folder(), platform.processor() or platform.machine()
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()

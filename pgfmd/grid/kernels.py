@@ -184,7 +184,7 @@ def interpolate_rows(
 
 @jit
 def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) -> None:
-    """sums[(start + i) // size, j // size] += field[i, j] — whole rows first, which compilers make fast."""
+    """sums[(start + i) // size, j // size] += field[i, j]; rows are summed first, in a vectorised loop."""
     line = np.zeros(sums.shape[1] * size, sums.dtype)
     for i in range(field.shape[0]):
         row = field[i]

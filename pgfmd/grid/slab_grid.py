@@ -30,8 +30,8 @@ BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into t
 
 
 class SlabGrid:
-    """A periodic grid whose rows are distributed over the ranks of `comm`.  Collective to make; memory for transforms
-    is allocated on first use.
+    """A periodic grid whose rows are distributed over the ranks of `comm`.  Making one does not communicate; memory
+    for transforms is allocated on first use.
 
     Attributes
     ----------

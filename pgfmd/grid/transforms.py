@@ -7,9 +7,9 @@ A forward and backward transform takes three passes over memory:
                      spectrum; the block is transformed back and put into the strip again
     rows backward    a block of rows is taken out of the strips, transformed back along y, and given to a callback
 
-The strips (see `transpose`) are the only complex array of the grid's size.  A pair of library transforms passes over
-memory six times or more.  The threads of a rank share the blocks between them.  Transforms are unnormalised in both
-directions.
+The strips (see `transpose`) are the only complex array of the grid's size on one node; ranks on several nodes hold one
+more, the rows packed to be sent.  A pair of library transforms passes over memory six times or more.  The threads of a
+rank share the blocks between them.  Transforms are unnormalised in both directions.
 """
 
 from __future__ import annotations

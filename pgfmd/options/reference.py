@@ -16,7 +16,7 @@ Tables = Iterable[type[Section] | Kinds]
 
 
 def reference(tables: Tables) -> str:
-    """A commented job with every table of every kind.  Keys that may be left out are commented out."""
+    """A commented job with every table of every kind.  Keys that may be left out are commented out, unless `shown`."""
     return "\n".join(block for table in tables for block in _blocks(table))
 
 
@@ -58,7 +58,9 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
 
 
 def _entry(field: dataclasses.Field, shown: bool) -> str:
-    """The line of one key: its example if it is needed or shown, else its default, commented out."""
+    """The line of one key: its example if it is needed or shown; else, commented out, its default, or its example if
+    that is None.
+    """
     given = field.metadata["example"]
     value = given if field.default is None else field.default
     if field.metadata["needed"] or shown:

@@ -2,7 +2,7 @@
 
 Half-space: p̃(q) = (E'/2) q ũ(q).  Slab of thickness d, with t = q d: p̃ = (E'/2) q F(t) ũ, for three ways to hold
 its base (closed forms of plane-strain elasticity; see `Elasticity.slab_factor`).  The mean mode q = 0 is apart: at
-imposed load it only shifts the solid as a whole.
+imposed load it only shifts the surface as a whole.
 """
 
 from __future__ import annotations

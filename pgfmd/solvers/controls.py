@@ -122,7 +122,7 @@ class ContactArea(Control):
         return self.grid.reduction.sum(np.count_nonzero(found.pressure > 0)) / self.grid.size
 
     def guess(self, target: float) -> float:
-        """Persson's theory: area = erf(p̄/√2 s)."""
+        """Persson's theory: area = erf(p̄/√2 s).  Collective."""
         return math.log(math.sqrt(2) * self.stress * erfinv(target))
 
     def distance(self, found: ContactSolution, target: float) -> float:
@@ -196,11 +196,13 @@ class MeanGap(Control):
         """A bound of the error of the mean gap, over its tolerance.
 
         The least energy J*(P) is convex in the load P = Σ p, and its slope is the level λ* of contact.  A solution p
-        with energy error B, and its multiples, bound J* from both sides: with E = ½⟨p, Gp⟩ and a law of range ζ
+        with energy error B, and its multiples, bound J* from both sides: with a law of range ζ, A = ½⟨p, Gp⟩ + ζP/2,
+        and 0 < s ≤ 1
 
-            J*(P ± sP) ≤ J(p ± sp) = J(p) ± sPλ + s² (E + ζP/2),    J*(P) ≥ J(p) − B,
+            J*(P ± sP) ≤ J(p ± sp) ≤ J(p) ± sPλ + s² A + s³ ζP/2,    J*(P) ≥ J(p) − B,
 
-        so that |λ* − λ| ≤ min over s of (s (E + ζP/2) + B/s)/P.
+        so that |λ* − λ| ≤ (s A + s² ζP/2 + B/s)/P, which is at most (2√(AB) + B)/P at s = √(B/A), or at 1 if that is
+        less.  An estimate only under a law that limits the pressure: it may not admit multiples of p.
         """
         energy, pressure = found.elastic_energy, found.mean_pressure
         bound = 2 * energy * max(found.certified_error, FINEST)

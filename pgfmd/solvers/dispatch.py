@@ -36,9 +36,9 @@ def solve_contact(
 
     start: a pressure (nx_local, ny) to begin with instead of coarse grids; it is ignored if its sum is 0 or not finite.
     If the method fails, it is tried once more without the start; if that fails and the method is "auto", dynamics are
-    tried.  monitor(grid, state): called after outer steps.  overwrite_heights: their memory is used, and they are lost;
-    then nothing is tried again.  Raises InputError for a method that the law does not take and for values out of range,
-    SolverError if the tolerance cannot be reached.
+    tried (neither if rounding alone keeps the error above the tolerance).  monitor(grid, state): called after outer
+    steps.  overwrite_heights: their memory is used, and they are lost; then nothing is tried again.  Raises InputError
+    for a method that the law does not take and for values out of range, SolverError if the tolerance cannot be reached.
     """
     options.check_law(problem.law)
     start = _usable(problem, start)

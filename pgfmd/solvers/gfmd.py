@@ -1,9 +1,9 @@
 """Green's function molecular dynamics: damped dynamics of the displacement's Fourier modes against a wall.
 
 After Campañá and Müser 2006 (doi:10.1103/PhysRevB.74.075420).  Mode by mode the displacement moves with its force,
-m(q) du(q)/dt = f(q) − K(q) u(q), in a mass m(q) = K(q) + κ that gives all modes one time scale, the time step.
+m(q) du(q)/dt = f(q) − K(q) u(q), with a damping m(q) = K(q) + κ that gives all modes one time scale, the time step.
 
-A hard wall that only pushed points out of itself would be consistent with the forces only if all modes had one mass.
+A hard wall that only pushed points out of itself would be consistent with the forces only if all modes had one damping.
 Here the wall is a spring κ with a force f of its own, which each step sets to the solution of
 
     f/κ − gap(f) = f_old/κ − gap + c       (gap(f): that of the law; for hard walls, a projection onto f ≥ 0)
@@ -67,8 +67,9 @@ class Dynamics:
         self.displacement, self.force = np.zeros(self.grid.local_shape), np.ones(self.grid.local_shape)
 
     def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> WallState:
-        """Steps until the certified error is at most `tolerance`; after `max_steps`, SolverError, or Uncertifiable if
-        rounding keeps it above.  Collective.
+        """Steps until the certified error is at most `tolerance`.  Collective.
+
+        Raises SolverError after `max_steps`, Uncertifiable as soon as only rounding keeps the error above.
         """
         state = WallState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
         level, best = 0.0, math.inf

@@ -42,7 +42,7 @@ class Dimensionless:
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
         self._transforms = grid.transforms
-        self._heights = made = dimensionless(physical, overwrite_heights)
+        self._heights = made = dimensionless_heights(physical, overwrite_heights)
         heights, height = made.field, made.unit
         self.uniform: ContactSolution | None = None
         if physical.mean_pressure == 0 or made.rms * UNIFORM <= law.range:
@@ -185,7 +185,7 @@ class Heights(NamedTuple):
     depth: float
 
 
-def dimensionless(problem: ContactProblem, overwrite: bool = False) -> Heights:
+def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> Heights:
     """Dimensionless heights, in a new array or, if `overwrite` and no point is raised, in that of the physical ones.
     Collective.
 

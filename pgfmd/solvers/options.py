@@ -78,7 +78,7 @@ class Load(Section):
     )
 
     def check(self) -> None:
-        """Exactly one list is given, and only its tolerance."""
+        """Exactly one list is given."""
         given = [name for name in CONTROLS if getattr(self, name) is not None]
         if len(given) != 1:
             found = f"found {' and '.join(given)}" if given else "found none"

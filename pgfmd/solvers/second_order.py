@@ -63,7 +63,7 @@ def spectral_dot(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float:
 class Rounding:
     """What rounding on one grid may cost.  Collective to make.
 
-    Rounding errors of transforms are white, in the input and in the output.  So ½‖e‖²_K is the mean of K over all modes
+    Rounding errors of transforms are white, in the input and in the output.  So ‖e‖²_K is the mean of K over all modes
     times the squared error of the displacement, plus the mean of G times that of the pressure, plus the rounding of the
     heights themselves, in double precision.
 

@@ -6,7 +6,8 @@
 - `bearing`: contact by cutting a Gaussian surface at a height
 - `exponential`: linear response of an exponential wall
 - `hertz`: one parabolic asperity, free and on a periodic cell
-- `exact`: exact solutions of periodic contact (Westergaard, 2-D sinusoid, strip punch)
+- `exact`: exact solutions of periodic contact (Westergaard, strip punch); limits and a table for the 2-D sinusoid
+- `lattice_edge`: the edge of a contact between the points of a grid
 
 A spectrum is handed over as in the result files: wave numbers q (m,), ascending; `power` (m,), the mean |h̃|² of a mode
 (h̃ the Fourier coefficient, so that a sum over all modes is a mean over the surface); and `count` (m,), the number of

@@ -95,8 +95,8 @@ def _integrate_summits(separation: float, moments: SpectralMoments, contact_modu
     """Area fraction and pressure at one separation: over z beyond d, over t given z, over r given t."""
     m0, m2, m4 = moments.m0, moments.m2, moments.m4
     nodes, weights = np.polynomial.legendre.leggauss(80)
-    # Heights up to where exp(−z²/2m₀) has fallen to 1e-20 of its largest value; z = d + x², smooth also for x^{3/2}.  A
-    # break at z = 0, where summits set in as α → 3/2.
+    # Heights up to where exp(−z²/2m₀) has fallen to 1e-20 of its largest value; z = d + x², so
+    # that (z − d)^{3/2} is smooth in x.  A break at z = 0, where summits set in as α → 3/2.
     top = np.sqrt(92 * m0 + max(separation, 0) ** 2)
     breaks = np.sqrt(np.array([separation, top] if separation >= 0 else [separation, 0, top]) - separation)
     half = np.diff(breaks)[:, None] / 2

@@ -1,8 +1,8 @@
-"""Exact solutions of periodic contact with a hard wall: wavy surface, 2-D sinusoid, strip punch.
+"""Periodic contact with a hard wall: exact solutions (wavy surface, strip punch), limits and a table (2-D sinusoid).
 
 Heights h = Δ cos(2πx/λ) (Westergaard 1939; Johnson, Contact Mechanics, section 13.2, doi:10.1017/CBO9781139171731) and
 h = Δ cos(2πx/λ) cos(2πy/λ) (Johnson, Greenwood & Higginson 1985, doi:10.1016/0020-7403(85)90029-3).
-Pressures are means over the cell; f = p̄/p* with p* the mean pressure at which contact becomes full.
+p̄ is the mean pressure over the cell, p* that at which contact becomes full, f = p̄/p*.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ class SelfAffine:
 
 
 def _power_integral(exponent: Reals, start: Reals, stop: Reals) -> Reals:
-    """∫ q^exponent dq, zero where stop ≤ start; exact through the logarithm that exponent = −1 gives."""
+    """∫ q^exponent dq, zero where stop ≤ start; accurate also at and near exponent = −1, where it is a logarithm."""
     logarithm = np.log(np.maximum(stop, start) / start)
     growth = (exponent + 1) * logarithm
     # (e^g − 1)/g tends to 1: the series spares the division where g is zero or tiny

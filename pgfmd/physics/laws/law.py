@@ -39,11 +39,12 @@ class ContactLaw(Section):
 
     methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
     releases: whether the mean pressure may be 0; otherwise it must be positive.
+
+    `respond`, `moments`, `excess` and `finish` are called on the law that `in_units` returns: p and g are then p̂ and ĝ.
     """
 
     where: ClassVar[str] = "wall"
     methods: ClassVar[tuple[str, ...]] = ()
-    convex: ClassVar[bool] = True
     releases: ClassVar[bool] = True
 
     @property
