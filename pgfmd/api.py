@@ -232,7 +232,8 @@ def _solve(
     if not shown:
         return solve_contact(problem, options, start)
     label, before = f"pressure {problem.mean_pressure:.4g}", grid.transforms
-    bar = Progress(grid.comm.rank, label, grid.shape, tolerance)
+    bar = Progress(grid.comm.rank, 1, grid.shape, tolerance)
+    bar.begin(label)
 
     def see(level: SlabGrid, state: State) -> None:
         bar.step(level.shape, state.error, state.contact / level.size, grid.transforms - before)
@@ -240,7 +241,7 @@ def _solve(
     try:
         return solve_contact(problem, options, start, see)
     finally:
-        bar.close()
+        bar.hide()
 
 
 def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:

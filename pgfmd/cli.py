@@ -100,7 +100,10 @@ def _parser() -> argparse.ArgumentParser:
 
     info = commands.add_parser("info", help="what was run, and the table of loads", allow_abbrev=False)
     info.add_argument("directory", metavar="DIR")
-    info.add_argument("--verify", action="store_true", help="read every file, and say which are damaged")
+    how = info.add_mutually_exclusive_group()
+    how.add_argument("--verify", action="store_true", help="read every file, and say which are damaged")
+    how.add_argument("--csv", action="store_true", help="the table of loads in full precision, separated by commas")
+    how.add_argument("--json", action="store_true", help="the job, where it ran, and the table of loads")
     commands.add_parser("plot", help="draw a figure of result folders; without arguments: the list of figures")
     return parser
 
@@ -143,6 +146,8 @@ def _info(options: argparse.Namespace) -> str:
     from pgfmd.io import results
 
     found = results.Results(options.directory)
+    if options.csv or options.json:
+        return results.as_csv(found) if options.csv else results.as_json(found)
     if not options.verify:
         return results.summary(found)
     faults = results.damage(found)
@@ -221,11 +226,26 @@ def _complain(error: BaseException) -> int:
 
 def _log_on_root(rank: int) -> None:
     """Log messages of rank 0 to stderr, with the time, warnings of libraries among them; silence on the others."""
+    from pgfmd.operation.progress import STEP, updates
+
     warnings.showwarning = lambda message, kind, *_: log.warning("%s: %s", kind.__name__, message)
     log = logging.getLogger("pgfmd")
-    log.setLevel(logging.INFO if rank == 0 else logging.CRITICAL + 1)
+    log.setLevel(STEP if rank == 0 else logging.CRITICAL + 1)
     log.propagate = False
     if not log.handlers:
-        handler = logging.StreamHandler()
+        handler = _Terminal()
+        handler.setLevel(logging.INFO if updates() else STEP)
         handler.setFormatter(logging.Formatter("%(asctime)s  %(message)s", "%H:%M:%S"))
         log.addHandler(handler)
+
+
+class _Terminal(logging.StreamHandler):
+    """Lines on stderr, above a line of progress that may be there."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        from tqdm import tqdm
+
+        try:
+            tqdm.write(self.format(record), file=sys.stderr)
+        except Exception:  # as logging does it: the run goes on
+            self.handleError(record)

@@ -15,7 +15,7 @@ import numpy as np
 from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
-from pgfmd.io.provenance import Origin
+from pgfmd.io.provenance import Origin, command_line
 from pgfmd.io.writer import Form, Mode, ResultWriter
 from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
@@ -23,6 +23,7 @@ from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
 from pgfmd.operation import machine, preflight
 from pgfmd.operation.estimate import estimate
+from pgfmd.operation.log_file import LogFile
 from pgfmd.operation.progress import Progress
 from pgfmd.operation.stop import Interruptions
 from pgfmd.parallel.mpi import MPI
@@ -55,6 +56,7 @@ def simulate(
     )
     mode: Mode = "overwrite" if overwrite else "restart" if restart else "new"
     with (
+        LogFile(comm.rank) as log_file,
         ResultWriter(comm, directory, origin, form, mode) as writer,
         Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
     ):
@@ -67,7 +69,7 @@ def simulate(
         control = LoadControl(job.load, problem, job.solver.tolerance)
         control.check_targets(job.load.targets)
         checkpoints = Checkpoints(
-            comm, directory, grid.shape, grid.rows, as_toml(dataclasses.replace(job, run=Run()))
+            comm, directory, grid.shape, grid.rows, of_first_load(job)
         )  # fmt: skip
         with phases("write"):
             if writer.replacing:  # earlier results and their checkpoint stay until the first load is written
@@ -75,14 +77,17 @@ def simulate(
             elif writer.earlier.job is None:
                 checkpoints.remove()
             writer.begin()
+            log_file.open(writer.directory, f"{command_line()}, on {comm.size} rank{'s' * (comm.size > 1)}")
             if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_field("height", heights)
-        steps = _Steps(job, grid, interruptions, checkpoints)
+        pending, unreachable, count = writer.pending, {}, len(job.load.targets)
+        progress = Progress(comm.rank, len(pending), grid.shape, job.solver.tolerance)
+        steps = _Steps(grid, interruptions, checkpoints, progress)
         control.solver = partial(solve, job, steps)
-        pending, unreachable = writer.pending, {}
         for index in pending:
             target = job.load.targets[index]
             try:
+                progress.begin(f"load {index + 1}/{count}")
                 with phases("solve"), steps.of_load(index):
                     start = checkpoints.load(index)
                     interruptions.load_begins(resumed=start is not None)
@@ -91,6 +96,7 @@ def simulate(
                     steps.solved(solution)
             except Unreachable as failure:
                 unreachable[index] = failure
+                progress.end()
                 continue
             with phases("observe"):
                 contact = observer.contact(solution)
@@ -101,7 +107,8 @@ def simulate(
                 checkpoints.remove()
             interruptions.load_done()
             interruptions.resumption = "--restart"
-            _report(comm, index, len(job.load.targets), row, groups.get("discretisation"))
+            progress.end()
+            _report(progress, row, groups.get("discretisation"))
         if unreachable and len(unreachable) == len(pending):  # nothing was solved: earlier results stay
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:
@@ -109,6 +116,11 @@ def simulate(
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
     if unreachable:
         raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")
+
+
+def of_first_load(job: Job) -> str:
+    """The job as a checkpoint knows it: [run] does not count, and loads after the first may be added."""
+    return as_toml(dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1])))
 
 
 def make_elasticity(job: Job) -> Elasticity:
@@ -130,23 +142,22 @@ class _Steps:
     """What happens between two steps of a solver: progress is shown, checkpoints are written, the run may stop."""
 
     index: int
-    progress: Progress
 
-    def __init__(self, job: Job, grid: SlabGrid, interruptions: Interruptions, checkpoints: Checkpoints):
-        self.count, self.tolerance = len(job.load.targets), job.solver.tolerance
-        self.grid, self.interruptions, self.checkpoints = grid, interruptions, checkpoints
+    def __init__(
+        self, grid: SlabGrid, interruptions: Interruptions, checkpoints: Checkpoints, progress: Progress
+    ) -> None:
+        self.grid, self.interruptions, self.checkpoints, self.progress = grid, interruptions, checkpoints, progress
         self.transforms = 0.0
 
     @contextmanager
     def of_load(self, index: int) -> Iterator[None]:
         """While load number `index` is solved.  Collective."""
         self.index, self.transforms = index, self.grid.transforms
-        self.progress = Progress(self.grid.comm.rank, f"load {index + 1}/{self.count}", self.grid.shape, self.tolerance)
         self.interruptions.between_steps()
         try:
             yield
         finally:
-            self.progress.close()
+            self.progress.hide()
 
     def see(self, mean_pressure: float, grid: SlabGrid, state: State) -> None:
         """Monitors a solver's steps at that load, on the job's grid or a coarser one.  Collective over the ranks that
@@ -170,13 +181,13 @@ class _Steps:
         self.checkpoints.save(self.index, unit * pressure)
 
 
-def _report(comm: MPI.Comm, index: int, count: int, row: dict, errors: Mapping | None) -> None:
-    if comm.rank == 0:
+def _report(progress: Progress, row: dict, errors: Mapping | None) -> None:
+    if progress.active:
         bar = "" if errors is None else f" ± {errors['contact_area_corrected_error']:.5f}"
         log.info(
-            "load %d/%d  pressure %.6g  area %.5f (corrected %.5f%s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s",
-            index + 1, count, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], bar,
-            row["kappa"], row["certified_error"], row["transforms"], row["seconds"],
+            "%s  pressure %.6g  area %.5f (corrected %.5f%s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s%s",
+            progress.label, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], bar,
+            row["kappa"], row["certified_error"], row["transforms"], row["seconds"], progress.left(),
         )  # fmt: skip
 
 

@@ -135,7 +135,6 @@ REFUSED = {
     "load.pressure=-0.1": "load.pressure = -0.1: must be a list that is not empty, of: a number ≥ 0",
     "load.pressure=[]": "load.pressure = []: must be a list that is not empty",
     'load.pressure=["a"]': 'load.pressure = ["a"]: must be',
-    "load.contact_area=[0.1]": "exactly one of pressure, contact_area, mean_gap, displacement; found pressure and cont",
     "solver.method=newton": 'solver.method = "newton": must be one of auto, active-set, gfmd for wall.kind = "hard"',
     "solver.tolerance=0": "solver.tolerance = 0: must be a number > 0 and < 1",
     "output.fields=[gap, gap]": "output.fields = ",

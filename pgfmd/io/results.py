@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import math
 import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -271,6 +275,41 @@ def table(results: Results) -> str:
     bars = [dict(load[BARS]) if BARS in load else {} for load in results]
     errors = {name: np.array([float(bar.get(f"{name}_error", np.nan)) for bar in bars]) for name in results.loads}
     return aligned(results.loads, results.units, errors)
+
+
+def as_csv(results: Results) -> str:
+    """The table of loads, one line each after one of names, in full precision, with the errors that were measured."""
+    rows = [{"load": load.index, **load.numbers} for load in results]
+    names = list(dict.fromkeys(name for row in rows for name in row)) or ["load", *results.loads]
+    lines = io.StringIO()
+    table = csv.DictWriter(lines, names, restval="nan", lineterminator="\n")
+    table.writeheader()
+    table.writerows(rows)
+    return lines.getvalue().rstrip("\n")
+
+
+def as_json(results: Results) -> str:
+    """What was run, where, how far, and the rows of the table of loads; null for what was not measured or is not
+    finite.
+    """
+
+    def known(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: known(entry) for name, entry in value.items()}
+        if isinstance(value, list):
+            return [known(entry) for entry in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    found = {
+        "folder": str(results.directory),
+        "status": results.status,
+        "provenance": results.provenance,
+        "job": results.job,
+        "seconds": results.phases,
+        "units": results.units,
+        "loads": [load.numbers for load in results],
+    }
+    return json.dumps(known(found), ensure_ascii=False, indent=2)
 
 
 def aligned(

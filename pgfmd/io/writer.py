@@ -328,6 +328,7 @@ class ResultWriter:
                 f"{name} {self._provenance[name]}" for name in ("date", "commit", "host", "ranks", "threads")
             )
             file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
+            file.attrs.update({name: self._provenance[name] for name in ("job_toml", "effective_toml")})
         group = file.require_group("loads")
         if "load" not in group:
             numbers = np.arange(self.completed)

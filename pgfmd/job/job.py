@@ -82,12 +82,15 @@ def parse(
         raise InputError(f"{printable(name, 400)}: not valid TOML: nested too deeply") from None
     except ValueError as error:
         raise InputError(f"{printable(name, 400)}: not valid TOML: {printable(str(error), 200)}") from None
-    overridden = set()
+    overridden: set[str] = set()
     try:
         if folder is not None:
             _anchor(document, folder)
-        for entry in overrides:
-            overridden.add(_override(document, entry))
+        changes = {dotted: (value, entry) for dotted, value, entry in map(_change, overrides)}
+        overridden |= changes.keys()
+        _make_way(document, {dotted: value for dotted, (value, _) in changes.items()})
+        for dotted, (value, entry) in changes.items():
+            _override(document, dotted, value, entry)
         sections: dict[str, Any] = {}
         for section, table in document.items():
             if section not in SECTIONS:
@@ -109,11 +112,10 @@ MISSING = {
 }
 
 
-def _override(document: dict, entry: str) -> str:
-    """Put "section.key=value" into the document; the dotted key.  A value that is not TOML is taken as a text."""
+def _change(entry: str) -> tuple[str, Any, str]:
+    """(dotted key, value, entry) of "section.key=value".  A value that is not TOML is taken as a text."""
     dotted, equals, value = entry.partition("=")
-    dotted = dotted.strip()
-    *tables, last = names = dotted.split(".")
+    names = dotted.strip().split(".")
     if not equals or len(names) < 2 or not all(names):
         raise InputError(f"--set {printable(entry, 200)}: must be section.key=value")
     try:
@@ -121,12 +123,36 @@ def _override(document: dict, entry: str) -> str:
         parsed: Any = table["value"] if len(table) == 1 else value.strip()
     except (ValueError, RecursionError):
         parsed = value.strip()
+    return dotted.strip(), parsed, entry
+
+
+def _make_way(document: dict, changes: Mapping[str, Any]) -> None:
+    """Remove from the document what changes replace: keys that the new kind of a section does not have, and what was
+    imposed if something else is to be.
+    """
+    for dotted, value in changes.items():
+        section, _, name = dotted.partition(".")
+        table, kinds = document.get(section), SECTIONS.get(section)
+        if not isinstance(table, dict):
+            continue
+        unwanted: set[str] = set()
+        if name == "kind" and isinstance(kinds, Kinds) and (keys := kinds.keys(value)) is not None:
+            unwanted = table.keys() - keys
+        elif section == "load" and name in CONTROLS:
+            unwanted = set(CONTROLS)
+        for other in unwanted - {"kind"}:
+            if f"{section}.{other}" not in changes:
+                table.pop(other, None)
+
+
+def _override(document: dict, dotted: str, value: Any, entry: str) -> None:
+    """Put a value into the document."""
+    *tables, last = dotted.split(".")
     for position, name in enumerate(tables):
         document = document.setdefault(name, {})
         if not isinstance(document, dict):
             raise InputError(f"--set {printable(entry, 200)}: {'.'.join(tables[: position + 1])} is not a table")
-    document[last] = os.path.abspath(parsed) if dotted == "surface.path" and isinstance(parsed, str) else parsed
-    return dotted
+    document[last] = os.path.abspath(value) if dotted == "surface.path" and isinstance(value, str) else value
 
 
 def _anchor(document: dict, folder: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from pgfmd import __version__
@@ -14,14 +15,19 @@ from pgfmd.options.text import printable
 
 
 def refuse_changes(job: Job, origin: Origin, earlier: EarlierResults, directory: Path) -> None:
-    """Raise InputError unless earlier results are of the same job, the same inputs and the same version."""
+    """Raise InputError unless earlier results are of the same job, the same inputs and the same version; loads may have
+    been added to the end of the list.
+    """
     if earlier.job is None:
         return
     cannot = f"{directory}: cannot be continued"
     this = f"{__version__}, format {FORMAT_VERSION}"
     if earlier.version != this:
         raise InputError(f"{cannot}: it was written by pgfmd {earlier.version}; this is {this}")
-    changed = differences(parse(earlier.job, "results"), job)
+    before = parse(earlier.job, "results")
+    if before.load.control == job.load.control and before.load.targets == job.load.targets[: len(before.load.targets)]:
+        before = dataclasses.replace(before, load=before.load.imposing(job.load.targets))
+    changed = differences(before, job)
     if changed:
         raise InputError(f"{cannot}, the job differs: {'; '.join(changed)}")
     other = [path for path, digest in origin.inputs.items() if earlier.inputs.get(path, digest) != digest]

@@ -99,6 +99,11 @@ class Kinds:
             found = [self.default, *self.choices]
         return max(found, key=lambda choice: (_fits(choice, table), -len(dataclasses.fields(choice))))
 
+    def keys(self, kind: Any) -> set[str] | None:
+        """The keys of the sections of that kind; None if there is no such kind."""
+        found = [set(_names(choice)) for choice in self.choices if choice.kind == kind]
+        return set().union(*found) if found else None
+
     def others(self, name: str, table: Mapping[str, Any]) -> list[str]:
         """The kinds of sections, other than the chosen one, that have the key `name`."""
         return [choice.kind for choice in self.choices if name in _names(choice) and choice is not self.choose(table)]

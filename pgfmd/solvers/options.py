@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import TRANSFORMS
@@ -103,6 +103,11 @@ class Load(Section):
     def targets(self) -> tuple[float, ...]:
         """The values imposed."""
         return getattr(self, self.control)
+
+    def imposing(self, targets: tuple[float, ...]) -> Load:
+        """The same with other values imposed."""
+        values: dict[str, Any] = {self.control: targets}
+        return replace(self, **values)
 
 
 CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement")

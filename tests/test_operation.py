@@ -1,0 +1,187 @@
+"""How a run is handled: more loads, other kinds, numbers for other programs, a log beside the results, time left."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+
+import numpy as np
+import pytest
+
+from pgfmd.cli import main
+from pgfmd.errors import InputError
+from pgfmd.io.results import Results
+from pgfmd.job.job import load, parse
+from pgfmd.operation import progress
+from pgfmd.operation.log_file import LOG_FILE
+from pgfmd.operation.progress import Progress
+from pgfmd.simulate import simulate
+
+JOB = """
+[grid]
+n = [32, 30]
+[surface]
+kind = "self-affine"
+hurst = 0.8
+lambda_s = 6.0
+rms_slope = 0.1
+[load]
+{control} = {values}
+[solver]
+tolerance = 1e-18
+[output]
+fields = ["height", "pressure"]
+observables = ["discretisation"]
+"""
+
+
+def job_of(control: str, values: list[float]):
+    """A job with these values imposed."""
+    return parse(JOB.format(control=control, values=values))
+
+
+@pytest.fixture
+def told(comm):
+    """Messages of a run are logged on rank 0, as by the command line."""
+    log = logging.getLogger("pgfmd")
+    before = log.level
+    log.setLevel(logging.INFO if comm.rank == 0 else logging.CRITICAL + 1)
+    yield
+    log.setLevel(before)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("control", ["pressure", "contact_area"])
+def test_loads_are_added_to_a_run(comm, shared_tmp_path, control):
+    """--restart with more values at the end of the list solves those alone: what was written stays byte for byte, the
+    results are those of a run of all of them (each certified to 1e-18: pressures agree to 1e-7), and their job is the
+    longer one.  The first job is then refused, as is one that changes an earlier value."""
+    values, folder = [0.01, 0.03, 0.05, 0.02], shared_tmp_path / "out"
+    simulate(job_of(control, values[:2]), comm, folder)
+    comm.Barrier()
+    first = {path.name: path.read_bytes() for path in (folder / "fields").iterdir()}
+    comm.Barrier()
+    simulate(job_of(control, values), comm, folder, restart=True)
+    simulate(job_of(control, values), comm, shared_tmp_path / "whole")
+    comm.Barrier()
+    found, whole = Results(folder), Results(shared_tmp_path / "whole")
+    assert (found.status, len(found), found.job["load"][control]) == ("complete", 4, values)
+    assert found.provenance["loads_requested"] == 4
+    assert all((folder / "fields" / name).read_bytes() == content for name, content in first.items())
+    for index in range(4):
+        expected = whole.field("pressure", index)
+        np.testing.assert_allclose(found.field("pressure", index), expected, atol=1e-7 * expected.max())
+    for other in (values[:2], [0.01, 0.031, 0.05, 0.02]):
+        with pytest.raises(InputError, match=f"the job differs: load.{control}"):
+            simulate(job_of(control, other), comm, folder, restart=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (["load.contact_area=[0.1]", "wall.kind=hard"], {"contact_area": (0.1,), "pressure": None}),
+        (["surface.radius=7", "surface.kind=paraboloid"], {"radius": 7.0, "kind": "paraboloid"}),
+        (["wall.kind=hardness", "wall.hardness=0.2"], {"hardness": 0.2}),
+        (["surface.kind=sinusoid", "surface.amplitude=2", "load.mean_gap=[1]"], {"amplitude": 2.0, "mean_gap": (1,)}),
+    ],
+)
+def test_set_replaces_one_kind_by_another(tmp_path, changes, expected):
+    """--set of another control, surface or wall removes what belongs to the one in the file; the order is free."""
+    text = JOB.format(control="pressure", values=[0.1]) + '[wall]\nkind = "exponential"\nzeta = 0.5\n'
+    (tmp_path / "job.toml").write_text(text)
+    job = load(tmp_path / "job.toml", changes)
+    for name, value in expected.items():
+        (owner,) = [part for part in (job.surface, job.wall, job.load) if hasattr(part, name)][:1]
+        assert getattr(owner, name) == value
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["load.contact_area=[0.1]", "load.pressure=[0.1]"], "exactly one of"),
+        (["surface.kind=paraboloid", "surface.radius=7", "surface.hurst=0.8"], "surface.hurst = 0.8: belongs to"),
+        (["surface.kind=parabola"], "surface.kind = \"parabola\": must be one of"),
+        (["surface.radius=7"], "surface.radius = 7: belongs to kind = \"paraboloid\" only"),
+    ],
+)  # fmt: skip
+def test_set_itself_must_fit_together(changes, message):
+    """Two controls, or keys of two kinds, given by --set are refused; so is a key of a kind that is not chosen."""
+    with pytest.raises(InputError, match=message):
+        parse(JOB.format(control="pressure", values=[0.1]), overrides=changes)
+
+
+def test_numbers_for_other_programs(comm, tmp_path, capsys):
+    """`info --csv` and `--json` give every number of the table to its last bit, with its error; JSON has null where
+    there is none, and the job."""
+    simulate(job_of("pressure", [0.01, 0.0]), comm, tmp_path / "out")
+    found = Results(tmp_path / "out")
+    assert main(["info", "--csv", str(tmp_path / "out")]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert main(["info", "--json", str(tmp_path / "out")]) == 0
+    told = json.loads(capsys.readouterr().out, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+    assert told["job"]["load"]["pressure"] == [0.01, 0.0] and told["job"]["solid"]["thickness"] is None
+    assert told["status"] == "complete" and "HDF5" in told["provenance"]["libraries"]
+    for index, (row, entry) in enumerate(zip(rows, told["loads"], strict=True)):
+        assert row["load"] == str(index) and "contact_area_corrected_error" in row
+        for name, values in found.loads.items():
+            np.testing.assert_equal(float(row[name]), float(values[index]))
+            expected = values[index].item() if np.isfinite(values[index]) else None
+            assert entry[name] == expected
+
+
+@pytest.mark.mpi
+def test_the_log_is_kept(comm, shared_tmp_path, told):
+    """DIR/run.log holds what rank 0 logged, from the first line on, and why a run ended; a restart adds to it; a run
+    that is refused leaves it alone, and makes none."""
+    folder = shared_tmp_path / "out"
+    simulate(job_of("pressure", [0.01]), comm, folder)
+    comm.Barrier()
+    first = (folder / LOG_FILE).read_text()
+    assert "MPI: " in first and "load 1/1  pressure 0.01" in first and f"on {comm.size} rank" in first
+    comm.Barrier()
+    for _ in range(2):
+        with pytest.raises(InputError):
+            simulate(job_of("pressure", [0.02]), comm, folder, restart=True)
+        with pytest.raises(InputError):
+            simulate(job_of("displacement", [1e300]), comm, shared_tmp_path / "refused")
+    comm.Barrier()
+    assert (folder / LOG_FILE).read_text() == first and not (shared_tmp_path / "refused").exists()
+    comm.Barrier()
+    simulate(job_of("pressure", [0.01, 0.02]), comm, folder, restart=True)
+    comm.Barrier()
+    text = (folder / LOG_FILE).read_text()
+    assert text.startswith(first) and text.count("load 2/2  pressure 0.02") == 1
+    assert not logging.getLogger("pgfmd").handlers or comm.rank == 0
+
+
+def test_time_left(monkeypatch, caplog):
+    """After 1 of 4 loads in 10 s, and half of the decades of the second in 5 more, 25 s are left; before the first is
+    done nothing is said; without a terminal each step is a line of the log."""
+    seconds = [0.0]
+    shown = Progress(0, 4, (8, 8), 1e-8, clock=lambda: seconds[0])
+    shown.begin("load 1/4")
+    assert shown.left() == ""
+    seconds[0] = 10.0
+    shown.end()
+    shown.begin("load 2/4")
+    seconds[0] = 15.0
+    caplog.set_level(progress.STEP, "pgfmd")
+    monkeypatch.setattr(logging.getLogger("pgfmd"), "propagate", True)
+    shown.step((4, 4), 1e-6, 0.5, 1.0)  # of a coarser grid
+    shown.step((8, 8), 1e-4, 0.5, 1.0)
+    assert shown.left() == "; about 25 s left"
+    assert [record.message.split()[:4] for record in caplog.records] == [["load", "2/4", "error", "1.0e-04"]]
+
+
+def test_one_updating_line_on_a_terminal(monkeypatch, capsys):
+    """On a terminal the steps of a load update one line, which is cleared in the end."""
+    monkeypatch.setattr(progress, "updates", lambda: True)
+    shown = Progress(0, 1, (8, 8), 1e-8)
+    shown.begin("load 1/1")
+    for error in (1e-2, 1e-6):
+        shown.step((8, 8), error, 0.5, 1.0)
+    shown.hide()
+    written = capsys.readouterr().err
+    assert "\n" not in written and written.count("\r") > 2 and "error 1.0e-06" in written
