@@ -4,13 +4,15 @@ import time
 
 import numpy as np
 import pytest
-from mpi4py import MPI
 from mpi4py_fft import PFFT, newDistArray
 
 from pgfmd.errors import InputError
+from pgfmd.grid import sub_grid
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import Interpolation, restrict
-from pgfmd.parallel.collectives import fetch_rows, slab
+from pgfmd.parallel.collectives import slab_starts
+from pgfmd.parallel.layout import Layout
 
 pytestmark = pytest.mark.mpi
 
@@ -108,10 +110,10 @@ def test_more_ranks_than_rows_are_refused_by_all(comm):
 def test_fetch_rows_wraps_and_repeats(comm):
     """Any periodic range of rows arrives, also one longer than the period, different on each rank."""
     whole = field((11, 3))
-    starts = np.array([slab(11, comm.size, rank).start for rank in range(comm.size)] + [11])
-    mine = whole[starts[comm.rank] : starts[comm.rank + 1]].copy()
+    layout = Layout(comm, slab_starts(11, comm.size))
+    mine = whole[layout.rows].copy()
     for first, stop in ((-3 - comm.rank, 5), (4, 4), (9, 9 + 25 + comm.rank), (-30, -2)):
-        assert np.array_equal(fetch_rows(comm, mine, starts, first, stop), whole[np.arange(first, stop) % 11])
+        assert np.array_equal(layout.fetch(mine, first, stop), whole[np.arange(first, stop) % 11])
 
 
 def test_a_slow_rank_gets_its_rows(comm):
@@ -150,28 +152,30 @@ def test_rows_cross_the_ranks(comm, shared, shape, dtype):
 
 
 @pytest.mark.parametrize(("fine", "coarse"), [((64, 48), (32, 24)), ((33, 30), (17, 15)), ((37, 41), (19, 21))])
-@pytest.mark.parametrize("replicated", [True, False])
-def test_restriction_keeps_the_long_waves(comm, fine, coarse, replicated):
-    """Waves that both grids resolve come through exactly, shorter ones vanish."""
+@pytest.mark.parametrize("least", [1, 16])
+def test_restriction_keeps_the_long_waves(comm, monkeypatch, fine, coarse, least):
+    """Waves that both grids resolve come through exactly, shorter ones vanish; on any number of ranks."""
+    monkeypatch.setattr(sub_grid, "SMALL", 0)
     big = SlabGrid(comm, fine, (3.0, 4.0))
-    small = SlabGrid(MPI.COMM_SELF if replicated else comm, coarse, (3.0, 4.0))
+    small = SubGrid(big, coarse, big.lengths, least)
 
     def waves(grid, also):
-        x = np.arange(grid.shape[0])[grid.rows, None] / grid.shape[0]
+        x = np.arange(grid.shape[0])[grid.layout.rows, None] / grid.shape[0]
         y = np.arange(grid.shape[1])[None, :] / grid.shape[1]
         long = 2 + np.cos(2 * np.pi * (3 * x - 2 * y) + 0.3) + np.sin(2 * np.pi * 5 * x)
         return long + (np.cos(2 * np.pi * (fine[0] // 2 - 1) * x) if also else 0)
 
-    assert np.abs(restrict(big, small, waves(big, True)) - waves(small, False)).max() < 1e-12
+    assert np.abs(restrict(big, small, waves(big, True)) - waves(small, False)).max(initial=0) < 1e-12
 
 
 @pytest.mark.parametrize("shape", [(35, 29), (32, 24)])
 def test_interpolation_is_exact_for_cubics(comm, shape):
     """Cubic interpolation reproduces cubics away from the wrap, for any ratio of points."""
-    coarse, fine = SlabGrid(comm, (16, 12), (1.0, 1.0)), SlabGrid(comm, shape, (1.0, 1.0))
+    fine = SlabGrid(comm, shape, (1.0, 1.0))
+    coarse = SubGrid(fine, (16, 12), fine.lengths)
 
     def values(grid, power):
-        x = np.arange(grid.shape[0])[grid.rows, None] / grid.shape[0]
+        x = np.arange(grid.shape[0])[grid.layout.rows, None] / grid.shape[0]
         y = np.arange(grid.shape[1])[None, :] / grid.shape[1]
         return (1 + x) ** power * (2 - y) ** power
 

@@ -146,7 +146,7 @@ def test_scale_modes(rng):
 
 
 def test_blocks(points, rng):
-    """Sums over blocks of pixels, and a value per block added to the points in it."""
+    """Sums over blocks of pixels, and a value per block subtracted from the points in it; of rows that exist only."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
     row_block, column_block = np.arange(9) // 3, np.arange(7) // 3
@@ -154,14 +154,17 @@ def test_blocks(points, rng):
     set_kernels.block_sums(values, (columns, offsets), (0, 9), 3, column_block, sums)
     np.add.at(expected, (rows // 3, columns // 3), values)
     assert np.allclose(sums, expected, rtol=1e-14)
+    beyond = np.zeros((5, 3))
+    set_kernels.block_sums(values, (columns, offsets), (-3, 12), 3, column_block, beyond)
+    assert np.array_equal(beyond[1:4], sums) and not beyond[[0, 4]].any()
     out = np.zeros_like(values)
-    set_kernels.add_blocks(values, sums, (columns, offsets), (0, 9), (row_block, column_block), out)
-    assert np.allclose(out, values + sums[rows // 3, columns // 3], rtol=1e-14)
+    set_kernels.subtract_blocks(values, sums, (columns, offsets), (0, 9), (row_block, column_block), out)
+    assert np.allclose(out, values - sums[rows // 3, columns // 3], rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize("start", [0, 5])
 def test_blocks_of_blocks(start, rng):
-    """Sums over blocks of a slab that begins anywhere, what is left of values less their mean, and shares added."""
+    """Sums over blocks of a slab that begins anywhere, values less their mean, and shares subtracted."""
     field, shares, weights, means = rng.random((9, 7)), rng.random((9, 7)), rng.random((9, 7)), rng.random((5, 3))
     sums, expected = np.zeros((5, 3)), np.zeros((5, 3))
     rows, columns = (start + np.arange(9)) // 3, np.arange(7) // 3
@@ -171,9 +174,9 @@ def test_blocks_of_blocks(start, rng):
     mean, out = means[rows[:, None], columns], np.empty((9, 7))
     kernels.rest_in_blocks((field, shares, weights), means, start, 3, out)
     assert np.allclose(out, weights * (field * shares - mean), rtol=1e-13, atol=1e-15)
-    expected = field + shares * mean
-    kernels.add_from_blocks(means, shares, start, 3, field)
-    assert np.allclose(field, expected, rtol=1e-14)
+    expected = field - shares * mean
+    kernels.subtract_blocks(means, shares, start, 3, field)
+    assert np.allclose(field, expected, rtol=1e-14, atol=1e-15)
 
 
 def test_sums_and_differences_of_two_precisions(rng):

@@ -225,8 +225,8 @@ def rest_in_blocks(
 
 
 @jit
-def add_from_blocks(means: np.ndarray, counts: np.ndarray, start: int, size: int, out: np.ndarray) -> None:
-    """out[i, j] += counts[i, j] means[(start + i) // size, j // size]"""
+def subtract_blocks(means: np.ndarray, counts: np.ndarray, start: int, size: int, out: np.ndarray) -> None:
+    """out[i, j] −= counts[i, j] means[(start + i) // size, j // size]"""
     line, current = np.empty(out.shape[1], out.dtype), -1
     for i in range(out.shape[0]):
         if (start + i) // size != current:
@@ -234,4 +234,4 @@ def add_from_blocks(means: np.ndarray, counts: np.ndarray, start: int, size: int
             _repeat(means[current], size, line)
         target, share = out[i], counts[i]
         for j in range(line.size):
-            target[j] += share[j] * line[j]
+            target[j] -= share[j] * line[j]

@@ -1,5 +1,4 @@
-"""`SlabGrid`: a doubly periodic grid in slabs of rows, its wave numbers and transforms, and the hierarchy of coarser
-grids.
+"""`SlabGrid`: a doubly periodic grid in slabs of rows, its wave numbers and transforms.
 
 Symbols: nx × ny points on a cell lx × ly; fields are float64 of shape (nx_local, ny), axis 0 (x) split over the ranks.
 Spectra are complex of shape (nky_local, nx): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
@@ -11,7 +10,6 @@ DFT convention: `forward` is the plain sum over points, `backward` carries 1/(nx
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -22,7 +20,8 @@ from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
-from pgfmd.parallel.collectives import Reduction, fetch_rows, slab, slab_starts
+from pgfmd.parallel.collectives import Reduction, slab, slab_starts
+from pgfmd.parallel.layout import Layout, RowPlan
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads, threads_per_rank
 
@@ -36,7 +35,7 @@ class SlabGrid:
     Attributes
     ----------
     comm, shape (nx, ny), lengths (lx, ly), spacing (ax, ay), pixel_area
-    rows: slice of the global rows that this rank holds;  starts: first row of each rank, and nx
+    rows: slice of the global rows that this rank holds;  starts: first row of each rank, and nx;  layout: both
     local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx);  band: number of rows in a band (`BAND`)
     qx (1, nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
     transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
@@ -66,7 +65,8 @@ class SlabGrid:
         self.spacing = (self.lengths[0] / nx, self.lengths[1] / ny)
         self.pixel_area = self.spacing[0] * self.spacing[1]
         self.size = nx * ny
-        self.rows, self.starts = slab(nx, comm.size, comm.rank), slab_starts(nx, comm.size)
+        self.layout = Layout(comm, slab_starts(nx, comm.size))
+        self.rows, self.starts = self.layout.rows, self.layout.starts
         self.local_shape = (self.rows.stop - self.rows.start, ny)
         self.band = max(1, BAND // ny)
         self.columns = slab(ny // 2 + 1, comm.size, comm.rank)
@@ -82,6 +82,7 @@ class SlabGrid:
         self._transform_name, self._shared = transform, shared
         self._strips: Strips | None = None
         self._planned: dict[np.dtype, Transform | LibraryTransform] = {}
+        self._around: dict[tuple[int, int], RowPlan] = {}
 
     def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
         """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
@@ -166,22 +167,30 @@ class SlabGrid:
         transform.columns(action)
         transform.rows_backward(drain)
 
-    def coarse(self, factor: int = 2) -> SlabGrid:
-        """The grid of the same cell with 1/factor of the points each way (rounded up).
-
-        If it is small, or its slabs would be thin, each rank holds all of it.  All ranks then do the same work, and no
-        message is sent.
-        """
-        shape = -(-self.shape[0] // factor), -(-self.shape[1] // factor)
-        whole = shape[0] < 16 * self.comm.size or math.prod(shape) <= 256 * 256
-        comm = MPI.COMM_SELF if whole else self.comm
-        return SlabGrid(comm, shape, self.lengths, self.asked_threads, self._transform_name, self._shared)
+    def like(self, comm: MPI.Comm, shape: tuple[int, int], lengths: tuple[float, float]) -> SlabGrid:
+        """Another grid with the threads and transforms of this one.  Collective over `comm`."""
+        return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for a different range.
         Collective.
         """
-        return fetch_rows(self.comm, field, self.starts, first, stop, self.threads)
+        return self.layout.fetch(field, first, stop, self.threads)
+
+    def around(self, margin: int, between: int = 0) -> RowPlan:
+        """The plan for as many rows before this rank's and after them, around the cell.  Collective at first.
+
+        between: rows that an array has between the two parts.
+        """
+        if (margin, between) not in self._around:
+            first, stop = self.rows.start, self.rows.stop
+            ranges = (first - margin, first), (stop, stop + margin)
+            self._around[margin, between] = RowPlan(self.layout, ranges, (0, margin + between))
+        return self._around[margin, between]
+
+    def neighbours(self, field: np.ndarray) -> np.ndarray:
+        """The row before this rank's and the one after them, (2, ny), of a field.  Collective."""
+        return self.around(1).fetch(field, np.empty((2, *field.shape[1:]), field.dtype))
 
     def free(self) -> None:
         """Free the memory of the transforms; the next use allocates it again.  Collective."""

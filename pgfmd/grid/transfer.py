@@ -7,14 +7,16 @@ from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.collectives import fetch_rows, slab_starts
+from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.parallel.collectives import slab_starts
+from pgfmd.parallel.layout import Layout
 
 
-def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
+def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
     """The field on the coarse grid (nx_coarse_local, ny_coarse): its modes below that grid's Nyquist frequencies are
     kept, the others dropped.  Collective.
 
-    The coarse grid may be distributed over the same ranks or held whole by each.  dtype: precision of the transforms.
+    dtype: precision of the transforms.
     """
     nx, ny = coarse.shape
     complex_dtype = np.result_type(dtype, np.complex64)
@@ -35,7 +37,7 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLi
 
     fine.read_spectrum(fill, keep, dtype, len(mine))
     low, high = (min(ky, ky_count) for ky in (coarse.columns.start, coarse.columns.stop))
-    spectrum = fetch_rows(fine.comm, mine, starts, low, high, fine.threads)
+    spectrum = Layout(fine.comm, starts).fetch(mine, low, high, fine.threads)
     out = np.empty(coarse.local_shape)
 
     def copy(block: np.ndarray, first: int, stop: int) -> None:
@@ -46,7 +48,8 @@ def restrict(fine: SlabGrid, coarse: SlabGrid, field: np.ndarray, dtype: DTypeLi
     def drain(first: int, stop: int, block: np.ndarray) -> None:
         out[first:stop] = block
 
-    coarse.make_field(copy, drain, dtype)
+    if coarse.grid is not None:
+        coarse.grid.make_field(copy, drain, dtype)
     return out
 
 
@@ -56,11 +59,11 @@ class Interpolation:
     `rows` gives a few fine rows of a field at a time, so that no fine array is needed.
     """
 
-    def __init__(self, coarse: SlabGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
+    def __init__(self, coarse: SubGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
         margin = 2
         positions = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
         low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
-        self._fields = [coarse.fetch(field, low, high) for field in fields]
+        self._fields = [coarse.layout.fetch(field, low, high, fine.threads) for field in fields]
         self._x = _weights(positions - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
         self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))

@@ -20,6 +20,7 @@ from numpy.typing import DTypeLike
 from pgfmd.grid import kernels
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.mpi import MPI, datatype
+from pgfmd.parallel.teams import node_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
@@ -249,7 +250,5 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = No
     """Shared strips where all ranks of `comm` are on one node, else exchanged ones; `shared=False` forces the latter.
     Collective.
     """
-    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    one_node = node.size == comm.size
-    node.Free()
+    one_node = node_of(comm).size == comm.size
     return SharedStrips(comm, shape) if one_node and shared is not False else ExchangedStrips(comm, shape)

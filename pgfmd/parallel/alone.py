@@ -58,7 +58,7 @@ class Comm:
         """Copies `send` to `receive`, as all exchanges of arrays do."""
         _copy(send, receive)
 
-    Allgatherv = Alltoallv = Gatherv = Scatterv = Alltoall
+    Allgather = Allgatherv = Alltoallv = Gatherv = Scatterv = Alltoall
 
     def Sendrecv(self, send: Any, dest: int, recvbuf: Any = None, source: int = 0) -> None:
         """Copies `send` to `recvbuf`."""

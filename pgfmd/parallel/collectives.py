@@ -1,4 +1,4 @@
-"""Slab decomposition, reductions over ranks, rows fetched from other ranks, and errors raised on all ranks together.
+"""Slab decomposition, reductions over ranks, and errors raised on all ranks together.
 
 What communicates takes the communicator as its first argument; nothing here knows about grids or physics.
 """
@@ -7,15 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.parallel.mpi import MPI, datatype
-from pgfmd.parallel.threads import Threads
+from pgfmd.parallel.mpi import MPI
 
 T = TypeVar("T")
 
@@ -31,7 +29,9 @@ def slab(count: int, size: int, rank: int) -> slice:
 
 def slab_starts(count: int, size: int) -> np.ndarray:
     """First row of each rank and, last, the row count: shape (size + 1,)."""
-    return np.array([slab(count, size, rank).start for rank in range(size)] + [count])
+    base, extra = divmod(count, size)
+    ranks = np.arange(size + 1)
+    return ranks * base + np.minimum(ranks, extra)
 
 
 class Reduction:
@@ -90,11 +90,11 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
         yield
     except Exception as error:  # any failure must reach the other ranks, which would otherwise wait for ever
         failure = error
-    failures = comm.allgather(None if failure is None else _for_others(failure, comm.rank))
-    first = next((found for found in failures if found is not None), None)
-    if first is None:
+    first = comm.allreduce(comm.size if failure is None else comm.rank, MPI.MIN)
+    if first == comm.size:
         return
-    raise first if failure is None else failure
+    found = comm.bcast(None if failure is None else _for_others(failure, comm.rank), first)
+    raise found if failure is None else failure
 
 
 def _for_others(failure: Exception, rank: int) -> Exception:
@@ -118,59 +118,3 @@ def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
     if failure is not None:
         raise failure
     return value
-
-
-def fetch_rows(
-    comm: MPI.Comm, local: np.ndarray, starts: np.ndarray, first: int, stop: int, threads: Threads | None = None
-) -> np.ndarray:
-    """Rows first … stop−1 (global, periodic) of a field of which each rank holds rows starts[rank] …
-    starts[rank+1]−1.  Collective.
-
-    Each rank may ask for a different range.  The range may contain rows of the rank's own, cross the edge of the cell
-    (rows wrap around) and be longer than a period.  Returns a new array of shape (stop − first, …).  threads: they copy
-    the rows that the rank holds itself.
-    """
-    total = int(starts[-1])
-    out = np.empty((max(stop - first, 0), *local.shape[1:]), local.dtype)
-    wanted = comm.allgather((first, stop))
-    requests: list[MPI.Request] = []
-    copies: list[tuple[slice, slice]] = []
-    # Posted in the same order on both sides, so that messages between one pair of ranks match one to one.
-    for target, (low, high) in enumerate(wanted):
-        for owner in range(comm.size):
-            if comm.rank not in (target, owner):
-                continue
-            for at, length, row in overlaps(low, high, int(starts[owner]), int(starts[owner + 1]), total):
-                mine = slice(row - int(starts[owner]), row - int(starts[owner]) + length)
-                if target == owner:
-                    copies.append((slice(at, at + length), mine))
-                elif comm.rank == owner:
-                    requests.append(comm.Isend(_items(np.ascontiguousarray(local[mine])), target))
-                else:
-                    requests.append(comm.Irecv(_items(out[at : at + length]), owner))
-    for there, here in copies:
-        if threads is None:
-            out[there] = local[here]
-        else:
-            threads.split(partial(_copy, local[here], out[there]), here.stop - here.start)
-    MPI.Request.Waitall(requests)
-    return out
-
-
-def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None:
-    target[first:stop] = source[first:stop]
-
-
-def _items(rows: np.ndarray) -> list:
-    """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
-    return [rows, datatype(rows.dtype)]
-
-
-def overlaps(low: int, high: int, start: int, stop: int, total: int) -> Iterator[tuple[int, int, int]]:
-    """The pieces of the periodic range low … high−1 that lie within start … stop−1 of `total` rows: (offset from low,
-    length, first global row).
-    """
-    for shift in range((low - stop) // total, (high - start) // total + 1):
-        begin, end = max(low, start + shift * total), min(high, stop + shift * total)
-        if begin < end:
-            yield begin - low, end - begin, begin - shift * total

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Monitor, State
@@ -16,6 +19,13 @@ FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which
 
 Own = TypeVar("Own", bound=State)
 """What a solver knows of one grid."""
+
+
+class Coarse(NamedTuple):
+    """The next coarser grid, and the heights (nx_local, ny) there."""
+
+    place: SubGrid
+    heights: np.ndarray
 
 
 class NestedIteration(Generic[Own]):
@@ -34,26 +44,40 @@ class NestedIteration(Generic[Own]):
         coarse = self.coarser(problem)
         if coarse is None:
             return self.coarsest(problem, exact), 0.0
-        found, transforms = self.solve(coarse, False)
-        iterations, share = found.iterations, coarse.grid.size / problem.grid.size
-        state, solved = self.prolong(coarse, found, problem)
-        transforms = (transforms + coarse.grid.transforms) * share
-        coarse.grid.free()
+        found, transforms = self._solve_coarse(problem, coarse)
+        iterations = found.iterations
+        state, is_solution = self.prolong(coarse, found, problem)
+        transforms *= coarse.place.size / problem.grid.size
+        coarse.place.free()
         del found, coarse
-        if not solved:
+        if not is_solution:
             state = self.relax(problem, state, exact)
         state.iterations += iterations
         return state, transforms
 
-    def coarser(self, problem: ContactProblem) -> ContactProblem | None:
-        """The problem on the next coarser grid, or None if its solution would be no good start.  Collective."""
+    def _solve_coarse(self, problem: ContactProblem, coarse: Coarse) -> tuple[Own, float]:
+        """The solution on the coarser grid, without rows on ranks that hold none, and transforms in units of that grid.
+        Collective.
+        """
+
+        def solve(grid: SlabGrid) -> tuple[Own, float]:
+            found, transforms = self.solve(problem.on(grid, coarse.heights), False)
+            return found, transforms + grid.transforms
+
+        def numbers(solved: tuple[Own, float]) -> tuple[Own, float]:
+            own: Any = solved[0]
+            return dataclasses.replace(own, pressure=coarse.place.empty(), gap=coarse.place.empty()), solved[1]
+
+        return coarse.place.on_all(solve, numbers)
+
+    def coarser(self, problem: ContactProblem) -> Coarse | None:
+        """The next coarser grid, or None if the solution there would be no good start.  Collective."""
         if min(problem.grid.shape) <= COARSEST:
             return None
-        coarse = problem.grid.coarse()
-        heights = restrict(problem.grid, coarse, problem.heights, np.float32)
-        if coarse.reduction.dot(heights, heights) < FLAT**2 * coarse.size:
-            return None
-        return problem.on(coarse, heights)
+        place = SubGrid.coarse(problem.grid)
+        heights = restrict(problem.grid, place, problem.heights, np.float32)
+        flat = problem.grid.reduction.dot(heights, heights) < FLAT**2 * place.size
+        return None if flat else Coarse(place, heights)
 
     def at_once(self, problem: ContactProblem) -> Own | None:
         """The solution, if it needs no iteration.  Collective."""
@@ -63,7 +87,7 @@ class NestedIteration(Generic[Own]):
         """The solution without a coarser grid.  Collective."""
         raise NotImplementedError
 
-    def prolong(self, coarse: ContactProblem, found: Own, problem: ContactProblem) -> tuple[Own, bool]:
+    def prolong(self, coarse: Coarse, found: Own, problem: ContactProblem) -> tuple[Own, bool]:
         """The state with which the finer grid starts, and whether that is its solution.  Collective."""
         raise NotImplementedError
 

@@ -16,6 +16,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.observables.contact_line.line import ContactLine, contact_line
 from pgfmd.physics.problem import ContactProblem
@@ -36,17 +38,22 @@ def grid_errors(
     """Estimated errors of the numbers of FACTORS; NaN of the area and perimeter without a line, and of all without the
     second contact.  Collective.
     """
-    grid, coarse = problem.grid, problem.grid.coarse()
+    coarse = SubGrid.coarse(problem.grid)
     fine = long_waves(problem, solution, line)
-    half = problem.on(coarse, restrict(grid, coarse, problem.heights))
+    heights = restrict(problem.grid, coarse, problem.heights)
     options = Solver(method=problem.law.methods[0])
-    found = solve(half.on(coarse, half.heights.copy()), start=None, options=options)
-    if found is None:
-        coarse.free()
-        return dict.fromkeys(FACTORS, np.nan)
-    other = None if line is None else contact_line(coarse, found.pressure, found.gap, line.modulus)
-    waves = long_waves(half, found, other)
+
+    def measure(grid: SlabGrid) -> dict[str, np.ndarray] | None:
+        found = solve(problem.on(grid, heights.copy()), start=None, options=options)
+        if found is None:
+            return None
+        other = None if line is None else contact_line(grid, found.pressure, found.gap, line.modulus)
+        return long_waves(problem.on(grid, heights), found, other)
+
+    waves = coarse.on_all(measure)
     coarse.free()
+    if waves is None:
+        return dict.fromkeys(FACTORS, np.nan)
     errors = {}
     for name, factor in FACTORS.items():
         squares = np.abs(fine[name] - waves[name]) ** 2

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.statistics.staircase import contact_area
@@ -32,30 +34,41 @@ def lowpass_areas(
     areas, levels = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
     for index, (factor, _) in enumerate(cutoffs):
         levels.setdefault(factor, []).append(index)
-    grid, heights = problem.grid, problem.heights
-    fine = grid
     for factor, indices in sorted(levels.items()):
-        coarse, before = grid, start if factor == 1 else None
-        if factor > 1:
-            coarse = grid.coarse(factor)
-            heights = restrict(fine, coarse, heights)
-            if fine is not grid:
-                fine.free()
-            fine = coarse
-        for index in indices:
-            smooth = problem.on(coarse, lowpass(coarse, heights, cutoffs[index][1]))
-            if touches_fully(smooth):
-                areas[index] = 1.0
-                continue
-            solution = solve(smooth, start=before)
-            if solution is None:
-                areas[index] = np.nan
-                continue
-            area = contact_area(coarse, solution.pressure_in_contact(), line_of(smooth, solution, cutoffs[index][1]))
-            areas[index] = area.fraction, area.corrected
-            before = solution.pressure if factor > 1 else before
-    if fine is not grid:
-        fine.free()
+        highest = [cutoffs[index][1] for index in indices]
+        if factor == 1:
+            areas[indices] = _areas(problem, highest, solve, start)
+            continue
+        coarse = SubGrid.coarse(problem.grid, factor)
+        heights = restrict(problem.grid, coarse, problem.heights)
+        areas[indices] = coarse.on_all(partial(_on_grid, problem, heights, highest, solve))
+        coarse.free()
+    return areas
+
+
+def _on_grid(
+    problem: ContactProblem, heights: np.ndarray, cutoffs: list[float], solve: Solve, grid: SlabGrid
+) -> np.ndarray:
+    return _areas(problem.on(grid, heights), cutoffs, solve)
+
+
+def _areas(
+    problem: ContactProblem, cutoffs: list[float], solve: Solve, start: np.ndarray | None = None
+) -> np.ndarray:
+    """Those of one grid, (cutoffs, 2).  Each contact starts from `start`; without it, from the one before.  Collective.
+    """
+    grid, areas, before = problem.grid, np.ones((len(cutoffs), 2)), start
+    for index, cutoff in enumerate(cutoffs):
+        smooth = problem.on(grid, lowpass(grid, problem.heights, cutoff))
+        if touches_fully(smooth):
+            continue
+        solution = solve(smooth, start=before)
+        if solution is None:
+            areas[index] = np.nan
+            continue
+        area = contact_area(grid, solution.pressure_in_contact(), line_of(smooth, solution, cutoff))
+        areas[index] = area.fraction, area.corrected
+        before = solution.pressure if start is None else start
     return areas
 
 

@@ -8,23 +8,99 @@ it; and so on, to ever larger blocks.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.mpi import MPI
+from pgfmd.grid.sub_grid import FEW, SubGrid
 from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many per side
-FACTOR = 4  # side of a larger block, in blocks
-LARGEST = 512  # larger blocks per side at most: every rank holds them all, and each application sums them twice
+FACTOR = 4  # side of a block in pixels, and of a larger block in blocks
 SOFTENING = 0.125  # compliance of the contact within a block, over the compliance to a wave of wave number 1/side
 
+Sums = Callable[[int, int, np.ndarray], None]
+"""(first, stop, sums): adds rows first … stop−1 of this rank, as far as they exist, to the sums over blocks."""
 
-def grid_of_blocks(comm: MPI.Comm, grid: SlabGrid, side: int) -> SlabGrid:
-    """The grid of blocks of side² points of another; the last ones may reach beyond its cell.  Collective."""
-    nx, ny = (-(-n // side) for n in grid.shape)
-    return SlabGrid(comm, (nx, ny), (nx * side * grid.spacing[0], ny * side * grid.spacing[1]), grid.asked_threads)
+
+def larger(shape: tuple[int, int]) -> tuple[int, int]:
+    """Blocks of a grid of points, or larger blocks of a grid of blocks; the last ones may reach beyond it."""
+    return -(-shape[0] // FACTOR), -(-shape[1] // FACTOR)
+
+
+class Blocks:
+    """Blocks of points of a grid, which may be blocks themselves: residuals are split into what is smooth on their
+    scale and the rest, and answers to both are joined.  Collective to make.
+
+    Attributes: window, of the blocks that have points of this rank: what is to be subtracted from these points; low:
+    first row of blocks in it.  size: points that one application transforms, over all larger blocks.
+    """
+
+    def __init__(self, grid: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
+        """side: of a block, in pixels; pixel: side of a pixel; stiffness(|q|): of the solid."""
+        nx, ny = shape = larger(grid.shape)
+        lengths = nx * FACTOR * grid.spacing[0], ny * FACTOR * grid.spacing[1]
+        self.place, self.threads = SubGrid(grid, shape, lengths, FEW), grid.threads
+        self.window = self.place.window((grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)))
+        self.low, self._start = self.window.low, grid.rows.start
+        self.loads = np.empty_like(self.window.own)
+        self.stiffness = None
+        if self.place.grid is not None:
+            self.stiffness = BlockStiffness(self.place.grid, side, stiffness, pixel)
+        self.size = 0
+        while not self.size or min(shape) >= FEWEST:
+            self.size, shape = self.size + math.prod(shape), larger(shape)
+
+    def begin(self, counts: Sums) -> None:
+        """Prepares for a new set, from the number of its points in each block.  Collective."""
+        self._sum(counts)
+        if self.stiffness is not None:
+            self.stiffness.begin(self.window.own.copy())
+
+    def split(self, residuals: Sums) -> None:
+        """Leaves in the window the means of the residuals; keeps the loads that answer them for `join`.  Collective."""
+        self._sum(residuals)
+        if self.stiffness is not None:
+            self.stiffness.respond(self.window.own, self.loads)
+            self._on_own(lambda own, loads, share: np.multiply(own, share, out=own))
+        self.window.fetch()
+
+    def join(self, answers: Sums) -> None:
+        """Leaves in the window what the answers to the rest have too much of, to sum to the kept loads.  Collective."""
+        self._sum(answers)
+
+        def excess(own: np.ndarray, loads: np.ndarray, share: np.ndarray) -> None:
+            own -= loads
+            own *= share
+
+        self._on_own(excess)
+        self.window.fetch()
+
+    def free(self) -> None:
+        """Frees the transforms.  Collective."""
+        if self.stiffness is not None:
+            self.stiffness.free()
+
+    def _sum(self, sums: Sums) -> None:
+        """Sums over this rank's blocks in its own part of the window.  Collective."""
+        rows = self.window.rows
+
+        def part(first: int, stop: int) -> None:
+            rows[first:stop] = 0
+            at = (self.low + first) * FACTOR - self._start
+            sums(at, at + (stop - first) * FACTOR, rows[first:stop])
+
+        self.threads.deal(part, len(rows), 256 // FACTOR)
+        self.window.add()
+
+    def _on_own(self, work: Callable[[np.ndarray, np.ndarray, np.ndarray], object]) -> None:
+        """`work(own, loads, 1/counts)` on parts of this rank's blocks."""
+        if self.stiffness is not None:
+            fields = self.window.own, self.loads, self.stiffness.inverse_counts
+            self.threads.deal(lambda a, b: work(*(field[a:b] for field in fields)), len(self.loads))  # type: ignore[arg-type]
 
 
 class BlockStiffness:
@@ -35,27 +111,20 @@ class BlockStiffness:
     weights: np.ndarray
 
     def __init__(self, blocks: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
-        """blocks: the grid whose points are the blocks; side: of a block, in pixels; pixel: side of a pixel;
-        stiffness(|q|): of the solid.  Collective.
-        """
+        """blocks: the grid whose points are the blocks; the others as for `Blocks`.  Collective."""
         self.blocks, self.area = blocks, side**2
         soft = SOFTENING * side / stiffness(np.array(1 / pixel))
         stiff = stiffness(np.sqrt(blocks.q_squared()))
         self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
-        self.factor = max(FACTOR, -(-max(blocks.shape) // LARGEST))
-        self.coarser: BlockStiffness | None = None
-        if -(-min(blocks.shape) // self.factor) >= FEWEST:
-            coarser = grid_of_blocks(MPI.COMM_SELF, blocks, self.factor)
-            self.coarser = BlockStiffness(coarser, side * self.factor, stiffness, pixel)
-
-    @property
-    def size(self) -> int:
-        """Number of points that one application transforms, over all grids of blocks."""
-        return self.blocks.size + (self.coarser.size if self.coarser else 0)
+        coarser = min(larger(blocks.shape)) >= FEWEST
+        self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel) if coarser else None
+        self._nothing = np.zeros((1, 1), np.float32)
 
     def free(self) -> None:
         """Frees the transforms.  Collective."""
         self.blocks.free()
+        if self.coarser is not None:
+            self.coarser.free()
 
     def begin(self, counts: np.ndarray) -> None:
         """Prepares for a new set; counts: number of its points in each of this rank's blocks.  Collective."""
@@ -63,18 +132,15 @@ class BlockStiffness:
         # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
         self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
         if self.coarser is not None:
-            self.coarser.begin(self._sums(self.coarser, counts))
+            self.coarser.begin(self._sums(counts))
 
     def respond(self, residuals: np.ndarray, loads: np.ndarray) -> None:
         """loads of the blocks = K_blocks · residuals, which are sums over the points of each block.  Collective."""
-        start, threads, coarser = self.blocks.rows.start, self.blocks.threads, self.coarser
+        threads, coarser = self.blocks.threads, self.coarser
+        size, start, smooth = max(self.blocks.shape), 0, self._nothing
         if coarser is not None:
-            size, smooth = self.factor, self._sums(coarser, residuals)
-            answer = np.empty(coarser.blocks.shape, np.float32)
-            coarser.respond(smooth, answer)
-            smooth *= coarser.inverse_counts
-        else:
-            size, smooth = max(self.blocks.shape), np.zeros((1, 1), np.float32)
+            coarser.split(self._sums(residuals))
+            size, start, smooth = FACTOR, self.blocks.rows.start - coarser.low * FACTOR, coarser.window.rows
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             part = residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
@@ -88,23 +154,16 @@ class BlockStiffness:
 
         self.blocks.convolve(fill, act, drain, np.float32)
         if coarser is not None:
-            answer -= self._sums(coarser, loads)
-            answer *= coarser.inverse_counts
+            coarser.join(self._sums(loads))
             threads.deal(
-                lambda a, b: kernels.add_from_blocks(answer, self.counts[a:b], start + a, size, loads[a:b]), len(loads)
+                lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, size, loads[a:b]), len(loads)
             )
 
-    def _sums(self, coarser: BlockStiffness, values: np.ndarray) -> np.ndarray:
-        """Sums over all larger blocks of the values of all ranks, of which this rank gives its own.  Collective."""
-        rows, size = self.blocks.rows, self.factor
-        sums = np.zeros(coarser.blocks.shape, np.float32)
-        low, high = rows.start // size, -(-rows.stop // size)
+    def _sums(self, values: np.ndarray) -> Sums:
+        """Sums over larger blocks of this rank's values."""
 
-        def part(first: int, stop: int) -> None:
-            a, b = max((low + first) * size, rows.start), min((low + stop) * size, rows.stop)
-            kernels.sum_over_blocks(values[a - rows.start : b - rows.start], a, size, sums)
+        def add(first: int, stop: int, sums: np.ndarray) -> None:
+            low = max(first, 0)
+            kernels.sum_over_blocks(values[low : max(low, stop)], low - first, FACTOR, sums)
 
-        self.blocks.threads.deal(part, high - low, 16)
-        if self.blocks.comm.size > 1:
-            self.blocks.comm.Allreduce(MPI.IN_PLACE, sums)
-        return sums
+        return add

@@ -12,11 +12,11 @@ from numpy.typing import DTypeLike
 
 from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.mpi import MPI, datatype
+from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.kernels import Fields, Points
 
-HALO = 8  # rows of neighbouring ranks: enough for stencils, and for meshes and blocks whose slabs begin elsewhere
+HALO = 2  # rows of neighbouring ranks on either side: the radius of a stencil
 
 
 class ContactSet:
@@ -26,24 +26,27 @@ class ContactSet:
     (below `level` at 0, above it at `top`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; columns (count,) int32, and offsets (nx_local + 1,) of each row in it.
-    `lists` and `extended` are (columns, offsets) as the kernels take them, without and with a halo.  Vectors on the set
-    are arrays (count,), or `SetVector`s if neighbouring ranks need them.
+    `lists` and `extended` are (columns, offsets) as the kernels take them, without and with a halo of `HALO` rows.
+    Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
     def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, top: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid = grid
         rows = grid.local_shape[0]
-        counts = np.empty(rows, np.int64)
+        self.halo = grid.around(HALO, rows)
+        every = np.empty(rows + 2 * HALO, np.int64)
+        counts = every[HALO : HALO + rows]
         grid.threads.deal(lambda a, b: set_kernels.count_unknowns(fields, level, top, (a, b), counts), rows)
-        self.offsets = np.concatenate([[0], np.cumsum(counts)])
-        self.count = int(self.offsets[-1])
-        offsets = self._plan_halo(counts)
+        self.halo.fetch(counts, every)
+        self.every_offset = np.concatenate([[0], np.cumsum(every)])
+        own = self.every_offset[HALO : HALO + rows + 1]
+        self.first, self.offsets, self.count = int(own[0]), own - own[0], int(own[-1] - own[0])
         columns = SetVector(self, np.int32)
         self.columns = columns.own
         lists = self.lists
         grid.threads.deal(lambda a, b: set_kernels.list_unknowns(fields, level, top, (a, b), lists), rows)
-        self.extended = columns.exchange(), offsets
+        self.extended = columns.exchange(), self.every_offset
 
     @property
     def lists(self) -> Points:
@@ -62,27 +65,6 @@ class ContactSet:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
         self.grid.threads.deal(lambda a, b: set_kernels.add_to_rows(field, self.lists, (a, b), values), len(field))
 
-    def _plan_halo(self, counts: np.ndarray) -> np.ndarray:
-        """Exchanges the `counts` of points per row with the ranks that hold the `HALO` rows before and after this
-        slab (periodic).  Returns the offsets of the rows before, its own, and the rows after.  Collective.
-        """
-        grid, comm = self.grid, self.grid.comm
-        self.thin = min(np.diff(grid.starts)) < HALO
-        if self.thin:
-            every = np.concatenate(comm.allgather(counts))
-            rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO) % grid.shape[0]
-            offsets = np.concatenate([[0], np.cumsum(every)])
-            self.taken = np.concatenate([np.arange(offsets[row], offsets[row + 1]) for row in rows])
-            counts = every[rows]
-        else:
-            ring = np.concatenate([counts[:HALO], counts[-HALO:]])
-            previous, following = (np.empty_like(ring) for _ in range(2))
-            pass_on(comm, ring, previous, ring, following)
-            counts = np.concatenate([previous[HALO:], counts, following[:HALO]])
-            self.first_end, self.last_begin = int(self.offsets[HALO]), int(self.offsets[-1 - HALO])
-            self.before, self.after = int(previous[HALO:].sum()), int(following[:HALO].sum())
-        return np.concatenate([[0], np.cumsum(counts)])
-
     def convolve(self, values: np.ndarray, action: ColumnAction, out: np.ndarray) -> None:
         """out = (kernel ∗ values) on the set, by full transforms.  Collective."""
 
@@ -96,37 +78,20 @@ class ContactSet:
 
 
 class SetVector:
-    """A vector (count,) on a set, `own`, in one array with the values of the rows before and after those of this rank.
-
-    If a slab is thinner than the halo, the halo spans several ranks, and `exchange` gathers the whole vector instead.
+    """A vector (count,) on a set, `own`, within an array `all` of the values of the rows before, its own, and the rows
+    after, in the order of `ContactSet.extended`.
     """
 
     def __init__(self, points: ContactSet, dtype: DTypeLike = np.float32) -> None:
         self.points = points
-        if points.thin:
-            self.own = np.empty(points.count, dtype)
-        else:
-            self._all = np.empty(points.before + points.count + points.after, dtype)
-            self.own = self._all[points.before : points.before + points.count]
+        self.all = np.empty(points.every_offset[-1], dtype)
+        self.own = self.all[points.first : points.first + points.count]
+
+    def start(self) -> list[MPI.Request]:
+        """Begins to `exchange`.  `own` may be read meanwhile."""
+        return self.points.halo.start(self.own, self.all, (self.points.offsets, self.points.every_offset))
 
     def exchange(self) -> np.ndarray:
-        """The vector with the present values of its halo, in the order of `ContactSet.extended`.  Collective."""
-        points, comm = self.points, self.points.grid.comm
-        if points.thin:
-            return np.concatenate(comm.allgather(self.own))[points.taken]
-        before, after = self._all[: points.before], self._all[points.before + points.count :]
-        pass_on(comm, self.own[points.last_begin :], before, self.own[: points.first_end], after)
-        return self._all
-
-
-def pass_on(comm: MPI.Comm, bottom: np.ndarray, before: np.ndarray, top: np.ndarray, after: np.ndarray) -> None:
-    """Sends `bottom` to the next rank, which receives it in `before`, and `top` to the previous one, which receives it
-    in `after`.  Ranks form a ring.  Collective.
-    """
-    if comm.size == 1:
-        before[...], after[...] = bottom, top
-        return
-    kind = datatype(top.dtype)
-    previous, following = (comm.rank - 1) % comm.size, (comm.rank + 1) % comm.size
-    comm.Sendrecv([bottom, kind], following, recvbuf=[before, kind], source=previous)
-    comm.Sendrecv([top, kind], previous, recvbuf=[after, kind], source=following)
+        """The vector with the present values of its halo.  Collective."""
+        MPI.Request.Waitall(self.start())
+        return self.all

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.mpi import MPI
+from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.kernels import Change, Fields
@@ -24,42 +24,56 @@ ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
 CANCELLED = 1e-6  # if pressures and tensions cancel but for this part, the rest is rounding: blocks keep no load then
 
 
-def make_feasible(points: ContactSet, fields: Fields, load: float, top: float, stiffness: float) -> None:
-    """Brings the pressure on the set between 0 and `top`, and its sum over all points to `load`.  Collective.
+class Feasible:
+    """Makes pressures on one grid feasible.  Collective to make."""
 
-    The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
-    (`carry`).  stiffness: of a pixel, about.
-    """
-    pressure = fields[0]
-    grid, threads = points.grid, points.grid.threads
-    start, stop = grid.rows.start, grid.rows.stop
-    blocks = tuple((n - 1 >> SHIFT) + 1 for n in grid.shape)
-    sums = np.zeros((blocks[0], 2, blocks[1]))
+    def __init__(self, grid: SlabGrid, top: float, stiffness: float) -> None:
+        """top: the largest pressure; stiffness: of a pixel, about."""
+        self.grid, self.top, self.stiffness = grid, top, stiffness
+        start, stop = grid.rows.start, grid.rows.stop
+        # The rank that has the first row of a block holds it.
+        layout = Layout(grid.comm, grid.starts + (1 << SHIFT) - 1 >> SHIFT)
+        self.width = (grid.shape[1] - 1 >> SHIFT) + 1
+        self.window = RowWindow(layout, (start >> SHIFT, (stop - 1 >> SHIFT) + 1), 2 * self.width, np.float64)
 
-    def rows(block: int) -> tuple[int, int]:
-        """First and last + 1 of the slab's rows in a row of blocks."""
-        return max(block << SHIFT, start) - start, min(block + 1 << SHIFT, stop) - start
+    def make(self, points: ContactSet, fields: Fields, load: float) -> None:
+        """Brings the pressure on the set between its bounds, and its sum over all points to `load`.  Collective.
 
-    def measure(_: int, first: int, last: int) -> None:
-        for block in range(touched[0] + first, touched[0] + last):
-            set_kernels.sums_in_blocks(pressure, points.lists, rows(block), SHIFT, top, sums[block])
+        The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
+        (`carry`).
+        """
+        pressure, top, threads = fields[0], self.top, self.grid.threads
+        start, stop = self.grid.rows.start, self.grid.rows.stop
+        blocks = self.window.rows.reshape(-1, 2, self.width)
 
-    def cut(_: int, first: int, last: int) -> None:
-        for block in range(touched[0] + first, touched[0] + last):
-            set_kernels.cut_and_scale(pressure, points.lists, rows(block), SHIFT, top, factors[block])
+        def rows(block: int) -> tuple[int, int]:
+            """First and last + 1 of the slab's rows in a row of blocks."""
+            block += self.window.low
+            return max(block << SHIFT, start) - start, min(block + 1 << SHIFT, stop) - start
 
-    touched = start >> SHIFT, (stop - 1 >> SHIFT) + 1
-    threads.share(measure, touched[1] - touched[0], 1)
-    grid.comm.Allreduce(MPI.IN_PLACE, sums)
-    kept, bounded = np.maximum(sums[:, 0], 0), sums[:, 1]
-    if kept.sum() <= CANCELLED * bounded.sum():
-        kept = bounded
-    factors = kept / np.where(bounded > 0, bounded, 1)
-    if math.isinf(top):
-        factors *= load / kept.sum()
-    threads.share(cut, touched[1] - touched[0], 1)
-    if math.isfinite(top):
-        carry(grid, fields, load, top, stiffness)
+        def measure(_: int, first: int, last: int) -> None:
+            for block in range(first, last):
+                blocks[block] = 0
+                set_kernels.sums_in_blocks(pressure, points.lists, rows(block), SHIFT, top, blocks[block])
+
+        def cut(_: int, first: int, last: int) -> None:
+            for block in range(first, last):
+                set_kernels.cut_and_scale(pressure, points.lists, rows(block), SHIFT, top, blocks[block, 0])
+
+        threads.share(measure, len(blocks), 1)
+        self.window.add()
+        own = self.window.own.reshape(-1, 2, self.width)
+        kept, bounded = np.maximum(own[:, 0], 0), own[:, 1]
+        sums = self.grid.reduction.sums(kept.sum(), bounded.sum())
+        if sums[0] <= CANCELLED * sums[1]:
+            kept, sums[0] = bounded, sums[1]
+        own[:, 0] = kept / np.where(bounded > 0, bounded, 1)
+        if math.isinf(top):
+            own[:, 0] *= load / sums[0]
+        self.window.fetch()
+        threads.share(cut, len(blocks), 1)
+        if math.isfinite(top):
+            carry(self.grid, fields, load, top, self.stiffness)
 
 
 def carry(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:

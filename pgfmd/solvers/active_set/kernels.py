@@ -190,17 +190,19 @@ def add_interpolated(
 def block_sums(
     values: np.ndarray, points: Points, part: Part, size: int, column_block: np.ndarray, sums: np.ndarray
 ) -> None:
-    """sums[(i − first) // size, column_block[columns[k]]] += values[k] for the points k of rows first … stop−1."""
+    """sums[(i − first) // size, column_block[columns[k]]] += values[k] for the points k of those of rows first … stop−1
+    that exist.
+    """
     columns, offsets = points
     first, stop = part
-    for i in range(first, stop):
+    for i in range(max(first, 0), min(stop, offsets.size - 1)):
         line = sums[(i - first) // size]
         for k in range(offsets[i], offsets[i + 1]):
             line[u(column_block[u(columns[k])])] += values[k]
 
 
 @jit
-def add_blocks(
+def subtract_blocks(
     values: np.ndarray,
     table: np.ndarray,
     points: Points,
@@ -208,14 +210,14 @@ def add_blocks(
     blocks: tuple[np.ndarray, np.ndarray],
     out: np.ndarray,
 ) -> None:
-    """out[k] = values[k] + table[row_block[i], column_block[columns[k]]]; blocks: these two."""
+    """out[k] = values[k] − table[row_block[i], column_block[columns[k]]]; blocks: these two."""
     columns, offsets = points
     first, stop = part
     row_block, column_block = blocks
     for i in range(first, stop):
         line = table[row_block[i]]
         for k in range(offsets[i], offsets[i + 1]):
-            out[k] = values[k] + line[u(column_block[u(columns[k])])]
+            out[k] = values[k] - line[u(column_block[u(columns[k])])]
 
 
 @jit

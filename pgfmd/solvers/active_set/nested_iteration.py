@@ -20,7 +20,7 @@ from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import carry
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.cost import GAPS_FROM
-from pgfmd.solvers.nested_iteration import NestedIteration
+from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor
 
@@ -111,9 +111,9 @@ class ActiveSetIteration(NestedIteration[State]):
         shape = problem.grid.local_shape
         return self.relax(problem, State(np.full(shape, problem.mean_pressure), np.empty(shape)), exact)
 
-    def prolong(self, coarse: ContactProblem, found: State, problem: ContactProblem) -> tuple[State, bool]:
+    def prolong(self, coarse: Coarse, found: State, problem: ContactProblem) -> tuple[State, bool]:
         """Full contact and True, if both grids have it; else a start from the coarse state and False."""
-        full = _full_contact(problem) if found.between == coarse.grid.size else None
+        full = _full_contact(problem) if found.between == coarse.place.size else None
         return (full, True) if full is not None else (_prolong(coarse, found, problem), False)
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
@@ -135,7 +135,7 @@ class ActiveSetIteration(NestedIteration[State]):
         return state
 
 
-def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> State:
+def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
     """The state with which the finer grid starts.  Collective.
 
     A point is in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap
@@ -145,8 +145,8 @@ def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> S
     """
     grid, top = problem.grid, problem.law.highest
     found.gap -= found.level
-    interpolation = Interpolation(coarse.grid, grid, [found.pressure, found.gap, coarse.heights])
-    compliance = max(coarse.grid.spacing) / problem.solid.contact_modulus
+    interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
+    compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
 
     def begin(thread: int, first: int, stop: int) -> None:
@@ -156,4 +156,4 @@ def _prolong(coarse: ContactProblem, found: State, problem: ContactProblem) -> S
 
     grid.threads.share(begin, grid.local_shape[0], grid.band)
     carry(grid, (pressure, gap), problem.load, top, 1 / compliance)
-    return State(pressure, gap, True, between=round(found.between / coarse.grid.size * grid.size))
+    return State(pressure, gap, True, between=round(found.between / coarse.place.size * grid.size))

@@ -20,10 +20,12 @@ from scipy.special import erf
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import ColumnAction
-from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.sub_grid import FEW, SubGrid
+from pgfmd.parallel.layout import Piece
+from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
+from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 from pgfmd.solvers.active_set.kernels import Splines
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 
@@ -40,7 +42,7 @@ class MeshResponse:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
         self.grid = grid
         shape = -(-grid.shape[0] // 2), -(-grid.shape[1] // 2)
-        self.mesh = mesh = SlabGrid(grid.comm, shape, grid.lengths, grid.asked_threads)
+        self.place = SubGrid(grid, shape, grid.lengths, FEW)
         alpha = SPLIT / math.sqrt(grid.pixel_area)
 
         def near(q: np.ndarray) -> np.ndarray:
@@ -49,33 +51,53 @@ class MeshResponse:
 
         kernel = lattice_kernel(grid, near)
         self.stencil = Stencil(grid, kernel)
-        self.influence = self._influence(kernel, response)
-        rows = np.arange(grid.rows.start - HALO, grid.rows.stop + HALO)
-        self.x_first, self.x_weights = _splines(rows * (shape[0] / grid.shape[0]))
-        self.y_first, self.y_weights = _splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
-        self.window = RowWindow(mesh, int(self.x_first[HALO]), int(self.x_first[-1 - HALO]) + 4)
+        if self.place.grid is not None:
+            self.influence = self._influence(self.place.grid, kernel, response)
+        rows = _splines(np.arange(grid.rows.start, grid.rows.stop) * (shape[0] / grid.shape[0]))
+        self.splines: Splines = *rows, *_splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
+        self.window = self.place.window((int(rows[0][0]), int(rows[0][-1]) + 4))
 
     @staticmethod
     def serves(grid: SlabGrid, half_space: Symbol, response: Symbol) -> bool:
         """Whether the split pays and is accurate: the grid is large, its pixels are nearly square, and the solid
         responds like a half-space to short waves.
         """
-        large = min(grid.shape) >= SMALLEST and grid.shape[0] >= 2 * grid.comm.size
-        if not large or max(grid.spacing) > MOST_OBLONG * min(grid.spacing):
+        if min(grid.shape) < SMALLEST or max(grid.spacing) > MOST_OBLONG * min(grid.spacing):
             return False
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective."""
-        mesh, start = self.mesh, self.mesh.rows.start
-        extended = values.exchange()
-        self.stencil.apply(points, extended, out)
+        window = self.window
+        requests = values.start()
+        for first, stop in window.around:
+            self._spread(points, values, first, window.rows[first:stop])
+        more, pieces = window.plan.start_back(window.rows)
+        MPI.Request.Waitall(requests + more)
+        self.stencil.apply(points, values.all, out)
+        if self.place.grid is not None:
+            self._respond(self.place.grid, points, values, pieces)
+        window.fetch()
+
+        def add(first: int, stop: int) -> None:
+            set_kernels.add_interpolated(window.rows, window.low, points.lists, (first, stop), self.splines, out)
+
+        self.grid.threads.deal(add, self.grid.local_shape[0])
+        self.grid.transforms += 0.5 * self.place.size / self.grid.size
+
+    def _respond(self, mesh: SlabGrid, points: ContactSet, values: SetVector, pieces: list[Piece]) -> None:
+        """The smooth part of the response, on this rank's rows of the mesh.  pieces: what others spread there.
+        Collective over the mesh.
+        """
+        begin = self.window.begin
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:
-            block[...] = 0
-            low, high = np.searchsorted(self.x_first, (start + first - 3, start + stop))
-            set_kernels.spread_points(extended, points.extended, (low, high), self._splines(0), start + first, block)
+            self._spread(points, values, begin + first, block)
+            for at, rows in pieces:
+                low, high = max(first, at), min(stop, at + len(rows))
+                if low < high:
+                    block[low - first : high - first] += rows[low - at : high - at]
 
         def act(block: np.ndarray, first: int, stop: int) -> None:
             kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.influence[first:stop])
@@ -83,25 +105,22 @@ class MeshResponse:
         def drain(first: int, stop: int, block: np.ndarray) -> None:
             self.window.own[first:stop] = block
 
-        def add(first: int, stop: int) -> None:
-            window, splines = self.window, self._splines(HALO)
-            set_kernels.add_interpolated(window.rows, window.low, points.lists, (first, stop), splines, out)
-
         mesh.convolve(fill, act, drain, np.float32)
-        self.window.exchange()
-        self.grid.threads.deal(add, self.grid.local_shape[0])
-        self.grid.transforms += 0.5 * mesh.size / self.grid.size
+
+    def _spread(self, points: ContactSet, values: SetVector, first: int, block: np.ndarray) -> None:
+        """The rows `block` of the mesh, the first of which is row `first` of the window, from this rank's points."""
+        block[...] = 0
+        low = self.window.low + first
+        part = np.searchsorted(self.splines[0], (low - 3, low + len(block)))
+        set_kernels.spread_points(values.own, points.lists, (part[0], part[1]), self.splines, low, block)
 
     def free(self) -> None:
         """Frees the transforms of the mesh.  Collective."""
-        self.mesh.free()
+        self.place.free()
 
-    def _splines(self, first: int) -> Splines:
-        return self.x_first[first:], self.x_weights[first:], self.y_first, self.y_weights
-
-    def _influence(self, kernel: np.ndarray, response: Symbol) -> np.ndarray:
+    def _influence(self, mesh: SlabGrid, kernel: np.ndarray, response: Symbol) -> np.ndarray:
         """Factors of the mesh's modes (nky_local, nx): the response less that of the truncated near part."""
-        mesh, offsets = self.mesh, np.arange(-RADIUS, RADIUS + 1)
+        offsets = np.arange(-RADIUS, RADIUS + 1)
         cos_x, cos_y = (
             np.cos(np.outer(q, step * offsets))
             for q, step in zip((mesh.qx[0], mesh.qy[:, 0]), self.grid.spacing, strict=True)

@@ -5,25 +5,21 @@ that a disc of radius 2 pixels holds most of it; summed over contact points alon
 transform.  The truncated kernel has positive row sums, which makes it positive definite, but far too stiff to long
 waves.  So most of the row sum is subtracted from the diagonal.
 
-Far part: the mean of the residual over each block of 4 × 4 pixels is removed before and after the near part, and the
-stiffness between blocks is applied to it instead (`block_stiffness`).  Both parts are symmetric and positive, and so is
-their sum.
+Far part: the mean of the residual over each block of 4 × 4 pixels, which is what the near part can bridge, is removed
+before and after the near part, and the stiffness between blocks is applied to it instead (`block_stiffness`).  Both
+parts are symmetric and positive, and so is their sum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from pgfmd.grid.halo import RowWindow
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.solvers.active_set import block_stiffness
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
+from pgfmd.solvers.active_set.block_stiffness import FACTOR, FEWEST, Blocks, Sums
+from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 
-BLOCK = 4  # pixels: what the near part can bridge
 NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: below 1 it stays positive definite
 
 
@@ -37,8 +33,7 @@ class MultilevelStiffness:
         kernel = lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(grid, kernel)
-        far_reaching = min(grid.shape) >= block_stiffness.FEWEST * BLOCK and grid.shape[0] >= BLOCK * grid.comm.size
-        self.far = FarPart(grid, stiffness) if far_reaching else None
+        self.far = FarPart(grid, stiffness) if min(grid.shape) >= FEWEST * FACTOR else None
 
     def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
         """out = M · residual on the set.  Collective."""
@@ -52,7 +47,7 @@ class MultilevelStiffness:
     def free(self) -> None:
         """Frees the transforms of the blocks.  Collective."""
         if self.far is not None:
-            self.far.stiffness.free()
+            self.far.blocks.free()
 
 
 class FarPart:
@@ -60,66 +55,40 @@ class FarPart:
 
     def __init__(self, grid: SlabGrid, stiffness: Symbol) -> None:
         self.grid = grid
-        self.blocks = block_stiffness.grid_of_blocks(grid.comm, grid, BLOCK)
-        self.stiffness = block_stiffness.BlockStiffness(self.blocks, BLOCK, stiffness, min(grid.spacing))
-        self.window = RowWindow(self.blocks, grid.rows.start // BLOCK, -(-grid.rows.stop // BLOCK))
-        self.row_block = np.arange(grid.rows.start, grid.rows.stop) // BLOCK - self.window.low
-        self.column_block = np.arange(grid.shape[1]) // BLOCK
+        self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing))
+        row_block = np.arange(grid.rows.start, grid.rows.stop) // FACTOR - self.blocks.low
+        self.block_of = row_block, np.arange(grid.shape[1]) // FACTOR
         self.points: ContactSet | None = None
         self.rest: SetVector
-        self.sums, self.loads = np.empty((2, *self.blocks.local_shape), np.float32)
 
     def split(self, points: ContactSet, residual: SetVector) -> SetVector:
         """The residual less its means over blocks, whose loads are kept for `join`.  Collective."""
         if points is not self.points:
-            ones = SetVector(points)
-            ones.own[:] = 1
-            counts = np.empty_like(self.sums)
-            self._sum(points, ones, counts, lambda rows: None)
             self.points, self.rest = points, SetVector(points)
-            self.stiffness.begin(counts)
-
-        def means(rows: slice) -> None:
-            np.multiply(self.sums[rows], self.stiffness.inverse_counts[rows], out=self.window.own[rows])
-            np.negative(self.window.own[rows], out=self.window.own[rows])
-
-        self._sum(points, residual, self.sums, means)
-        self.stiffness.respond(self.sums, self.loads)
-        self.grid.transforms += 0.5 * self.stiffness.size / self.grid.size
-        self._add(points, residual.own, self.rest.own)
+            self.blocks.begin(self._sums(points, np.ones(points.count, np.float32)))
+        self.blocks.split(self._sums(points, residual.own))
+        self.grid.transforms += 0.5 * self.blocks.size / self.grid.size
+        self._subtract(points, residual.own, self.rest.own)
         return self.rest
 
     def join(self, points: ContactSet, values: SetVector) -> None:
         """Replaces the sum of `values` over each block by its kept load, spread evenly over its points.  Collective."""
+        self.blocks.join(self._sums(points, values.own))
+        self._subtract(points, values.own, values.own)
 
-        def change(rows: slice) -> None:
-            np.subtract(self.loads[rows], self.sums[rows], out=self.window.own[rows])
-            self.window.own[rows] *= self.stiffness.inverse_counts[rows]
+    def _sums(self, points: ContactSet, values: np.ndarray) -> Sums:
+        """Sums over blocks of values on the set."""
 
-        self._sum(points, values, self.sums, change)
-        self._add(points, values.own, values.own)
+        def add(first: int, stop: int, sums: np.ndarray) -> None:
+            set_kernels.block_sums(values, points.lists, (first, stop), FACTOR, self.block_of[1], sums)
 
-    def _sum(self, points: ContactSet, values: SetVector, out: np.ndarray, then: Callable[[slice], None]) -> None:
-        """out = sums of `values` over this rank's blocks; calls `then` for each few rows of blocks.  Collective."""
-        extended = values.exchange()
-        start, rows = self.grid.rows.start, self.blocks.rows
+        return add
 
-        def part(first: int, stop: int) -> None:
-            low = (rows.start + first) * BLOCK - start + HALO
-            high = min((rows.start + stop) * BLOCK, self.grid.shape[0]) - start + HALO
-            sums = out[first:stop]
-            sums[...] = 0
-            set_kernels.block_sums(extended, points.extended, (low, high), BLOCK, self.column_block, sums)
-            then(slice(first, stop))
-
-        self.grid.threads.deal(part, len(out), 256 // BLOCK)
-
-    def _add(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
-        """out = values + the window's entry for the block of each; edge blocks may be a neighbour's.  Collective."""
-        self.window.exchange()
-        rows, lists, blocks = self.window.rows, points.lists, (self.row_block, self.column_block)
+    def _subtract(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
+        """out = values − the window's entry for the block of each."""
+        rows, lists = self.blocks.window.rows, points.lists
 
         def part(first: int, stop: int) -> None:
-            set_kernels.add_blocks(values, rows, lists, (first, stop), blocks, out)
+            set_kernels.subtract_blocks(values, rows, lists, (first, stop), self.block_of, out)
 
         self.grid.threads.deal(part, self.grid.local_shape[0])

@@ -12,7 +12,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import MOST_INNER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import ContactSet
-from pgfmd.solvers.active_set.feasible import make_feasible
+from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 
@@ -28,7 +28,7 @@ class PressureSteps(Relaxation):
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
-        self.pixel_stiffness = solid.contact_modulus / max(grid.spacing)  # about
+        self.feasible = Feasible(grid, self.top, solid.contact_modulus / max(grid.spacing))
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
     def free(self) -> None:
@@ -56,4 +56,4 @@ class PressureSteps(Relaxation):
         change, steps = system.solve(wanted, MOST_INNER)
         system.points.add(state.pressure, change)
         state.iterations += steps
-        make_feasible(system.points, (state.pressure, state.gap), self.load, self.top, self.pixel_stiffness)
+        self.feasible.make(system.points, (state.pressure, state.gap), self.load)

@@ -13,7 +13,7 @@ from pgfmd.solvers.active_set.contact_set import HALO, ContactSet
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: what it multiplies a mode of wave number |q| by."""
 
-RADIUS = 2  # pixels: thirteen points
+RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
 
 
@@ -40,8 +40,7 @@ class Stencil:
 
     def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray) -> None:
         """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on the set."""
-        columns, offsets = points.extended
-        vector, lists = (extended, (columns, offsets[HALO - RADIUS :])), points.lists
+        vector, lists = (extended, points.extended), points.lists
         rows, ny = self.grid.local_shape
 
         def part(first: int, stop: int) -> None:

@@ -13,7 +13,7 @@ from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.newton import Newton
-from pgfmd.solvers.nested_iteration import NestedIteration
+from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor
 from pgfmd.solvers.wall_operations import WallState
@@ -76,10 +76,10 @@ class NewtonIteration(NestedIteration[WallState]):
         """The certified error at which a grid is solved."""
         return self.tolerance if exact else max(self.tolerance, COARSE_TOLERANCE)
 
-    def prolong(self, coarse: ContactProblem, found: WallState, problem: ContactProblem) -> tuple[WallState, bool]:
+    def prolong(self, coarse: Coarse, found: WallState, problem: ContactProblem) -> tuple[WallState, bool]:
         """The pressure with which the wall responds to the interpolated displacement and pressure, and False."""
         grid, heights = problem.grid, problem.heights
-        interpolation = Interpolation(coarse.grid, grid, [found.gap + coarse.heights, found.pressure])
+        interpolation = Interpolation(coarse.place, grid, [found.gap + coarse.heights, found.pressure])
         target = np.empty(grid.local_shape)
         solver = Newton(problem)
 

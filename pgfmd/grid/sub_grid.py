@@ -1,0 +1,84 @@
+"""Small grids on fewer ranks: what a rank computes then outweighs the messages that it sends, and none holds a grid
+whole but the smallest ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.layout import Layout, Range, RowWindow
+from pgfmd.parallel.teams import team_of
+
+T = TypeVar("T")
+
+ROWS = 16  # per rank, at least: of a grid that a rank with fewer would solve no faster
+FEW = 4  # the same of grids on which each inner iteration depends
+SMALL = 256 * 256  # points that one rank alone transforms in the time of a few messages
+
+
+class SubGrid:
+    """A grid on some of the ranks of a larger one.  Collective to make.
+
+    Attributes: shape, lengths, size; spacing; layout, of its rows over the ranks of the larger grid; local_shape of a
+    field on this rank, which may have no rows; grid: None on ranks without rows.
+    """
+
+    def __init__(
+        self, parent: SlabGrid, shape: tuple[int, int], lengths: tuple[float, float], least: int = ROWS
+    ) -> None:
+        """least: rows per rank."""
+        nx, ny = shape
+        holders = 1 if nx * ny <= SMALL else max(1, min(parent.comm.size, nx // least))
+        self.comm, self.shape, self.size = parent.comm, shape, nx * ny
+        self.spacing = lengths[0] / nx, lengths[1] / ny
+        self.layout = Layout.spread(parent.comm, nx, holders)
+        self.local_shape = self.layout.rows.stop - self.layout.rows.start, ny
+        team = team_of(parent.comm, holders)
+        self.grid = None if team is None else parent.like(team, shape, lengths)
+
+    @classmethod
+    def coarse(cls, fine: SlabGrid, factor: int = 2) -> SubGrid:
+        """The grid of the same cell with 1/factor of the points each way (rounded up).  Collective."""
+        return cls(fine, (-(-fine.shape[0] // factor), -(-fine.shape[1] // factor)), fine.lengths)
+
+    @property
+    def columns(self) -> slice:
+        """Columns ky of this rank."""
+        return slice(0, 0) if self.grid is None else self.grid.columns
+
+    def empty(self) -> np.ndarray:
+        """A field (0, ny), of ranks that hold no rows."""
+        return np.empty((0, self.shape[1]))
+
+    def window(self, span: Range, dtype: DTypeLike = np.float32) -> RowWindow:
+        """Rows around those of this rank.  Collective."""
+        return RowWindow(self.layout, span, self.shape[1], dtype)
+
+    def on_all(self, work: Callable[[SlabGrid], T], without_rows: Callable[[T], T] = lambda value: value) -> T:
+        """`work(grid)` on the ranks that hold the grid; the others receive what `without_rows` makes of the value of
+        rank 0.  If it fails, it does so on all.  Collective.
+        """
+        if self.grid is not None and self.grid.comm.size == self.comm.size:
+            return work(self.grid)
+        value: T | None = None
+        failure: Exception | None = None
+        if self.grid is not None:
+            try:
+                value = work(self.grid)
+            except Exception as error:  # raised below, on all ranks
+                failure = error
+        sent = None if value is None else without_rows(value), failure
+        sent = self.comm.bcast(sent if self.comm.rank == 0 else None)
+        if sent[1] is not None:
+            raise sent[1] if failure is None else failure
+        return value if self.grid is not None else sent[0]  # type: ignore[return-value]  # one of them is a T
+
+    def free(self) -> None:
+        """Frees the memory of the transforms.  Collective."""
+        if self.grid is not None:
+            self.grid.free()

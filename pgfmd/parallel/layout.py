@@ -1,0 +1,198 @@
+"""How rows lie on ranks, and how they travel: from the ranks that hold them to those that need them, and back.
+
+A plan is made once and knows its partners; carrying it out costs messages between these alone, whatever the number of
+ranks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from pgfmd.parallel.collectives import slab_starts
+from pgfmd.parallel.mpi import MPI, datatype
+from pgfmd.parallel.threads import Threads
+
+Range = tuple[int, int]
+"""Rows low … high−1 of a periodic array: they may cross its edge, and be more than a period."""
+Offsets = tuple[np.ndarray, np.ndarray]
+"""Of a source and of a target whose rows differ in length: first entry of each row, and the end of the last one."""
+
+Piece = tuple[int, np.ndarray]
+"""First row, and the rows."""
+
+
+class Layout:
+    """Rank r of `comm` holds rows starts[r] … starts[r+1]−1 of an array, or none; `rows`: those of this rank."""
+
+    def __init__(self, comm: MPI.Comm, starts: np.ndarray) -> None:
+        self.comm, self.starts = comm, starts
+        self.rows = slice(int(starts[comm.rank]), int(starts[comm.rank + 1]))
+
+    @classmethod
+    def spread(cls, comm: MPI.Comm, count: int, holders: int) -> Layout:
+        """`count` rows on so many of the ranks, rank 0 among them, evenly apart."""
+        rows = np.zeros(comm.size, np.int64)
+        rows[np.arange(holders) * comm.size // holders] = np.diff(slab_starts(count, holders))
+        return cls(comm, np.concatenate([[0], np.cumsum(rows)]))
+
+    def fetch(self, field: np.ndarray, first: int, stop: int, threads: Threads | None = None) -> np.ndarray:
+        """Rows first … stop−1 of a field of which this rank holds `rows`, as a new array; each rank may ask for others.
+        Collective.
+
+        threads: they copy the rows that the rank holds itself.
+        """
+        out = np.empty((max(stop - first, 0), *field.shape[1:]), field.dtype)
+        return RowPlan(self, [(first, stop)]).fetch(field, out, threads=threads)
+
+
+class RowPlan:
+    """Rows of some ranges that each rank needs, of an array with that layout.  Collective to make, not to carry out:
+    only ranks that have something for each other communicate.
+
+    sends: (rank, first, stop), rows local to this rank.  receives: (rank, at, end), rows of a `target` that holds the
+    ranges one after the other, or each from its `places` on.  copies: (first, stop, at) of rows of its own.  Both sides
+    list what passes between them in the same order.
+    """
+
+    def __init__(self, layout: Layout, ranges: Sequence[Range], places: Sequence[int] | None = None) -> None:
+        self.comm, rank = layout.comm, layout.comm.rank
+        wanted = np.empty((layout.comm.size, len(ranges), 2), np.int64)
+        self.comm.Allgather(np.array(ranges, np.int64), wanted)
+        lengths = [max(high - low, 0) for low, high in ranges]
+        places = np.cumsum([0, *lengths[:-1]]).tolist() if places is None else places
+        self.sends: list[tuple[int, int, int]] = []
+        self.receives: list[tuple[int, int, int]] = []
+        self.copies: list[tuple[int, int, int]] = []
+        for which, (low, high) in enumerate(ranges):
+            for owner, first, stop, offset in _owners(low, high, layout.starts):
+                at = places[which] + offset
+                if owner == rank:
+                    self.copies.append((first, stop, at))
+                else:
+                    self.receives.append((owner, at, at + stop - first))
+            self.sends += (piece for piece in _askers(wanted[:, which], layout) if piece[0] != rank)
+
+    def fetch(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        offsets: Offsets | None = None,
+        threads: Threads | None = None,
+    ) -> np.ndarray:
+        """Brings rows of `source`, this rank's, to the `target`s of the ranks that need them; returns this rank's."""
+        MPI.Request.Waitall(self.start(source, target, offsets, threads))
+        return target
+
+    def start(
+        self,
+        source: np.ndarray,
+        target: np.ndarray,
+        offsets: Offsets | None = None,
+        threads: Threads | None = None,
+    ) -> list[MPI.Request]:
+        """Begins to `fetch`; both arrays may be used when the requests are complete."""
+        here, there = (_part(known) for known in offsets or (None, None))
+        requests = [self.comm.Irecv(_items(target[there(at, end)]), owner) for owner, at, end in self.receives]
+        requests += [self.comm.Isend(_items(source[here(*rows)]), rank) for rank, *rows in self.sends]
+        for first, stop, at in self.copies:
+            part, to = source[here(first, stop)], target[there(at, at + stop - first)]
+            (threads or Threads(1)).split(partial(_copy, part, to), len(part))
+        return requests
+
+    def start_back(self, target: np.ndarray) -> tuple[list[MPI.Request], list[Piece]]:
+        """Begins to bring the rows of `target` back to the ranks that hold them.  Returns what to wait for, and what
+        then has come: (first local row, rows), which are to be added up.
+        """
+        pieces = [(first, np.empty((stop - first, *target.shape[1:]), target.dtype)) for _, first, stop in self.sends]
+        requests = [
+            self.comm.Irecv(_items(rows), rank)
+            for (rank, *_), (_, rows) in zip(self.sends, pieces, strict=True)
+        ]  # fmt: skip
+        requests += [self.comm.Isend(_items(target[at:end]), owner) for owner, at, end in self.receives]
+        return requests, pieces + [(first, target[at : at + stop - first]) for first, stop, at in self.copies]
+
+
+class RowWindow:
+    """Rows low … high−1 (periodic) of an array with that layout, widened where they lack rows of this rank.  Collective
+    to make.
+
+    Attributes: low; rows (high − low, width), both after widening; own: this rank's rows, a view of `rows`; begin, end:
+    where in `rows` they begin and end.
+    """
+
+    def __init__(self, layout: Layout, span: Range, width: int, dtype: DTypeLike = np.float32) -> None:
+        first, stop = layout.rows.start, layout.rows.stop
+        low, high = (min(span[0], first), max(span[1], stop)) if first < stop else span
+        self.low, self.begin, self.end = low, max(first - low, 0), max(stop - low, 0)
+        if first == stop:
+            self.begin = self.end = 0
+        self.rows = np.zeros((high - low, width), dtype)
+        self.own = self.rows[self.begin : self.end]
+        around = [(low, low + self.begin), (low + self.end, high)]
+        self.plan = RowPlan(layout, around, (0, self.end))
+
+    @property
+    def around(self) -> list[Range]:
+        """The rows of the window that are not this rank's, numbered as in `rows`."""
+        return [(0, self.begin), (self.end, len(self.rows))]
+
+    def fetch(self) -> None:
+        """Fills the window from this rank's rows and those of the ranks that hold the others.  Collective."""
+        self.plan.fetch(self.own, self.rows)
+
+    def give(self) -> list[Piece]:
+        """Brings the rows that are not this rank's to those that hold them.  Returns what came from others: (first row
+        of `own`, rows), to be added.  Collective.
+        """
+        requests, pieces = self.plan.start_back(self.rows)
+        MPI.Request.Waitall(requests)
+        return pieces
+
+    def add(self) -> None:
+        """Adds to each rank's own rows what the others have in their windows.  Collective."""
+        for first, rows in self.give():
+            self.own[first : first + len(rows)] += rows
+
+
+def _owners(low: int, high: int, starts: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
+    """The periodic range low … high−1 cut at the edges of slabs: (owner, first and last + 1 of its rows, offset from
+    low).
+    """
+    total, at = int(starts[-1]), low
+    while at < high:
+        row = at % total
+        owner = int(np.searchsorted(starts, row, side="right")) - 1
+        first, length = row - int(starts[owner]), min(high - at, int(starts[owner + 1]) - row)
+        yield owner, first, first + length, at - low
+        at += length
+
+
+def _askers(wanted: np.ndarray, layout: Layout) -> Iterator[tuple[int, int, int]]:
+    """The ranks whose range, a (low, high) in `wanted`, has rows of this one: (rank, first, last + 1 of them)."""
+    start, stop, total = layout.rows.start, layout.rows.stop, int(layout.starts[-1])
+    low, high = wanted.T
+    asking = low < high
+    if start == stop or not asking.any():
+        return
+    for shift in range(int((low[asking].min() - stop) // total), int((high[asking].max() - start) // total) + 1):
+        begin, end = np.maximum(low, start + shift * total), np.minimum(high, stop + shift * total)
+        for rank in np.flatnonzero(begin < end):
+            yield int(rank), int(begin[rank]) - shift * total - start, int(end[rank]) - shift * total - start
+
+
+def _part(offsets: np.ndarray | None) -> Callable[[int, int], slice]:
+    """Which entries rows first … stop−1 are."""
+    return slice if offsets is None else lambda first, stop: slice(int(offsets[first]), int(offsets[stop]))
+
+
+def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None:
+    target[first:stop] = source[first:stop]
+
+
+def _items(rows: np.ndarray) -> list:
+    """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
+    return [rows, datatype(rows.dtype)]
