@@ -17,7 +17,6 @@ import numpy as np
 from pgfmd.solvers.active_set.active_set import MOST_INNER, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import ContactSet
-from pgfmd.solvers.active_set.feasible import make_feasible
 from pgfmd.solvers.active_set.primal import PressureSteps
 
 CUT = 1e-3  # factor on the residual in one step: the signs of the solution decide, single precision has no more
@@ -48,7 +47,7 @@ class Descent(PressureSteps):
         for trial in range(TRIALS + 1):
             np.add(pressure, step * direction, out=state.pressure)
             state.pressure[bounds <= step] = np.where(direction < 0, 0.0, self.top)[bounds <= step]
-            make_feasible(points, (state.pressure, state.gap), self.load, self.top, self.pixel_stiffness)
+            self.feasible.make(points, (state.pressure, state.gap), self.load)
             if step <= furthest:
                 return
             self.compute_gap(state, self.precision)
