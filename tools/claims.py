@@ -158,7 +158,7 @@ def _find(reference: str, findings: dict[str, Findings]) -> Finding | None:
 
 
 def _combined(first: Finding, other: Finding, quotient: bool) -> Finding:
-    """first/other or first − other.  Errors of a kind are added in squares, as if independent; None where both are."""
+    """first/other or first − other.  Errors of a kind are added in squares, as if independent; None if both are None."""
     if not quotient:
         value, scales = first.value - other.value, (1.0, 1.0)
     else:
