@@ -1,4 +1,4 @@
-"""A short-ranged kernel between the points of a contact set, summed in real space."""
+"""A short-ranged kernel between the points of a set, summed in real space."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
 
 
 class Stencil:
-    """z = S K Sᵀ r: S restricts to a contact set, K is a `lattice_kernel`."""
+    """z = S K Sᵀ r: S restricts to a set of points, K is a `lattice_kernel`."""
 
     def __init__(self, grid: SlabGrid, kernel: np.ndarray) -> None:
         self.grid, corner = grid, kernel[RADIUS:, RADIUS:]
