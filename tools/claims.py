@@ -158,7 +158,9 @@ def _find(reference: str, findings: dict[str, Findings]) -> Finding | None:
 
 
 def _combined(first: Finding, other: Finding, quotient: bool) -> Finding:
-    """first/other or first − other.  Errors of a kind are added in squares, as if independent; None if both are None."""
+    """first/other or first − other.  Errors of one kind are added in squares, as if independent; where only one is
+    known, it counts alone.
+    """
     if not quotient:
         value, scales = first.value - other.value, (1.0, 1.0)
     else:

@@ -3,9 +3,10 @@
 Steps that move all points at once between the sets (`primal`, `dual`) converge where a pressure lowers its surroundings
 less the farther they are.  On oblong pixels, or under a thin slab, which bends like a plate, they may cycle: points
 that are released together push each other back.  Here a step releases the points that their gap drives away from a
-bound, solves for them and those between the bounds, and keeps those at their bound that the solution drives beyond it,
-until there is none.  Along that direction the energy falls at least up to where the first point meets a bound.  So no
-set comes twice, and there is an end (Nocedal and Wright 2006, section 16.5, with blocks of points for single ones).
+bound, and solves for them and for those between the bounds.  Where the solution drives released points beyond their
+bound, these stay at it, and the rest is solved again, until there are no such points.  Along the direction to that
+solution the energy falls at least up to where the first point meets a bound.  So no set comes twice, and the iteration
+ends (Nocedal and Wright 2006, section 16.5, with blocks of points for single ones).
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.primal import PressureSteps
 
 CUT = 1e-3  # factor on the residual in one step: the signs of the solution decide, single precision has no more
-ENOUGH = 0.1  # of the gain that the slope promises: a step that gains less, with points cut at bounds, is shortened
-TRIALS = 4  # steps that are tried before that to the first bound
+ENOUGH = 0.1  # a step beyond a bound is shortened if it gains less than this part of what the slope promises
+TRIALS = 4  # lengths that are tried before a step ends where the first point meets a bound
 
 
 class Descent(PressureSteps):
@@ -62,6 +63,7 @@ class Descent(PressureSteps):
         bound leave it.  Collective.
         """
         pressure, gap, level = state.pressure, state.gap, state.level
+        # shown: the gap by which unknowns are chosen, infinite at points that stay at their bound
         low, high, shown = pressure <= 0, pressure >= self.top, gap.copy()
         while True:
             points = ContactSet(self.grid, (pressure, shown), level, self.top)
