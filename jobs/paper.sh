@@ -89,5 +89,5 @@ plan() {
 
 mkdir -p "$folder"
 plan | "$python" tools/runs.py "$folder" --jobs "$jobs"
-"$python" tools/report.py "$folder" --output "$folder/report" $([ "$small" = 1 ] || echo --small)
+"$python" tools/report.py "$folder" --output "$folder/report" --jobs "$jobs" $([ "$small" = 1 ] || echo --small)
 echo "report: $folder/report/report.html"

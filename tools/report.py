@@ -12,6 +12,7 @@ import base64
 import csv
 import html
 import math
+import multiprocessing
 import sys
 import time
 import tomllib
@@ -24,7 +25,7 @@ from pathlib import Path
 import claims
 import figures
 from claims import Claim
-from plotting import Findings, Sheet
+from plotting import Findings
 
 from pgfmd.errors import InputError
 from pgfmd.io.results import Results
@@ -79,24 +80,44 @@ def read_departures(path: Path) -> list[str]:
         return tomllib.load(file).get("departures", [])
 
 
-def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bool = False) -> Path:
-    """Make every figure that the runs in `folder` allow, and report.html, report.csv; the path of the page."""
+@dataclass(frozen=True)
+class Drawn:
+    """What the report needs of a figure that has been drawn, or why it cannot be."""
+
+    findings: Findings
+    notes: list[str]
+    missing: str = ""
+
+
+def draw(figure: Figure, folder: Path, output: Path) -> Drawn:
+    """Draw a figure of the runs in `folder` into the folder `output`."""
+    folders = figure.folders(folder)
+    try:
+        if not folders:
+            raise InputError("not run yet")
+        sheet = figures.draw(figure.tool, folders, **figure.options)
+        sheet.save(output, figure.picture)
+    except InputError as error:
+        return Drawn(Findings(), [], str(error))
+    return Drawn(sheet.findings, sheet.notes)
+
+
+def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bool = False, jobs: int = 1) -> Path:
+    """Make every figure that the runs in `folder` allow, `jobs` at a time, and report.html, report.csv; the path of the
+    page.
+    """
     began = time.perf_counter()
     output.mkdir(parents=True, exist_ok=True)
     plan = read_figures(source)
     asked = claims.read(source, {figure.key for figure in plan}, small)
-    sheets: dict[str, Sheet] = {}
-    missing: dict[str, str] = {}
-    for figure in plan:
-        folders = figure.folders(folder)
-        try:
-            if not folders:
-                raise InputError("not run yet")
-            sheets[figure.key] = figures.draw(figure.tool, folders, **figure.options)
-            sheets[figure.key].save(output, figure.picture)
-        except InputError as error:
-            missing[figure.key] = str(error)
-    findings = {key: sheet.findings for key, sheet in sheets.items()}
+    tasks = [(figure, folder, output) for figure in plan]
+    if jobs > 1:
+        with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+            results = pool.starmap(draw, tasks, chunksize=1)
+    else:
+        results = [draw(*task) for task in tasks]
+    drawn = {figure.key: result for figure, result in zip(plan, results, strict=True)}
+    findings = {key: result.findings for key, result in drawn.items() if not result.missing}
     everything = sorted(path for path in folder.iterdir() if _complete(path))
     _write_table(output / "report.csv", asked, findings)
     page = [
@@ -107,7 +128,7 @@ def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bo
         _introduction(everything, asked, findings),
         _summary(asked, findings),
         _departures(read_departures(source)),
-        *(_section(figure, folder, sheets, missing, asked, findings, output) for figure in plan),
+        *(_section(figure, folder, drawn, asked, findings, output) for figure in plan),
         _runs(everything, time.perf_counter() - began),
         "</html>\n",
     ]
@@ -180,16 +201,16 @@ def _departures(lines: list[str]) -> str:
     return f"<h2>Where the runs depart from the paper, and by how much</h2><ul>{listed}</ul>" if lines else ""
 
 
-def _section(figure: Figure, folder, sheets, missing, asked, findings, output: Path) -> str:
+def _section(figure: Figure, folder: Path, drawn: dict[str, Drawn], asked, findings, output: Path) -> str:
     """A figure with its caption, and the claims that stand under it."""
     title = f'<h2 id="{html.escape(figure.key)}">{html.escape(figure.title)}</h2>'
     mine = [claim for claim in asked if claim.figure == figure.key]
-    if figure.key in missing:
-        return f"{title}<p>Cannot be drawn: {html.escape(missing[figure.key])}.</p>{_claims(mine, findings)}"
+    if missing := drawn[figure.key].missing:
+        return f"{title}<p>Cannot be drawn: {html.escape(missing)}.</p>{_claims(mine, findings)}"
     picture = base64.b64encode((output / f"{figure.picture}.png").read_bytes()).decode()
-    runs, sheet = figure.folders(folder), sheets[figure.key]
+    runs = figure.folders(folder)
     caption = " ".join(figures.module(figure.tool).CAPTION.split())
-    notes = "".join(f" Note: {html.escape(note)}." for note in sheet.notes)
+    notes = "".join(f" Note: {html.escape(note)}." for note in drawn[figure.key].notes)
     names = html.escape(", ".join(figure.runs))
     return "\n".join(
         [
@@ -300,12 +321,14 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of the report (default: DIR/report)")
     parser.add_argument("--small", action="store_true", help="the runs are those of jobs/paper.sh --small")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="figures at a time (default 1)")
     options = parser.parse_args(arguments)
     if not options.runs.is_dir() or not any(map(_complete, options.runs.iterdir())):
         print(f"report.py: error: {options.runs}: holds no complete run", file=sys.stderr)
         return 2
     try:
-        print(write_report(options.runs, options.output or options.runs / "report", small=options.small))
+        output = options.output or options.runs / "report"
+        print(write_report(options.runs, output, small=options.small, jobs=options.jobs))
     except InputError as error:
         print(f"report.py: error: {error}", file=sys.stderr)
         return 2
