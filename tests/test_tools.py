@@ -263,7 +263,7 @@ KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
     ("bare",): GENERAL - {"pressure_distribution", "bearing_area", "contact_patches"},
-    ("nothing",): {"area_load"},
+    ("nothing",): {"area_load", "overview"},
     ("file",): GENERAL,
     ("sinusoid",): GENERAL,
     ("paraboloid",): GENERAL,

@@ -1,47 +1,58 @@
-"""What one load looks like: the surface with its contact, the distribution of pressures, stress and contact spectra.
+"""What a run looks like: a page with fields to zoom into, and a picture of the last load.
 
     pgfmd plot overview DIR
 
-Draws the last load of the first folder that has something to show; what was not kept is left out.
+Writes overview.html, which shows all loads of the first folder, and draws the last one; what was not kept is left out.
 """
 
 from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable, Iterator, Sequence
 
 import figures
 import matplotlib
 import numpy as np
-from matplotlib.colors import LightSource, ListedColormap
+from matplotlib.colors import LightSource, ListedColormap, LogNorm, PowerNorm
+from overview_page import write_page
+from patch_areas import areas
 from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet
 from reading import NEEDS as TESTS
 from reading import Load
 
-from pgfmd.errors import InputError
 from pgfmd.options.text import printable
 from pgfmd.theory import persson
 
-CAPTION = """Left: the rigid surface, lit from the side, and the pressure where it touches. Middle: the distribution of
-contact pressures with Persson's prediction, which has no free parameter. Right: spectra of the stress and of the
-contact, scaled so that they coincide where stress and contact are alike."""
+CAPTION = """The rigid surface, lit from the side, and the pressure where it touches; the gap, on a scale that spreads
+its small values; contact patches by their area; the distribution of contact pressures with Persson's prediction, which
+has no free parameter; spectra of the stress and of the contact, scaled so that they coincide where both are alike; and
+the contact area at all loads."""
 NEEDS = ("load",)
+OPTIONS = {
+    "--loads": {"type": int, "nargs": "+", "metavar": "N", "dest": "chosen",
+                "help": "loads whose fields are on the page (default: six of them)"},
+    "--no-tiles": {"action": "store_false", "dest": "tiles",
+                   "help": "no folder beside the page: of a large field, a coarse picture and its most loaded part"},
+}  # fmt: skip
 PIXELS = 1024  # a larger field is thinned to about this many points per side
+MOST_POINTS = 2**24  # of a grid whose spectra are made from the fields, if the run kept none
 
 
-def draw(loads: list[Load]) -> Sheet:
-    """Up to three panels of the last load."""
+def draw(loads: list[Load], chosen: Sequence[int] | None = None, tiles: bool = True) -> Sheet:
+    """Up to six panels of the last load, and the page of all."""
     first = loads[0].results.directory
-    load = [load for load in loads if load.results.directory == first][-1]
-    drawings = {"height": draw_surface, "histogram": draw_distribution, "spectra": draw_spectra}
-
-    there = {need: function for need, function in drawings.items() if TESTS[need][0](load)}
-    if not there:
-        raise InputError(f"{load.folder}: nothing to draw: no field height, no observable histogram or spectra")
-    sheet = Sheet(1, len(there), width=PAGE if len(there) > 1 else None, height=2.5)
-    for panel, function in enumerate(there.values()):
+    run = [load for load in loads if load.results.directory == first]
+    load, notes = run[-1], []
+    panels = list(_panels(run, notes))
+    columns = len(panels) if len(panels) <= 3 else -(-len(panels) // 2)
+    sheet = Sheet(-(-len(panels) // columns), columns, width=PAGE if columns > 1 else None, height=2.3)
+    for panel, function in enumerate(panels):
         function(sheet, panel, load)
-    sheet.notes += [f"not drawn: {load.folder} has no {TESTS[need][1]}" for need in drawings if need not in there]
+    for panel in range(len(panels), len(sheet.panels)):
+        sheet.drop(panel)
+    sheet.notes += notes
+    sheet.beside.append(lambda output: write_page(run, output, chosen, tiles))
     for name, value in {
         "mean pressure": load.mean_pressure, "contact area f_c": load.area,
         "contact area, corrected": load.corrected_area, "κ = f_c E' g/p̄": load.number("kappa"),
@@ -53,66 +64,149 @@ def draw(loads: list[Load]) -> Sheet:
     return sheet
 
 
+def _panels(run: list[Load], notes: list[str]) -> Iterator[Callable]:
+    """What can be drawn of the last load; `notes` gets what cannot."""
+    load = run[-1]
+    spectra = "stress_spectrum" in load.kept or np.prod(load.results.shape) <= MOST_POINTS
+    there = {
+        draw_surface: ("height" in load.fields, TESTS["height"][1]),
+        draw_gap: ("gap" in load.fields, 'field "gap"'),
+        draw_patches: (areas(load, PIXELS) is not None, 'field "labels", or (hard walls) field "pressure"'),
+        draw_distribution: (TESTS["histogram"][0](load), TESTS["histogram"][1]),
+        draw_spectra: (spectra and TESTS["spectra"][0](load),
+                       'observable "spectra"'),
+    }  # fmt: skip
+    for function, (known, lacking) in there.items():
+        if known:
+            yield function
+        else:
+            notes.append(f"not drawn: {load.folder} has no {lacking}")
+    yield lambda sheet, panel, _: draw_loads(sheet, panel, run)
+
+
 def thinned(load: Load, name: str) -> np.ndarray:
     """The field on every k-th point, read in row blocks: float array of at most about PIXELS × PIXELS."""
+    return _thinned(load, load.results.blocks(name, None if name == "height" else load.index))
+
+
+def _thinned(load: Load, blocks) -> np.ndarray:
     step = max(1, max(load.results.shape) // PIXELS)
-    return np.concatenate([values[-rows.start % step :: step, ::step] for rows, values in load.blocks(name)])
+    return np.concatenate([values[-rows.start % step :: step, ::step] for rows, values in blocks])
+
+
+def _unit(load: Load, name: str) -> str:
+    """Unit of lengths or pressures; "" if the job does not name it."""
+    unit = printable(str(load.job.get("output", {}).get(f"{name}_unit", name)), 20).replace("$", "?")
+    return "" if unit == name else unit
+
+
+def _show(sheet: Sheet, panel: int, load: Load, values: np.ndarray, label: str | None = None, **style):
+    """A field in a panel, x to the right and y upwards, with a bar of its colours if it has a label."""
+    axes, (lx, ly), unit = sheet.panels[panel], load.results.lengths, _unit(load, "length")
+    image = axes.imshow(values.T, origin="lower", extent=(0, lx, 0, ly), interpolation="nearest", **style)
+    name = unit or ("grid spacings" if max(load.steps) == 1 else "length")
+    axes.set(xlabel=f"x / {name}", ylabel=f"y / {name}")
+    if label is not None:
+        bar = axes.figure.colorbar(image, ax=axes, label=label, orientation="horizontal", pad=0.02, shrink=0.9)
+        bar.ax.tick_params(which="both", top=False)
 
 
 def draw_surface(sheet: Sheet, panel: int, load: Load):
-    """The heights, lit from the side, with the contact on top; x to the right, y upwards."""
-    axes, height = sheet.panels[panel], thinned(load, "height").T
-    lx, ly = load.results.lengths
+    """The heights, lit from the side, with the contact on top."""
+    height = thinned(load, "height")
     light = LightSource(azdeg=135, altdeg=40)
     span = np.ptp(height) or 1.0
-    shaded = 0.6 * (height - height.min()) / span + 0.4 * light.hillshade(height, vert_exag=60 / span)
-    axes.imshow(shaded, cmap="gray", vmin=-0.1, vmax=1, origin="lower", extent=(0, lx, 0, ly))
-    output = load.job.get("output", {})
-    units = (output.get("length_unit", "length"), output.get("pressure_unit", "pressure"))
-    unit, pressure_unit = (printable(str(unit), 20).replace("$", "?") for unit in units)
-    name = "grid spacings" if unit == "length" and max(load.steps) == 1 else unit
-    axes.set(xlabel=f"x / {name}", ylabel=f"y / {name}")
+    shaded = 0.6 * (height - height.min()) / span + 0.4 * light.hillshade(height.T, vert_exag=60 / span).T
+    _show(sheet, panel, load, shaded, cmap="gray", vmin=-0.1, vmax=1)
     if "pressure" not in load.fields:
         return
-    pressure = thinned(load, "pressure").T
+    pressure = thinned(load, "pressure")
     contact = np.ma.masked_where(pressure <= 0, pressure)
     top = float(np.quantile(pressure[pressure > 0], 0.99)) if np.any(pressure > 0) else 1.0
     colours = ListedColormap(matplotlib.colormaps["inferno"](np.linspace(0.35, 1, 256)))  # bright against the grey
-    image = axes.imshow(contact, cmap=colours, vmin=0, vmax=top, origin="lower", extent=(0, lx, 0, ly),
-                        interpolation="nearest")  # fmt: skip
+    unit = _unit(load, "pressure")
+    _show(sheet, panel, load, contact, "pressure" + (f" / {unit}" if unit else ""), cmap=colours, vmin=0, vmax=top)
     if math.isfinite(load.area):
-        axes.set_title(f"contact on {100 * load.area:.2g} % of the surface")
-    label = "pressure" + (f" / {pressure_unit}" if pressure_unit != "pressure" else "")
-    axes.figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="max")
+        sheet.panels[panel].set_title(f"contact on {100 * load.area:.2g} % of the surface")
+
+
+def draw_gap(sheet: Sheet, panel: int, load: Load):
+    """The gap; where it vanishes, nothing."""
+    gap, unit = thinned(load, "gap"), _unit(load, "length")
+    shown = np.ma.masked_where(gap <= 0, gap) if load.law != "exponential" else gap
+    norm = PowerNorm(0.5, vmin=0) if load.law != "exponential" else None
+    _show(sheet, panel, load, shown, "gap" + (f" / {unit}" if unit else ""), cmap="viridis", norm=norm)
+
+
+def draw_patches(sheet: Sheet, panel: int, load: Load):
+    """The contact patches, coloured by their area."""
+    count = max(1, 2**22 // load.results.shape[1])
+    starts = range(0, load.results.shape[0], count)
+    area = _thinned(load, ((slice(start, None), rows) for start, rows in zip(starts, areas(load, count), strict=True)))
+    unit, point = _unit(load, "length"), float(np.prod(load.steps))
+    norm = LogNorm(point, max(float(area.max()), 10 * point))
+    label = "area of the patch" + (f" / {unit}²" if unit else "")
+    _show(sheet, panel, load, np.ma.masked_where(area <= 0, area), label, cmap="cividis", norm=norm)
+
+
+def draw_loads(sheet: Sheet, panel: int, run: Sequence[Load]):
+    """The contact area (where there is no contact, the mean gap) at all loads, against the mean pressure."""
+    touching = [load for load in run if load.area > 0]
+    name, used = ("corrected_area", touching) if touching else ("", run)
+    y = [load.corrected_area if touching else load.number("mean_gap") for load in used]
+    std, unit = run[0].full_contact_std, _unit(run[0], "pressure")
+    x = np.array([load.mean_pressure for load in used]) / (std if std > 0 else 1)
+    errors = [load.area_error for load in used]
+    error = np.array(errors) if name and np.all(np.isfinite(errors)) else None
+    sheet.curve(panel, x, y, "simulation", error, color=BLUE, marker="o", ls="none")
+    if touching and run[0].law == "hard" and std > 0 and len(used) > 1:
+        p = np.geomspace(x.min(), x.max(), 60)
+        sheet.curve(panel, p, persson.contact_fraction(p, 1.0), "Persson", color=BLACK)
+    label = r"$\bar p\,/\,(E'\bar g/2)$" if std > 0 else r"$\bar p$" + (f" / {unit}" if unit else "")
+    sheet.label(panel, label, "$f_c$" if touching else "mean gap", scale="log" if touching else "semilogx")
+
+
+def distribution(load: Load) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """P(σ) over the whole surface: σ and P as measured, where P > 0, and σ and P of Persson's theory, (m,) each."""
+    histogram, std = load.groups["pressure_histogram"], load.full_contact_std
+    middle = (histogram["edges"][1:] + histogram["edges"][:-1]) / 2
+    density = (load.area if load.area > 0 else 1.0) * histogram["density"]
+    shown = density > 0
+    if not np.any(shown) or not std > 0:
+        return (np.array([]),) * 4
+    sigma = np.linspace(0, middle[shown].max(), 400)[1:]
+    theory = persson.pressure_density(sigma, load.mean_pressure, std)
+    visible = theory > 0.3 * density[shown].min()
+    return middle[shown], density[shown], sigma[visible], theory[visible]
 
 
 def draw_distribution(sheet: Sheet, panel: int, load: Load):
     """P(σ) over the whole surface in units of the full-contact pressure, with Persson's prediction at the same load."""
-    histogram, std = load.groups["pressure_histogram"], load.full_contact_std
-    middle = (histogram["edges"][1:] + histogram["edges"][:-1]) / 2
-    density = (load.area if load.area > 0 else 1.0) * histogram["density"] * std
-    shown = density > 0
-    if not np.any(shown) or not std > 0:
-        return
-    sheet.curve(panel, middle[shown] / std, density[shown], "simulation", color=BLUE, marker="o", ls="none", ms=2)
-    sigma = np.linspace(0, middle[shown].max(), 400)[1:]
-    theory = persson.pressure_density(sigma, load.mean_pressure, std) * std
-    visible = theory > 0.3 * density[shown].min()
-    if np.any(visible):
-        sheet.curve(panel, sigma[visible] / std, theory[visible], "Persson", color=BLACK)
-    sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", r"$P(\sigma)\;E'\bar g/2$", scale="semilogy")
+    (sigma, density, smooth, theory), std = distribution(load), load.full_contact_std
+    if len(sigma):
+        sheet.curve(panel, sigma / std, density * std, "simulation", color=BLUE, marker="o", ls="none", ms=2)
+        sheet.curve(panel, smooth / std, theory * std, "Persson", color=BLACK)
+        sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", r"$P(\sigma)\;E'\bar g/2$", scale="semilogy")
+
+
+def scaled_spectra(load: Load) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Name, q/q_l and spectrum of stress and (in partial contact) contact, such that both tend to one curve where
+    they are alike.
+    """
+    f, found = load.area, []
+    partial = 0 < f < 1
+    for name, square in [("stress", load.mean_pressure**2)] + [("contact", f**2)] * partial:
+        q, value, _ = load.spectrum(name)
+        found.append((name, q / load.q_unit, (f / (1 - f) if partial else 1.0) * value / square))
+    return found
 
 
 def draw_spectra(sheet: Sheet, panel: int, load: Load):
     """Stress and contact spectra, normalised so that both tend to one curve where they are alike."""
-    f, unit = load.area, load.q_unit
-    partial = 0 < f < 1
-    kinds = [("stress", load.mean_pressure**2, RED, "-")] + [("contact", f**2, BLUE, "--")] * partial
-    for name, square, colour, dashes in kinds:
-        q, value, _ = load.spectrum(name)
-        scale = f / (1 - f) if partial else 1.0
-        sheet.curve(panel, q / unit, scale * value / square, name, color=colour, ls=dashes)
-    sheet.panels[panel].axvline(load.q_limits[1] / unit, color=GREY, lw=0.8, ls=":")
+    for (name, q, value), colour, dashes in zip(scaled_spectra(load), (RED, BLUE), ("-", "--"), strict=False):
+        sheet.curve(panel, q, value, name, color=colour, ls=dashes)
+    sheet.panels[panel].axvline(load.q_limits[1] / load.q_unit, color=GREY, lw=0.8, ls=":")
+    partial = 0 < load.area < 1
     quantity = r"$f_c\,|\tilde f(q)|^2\,/\,(1-f_c)\,|\tilde f(0)|^2$" if partial else r"$|\tilde\sigma|^2/\bar p^2$"
     sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log")
 

@@ -9,7 +9,7 @@ import csv
 import json
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -143,6 +143,7 @@ class Sheet:
         self.figure, axes = plt.subplots(rows, columns, figsize=(width, height * rows), squeeze=False)
         self.panels = list(axes.flat)
         self.findings, self.notes = Findings(), []
+        self.beside: list[Callable[[Path], Path]] = []  # write further files into the folder of the figure
         self._legend_rows = 0
         self._table: list[tuple] = []
         self._tables: dict[str, tuple[Sequence[str], list[tuple]]] = {}
@@ -215,7 +216,7 @@ class Sheet:
         for table, (columns, rows) in self._tables.items():
             paths.append(output / f"{name}_{table}.csv")
             _write_csv(paths[-1], columns, rows)
-        return paths
+        return paths + [write(output) for write in self.beside]
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence], heads: Iterable[str] = ()):

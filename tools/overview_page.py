@@ -1,0 +1,360 @@
+"""The overview as one page for a browser: fields to zoom into, curves, the table of loads.  No MPI.
+
+overview.html needs nothing from a network.  Fields that fit are in it whole.  Of larger ones it holds every 2^k-th
+point, and all points around the most loaded part; their other tiles lie in a folder beside it.  How it looks and works:
+page/page.html, page.css and page.js; tiles: `pyramid`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pyramid
+from patch_areas import areas
+from plotting import BLACK, BLUE, RED
+from pyramid import Pyramid
+from reading import Load
+from scipy import ndimage
+
+from pgfmd.io.schema import LOADS
+from pgfmd.options.text import printable
+from pgfmd.theory import persson
+
+NAMES = {"contact_area_corrected": "corrected", "kappa": "κ", "certified_error": "certified error"}
+PAGE = Path(__file__).with_name("page")
+FOLDER = "overview_tiles"
+BUDGET = 13e6  # bytes of tiles in the page
+MOST_LOADS = 6  # whose fields are shown, unless they are chosen
+COLUMNS = ("target", "mean_pressure", "contact_area", "contact_area_corrected", "kappa", "mean_gap", "displacement",
+           "elastic_energy", "certified_error", "iterations", "transforms", "seconds")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class View:
+    """How a field is shown: title, unit, colours, scale, whether each load has one, and what zero says (None: nothing
+    special).
+    """
+
+    key: str
+    title: str
+    unit: str
+    colours: str
+    scale: str = "linear"
+    each: bool = True
+    blank: str | None = None
+    images: dict[str, Pyramid] = field(default_factory=dict)
+
+    def range(self, point: float) -> tuple[float, float]:
+        """The ends of the scale of colours, for all loads; point: the area of one."""
+        shown = [image.small[np.isfinite(image.small)] for image in self.images.values()]
+        shown = [values[values > 0] if self.blank else values for values in shown]
+        shown = [values for values in shown if values.size] or [np.array([0.0, 1.0])]
+        if self.key == "patch":
+            return point, max(float(values.max()) for values in shown)
+        if self.key == "height" or not self.blank:
+            return min(float(values.min()) for values in shown), max(float(values.max()) for values in shown)
+        return 0.0, max(float(np.quantile(values, 0.998)) for values in shown)
+
+
+def write_page(loads: Sequence[Load], output: Path, chosen: Sequence[int] | None = None, tiles: bool = True) -> Path:
+    """Write overview.html into a folder; its path.
+
+    loads : of one run;  chosen : numbers of the loads whose fields are shown (default: MOST_LOADS of them, evenly
+    spread);  tiles : also write the folder of tiles, if not all fit into the page
+    """
+    first, folder = loads[0], output / FOLDER
+    output.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)
+    for old in folder.glob("*-*-*-*.js"):
+        old.unlink()
+    shown = _spread([load for load in loads if load.fields - {"height"}], chosen)
+    notes: list[str] = []
+    views = [view for view in _views(first, shown, folder, notes) if view.images]
+    embedded, peak = _embedded(views, shown)
+    outside = [image.path(key) for view in views for image in view.images.values() for key in image.sizes]
+    outside = [path for path in outside if path.exists()]
+    if not tiles or not outside:
+        for path in outside:
+            path.unlink()
+        if not any(folder.iterdir()):
+            folder.rmdir()
+    where = _where(embedded, bool(outside), tiles)
+    point = math.prod(first.steps)
+    data = {
+        "title": first.folder, "subtitle": _subtitle(first), "shape": first.results.shape,
+        "lengths": first.results.lengths, "length_unit": _unit(first, "length"), "tile": pyramid.TILE,
+        "levels": pyramid.level_count(first.results.shape), "folder": FOLDER if outside and tiles else None,
+        "maps": {view.colours: _colours(view.colours) for view in views}, "peak": peak,
+        "fields": [{"key": view.key, "title": view.title, "unit": view.unit, "map": view.colours, "scale": view.scale,
+                    "each": view.each, "blank": view.blank, "range": view.range(point)} for view in views],
+        "images": [name for view in views for name in view.images], "tiles": embedded,
+        "shown": [load.index for load in shown], "loads": [[load.index, _name(load)] for load in loads],
+        **where, **_table(loads), "charts": _charts(loads, notes), "notes": notes, "facts": _facts(first),
+        "job": printable_lines(first.results.provenance["effective_toml"]),
+    }  # fmt: skip
+    page = _part("page.html")
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    for name, part in (("STYLE", _part("page.css")), ("SCRIPT", _part("page.js")), ("DATA", text)):
+        page = page.replace(f"/*{name}*/", part, 1)
+    path = output / "overview.html"
+    path.write_text(page, encoding="utf-8")
+    return path
+
+
+def _part(name: str) -> str:
+    return (PAGE / name).read_text(encoding="utf-8")
+
+
+def _spread(loads: list[Load], chosen: Sequence[int] | None) -> list[Load]:
+    """The chosen ones, or MOST_LOADS of them, the first and the last included."""
+    if chosen is not None:
+        return [load for load in loads if load.index in chosen]
+    places = np.unique(np.rint(np.linspace(0, len(loads) - 1, MOST_LOADS)).astype(int)) if loads else []
+    return [loads[place] for place in places]
+
+
+def _views(first: Load, shown: list[Load], folder: Path, notes: list[str]) -> Iterator[View]:
+    """What there is to show, with its tiles written; notes: what is not shown, and why."""
+    length, pressure = _unit(first, "length"), _unit(first, "pressure")
+    touching = first.law != "exponential"  # there, no point is free of pressure
+    square = f"{length}²" if length else ""
+    contact = "no contact" if touching else None
+    views = (
+        View("height", "Surface: height", length, "gray", each=False),
+        View("pressure", "Pressure", pressure, "inferno", blank=contact),
+        View("gap", "Gap", length, "viridis", "sqrt" if touching else "linear", blank="contact" if touching else None),
+        View("patch", "Contact patches: area", square, "cividis", "log", blank="no contact"),
+    )
+    shape = first.results.shape
+    for view in views:
+        missing = []
+        for load in [first] if not view.each else shown:
+            name = f"{view.key}.{load.index}" if view.each else view.key
+            blocks = _blocks(load, view.key)
+            if blocks is None:
+                missing.append(load)
+            else:
+                view.images[name] = pyramid.write(Pyramid(name, folder), blocks, shape, view.scale, bool(view.blank))
+        if missing or (view.each and not shown):
+            reason = {"patch": 'the field "labels", or a hard wall and the field "pressure"'}
+            notes.append(f"{view.title} is not shown: the run kept no {reason.get(view.key, f'field {view.key}')}")
+        yield view
+
+
+def _blocks(load: Load, key: str) -> Iterator[np.ndarray] | None:
+    """A field in strips of TILE rows; None if there is none."""
+    if key == "patch":
+        return areas(load, pyramid.TILE)
+    if key not in load.fields:
+        return None
+    strips = load.results.blocks(key, None if key == "height" else load.index, 8 * pyramid.TILE * load.results.shape[1])
+    return (values for _, values in strips)
+
+
+def _embedded(views: list[View], shown: list[Load]) -> tuple[dict[str, list], list[int]]:
+    """The tiles that go into the page, whose files are removed: key → [low, high, bytes in base64]; and the point about
+    which the load is largest.
+    """
+    images = [image for view in views for image in view.images.values()]
+    peak, sizes = _peak(views, shown), {key: size for image in images for key, size in image.sizes.items()}
+    inside: list[str] = []
+    if sum(sizes.values()) <= BUDGET:
+        inside = list(sizes)
+    else:
+        for level in reversed(range(max((int(key.split("/")[1]) for key in sizes), default=-1) + 1)):
+            more = [key for image in images for key in image.at_level(level)]
+            if sum(sizes[key] for key in [*inside, *more]) > BUDGET / 2:
+                break
+            inside += more
+        for image in reversed(images):  # the last load first
+            key = f"{image.name}/0/{peak[0] // pyramid.TILE}/{peak[1] // pyramid.TILE}"
+            if key not in inside and sum(sizes[key] for key in [*inside, key]) <= BUDGET:
+                inside.append(key)
+    found: dict[str, list] = {}
+    for image in images:
+        for key in image.sizes.keys() & set(inside):
+            line = image.path(key).read_text()
+            found[key] = json.loads(f"[{line[line.index('(') + 1 : line.rindex(')')]}]")[1:]
+            image.path(key).unlink()
+    return found, peak
+
+
+def _peak(views: list[View], shown: list[Load]) -> list[int]:
+    """Where the mean pressure over a twentieth of the cell is largest under the last load; without pressures, the
+    summit.
+    """
+    images = {name: image for view in views for name, image in view.images.items()}
+    last = f"pressure.{shown[-1].index}" if shown else ""
+    image = images.get(last) or images.get("height")
+    if image is None:
+        return [0, 0]
+    small = image.small
+    width = max(1, max(small.shape) // 20) if image.name == last else 1
+    place = np.unravel_index(np.argmax(ndimage.uniform_filter(small, width, mode="wrap")), small.shape)
+    step = 2 ** (max(int(key.split("/")[1]) for key in image.sizes))
+    return [int(index) * step for index in place]
+
+
+def _where(embedded: dict[str, list], outside: bool, tiles: bool) -> dict[str, str]:
+    """What the page says about the points that are in it, beside it, or not there."""
+    if not outside:
+        return {"tells": "Every point of every field is in this page.", "alone": ""}
+    coarse = min((int(key.split("/")[1]) for key in embedded if "/0/" not in key), default=0)
+    every = f"every {2**coarse}{'nd' if coarse % 4 == 1 else 'th'} point"
+    part = f"in the page is {every}, and every point around the most loaded part"
+    again = f"pgfmd plot overview without --no-tiles writes all into a folder {FOLDER}"
+    return {
+        "tells": f"Every point of every field is here, the finest in the folder {FOLDER} beside the page."
+        if tiles else f"Of these fields, {part}; {again}.",
+        "alone": f"The folder {FOLDER} is not beside the page: {part}.",
+    }  # fmt: skip
+
+
+def _unit(load: Load, name: str) -> str:
+    """Unit of lengths or pressures as the job names it; "" if it does not."""
+    unit = str(load.job.get("output", {}).get(f"{name}_unit", name))
+    return "" if unit == name else printable(unit, 20)
+
+
+def _colours(name: str) -> str:
+    """256 colours, six hexadecimal digits each; ends that cannot be told from the paper or from black are cut off."""
+    ends = {"gray": (0.12, 0.98), "inferno": (0.12, 0.97), "viridis": (0.0, 0.97), "cividis": (0.0, 1.0)}
+    colours = matplotlib.colormaps[name](np.linspace(*ends[name], 256))[:, :3]
+    return np.rint(255 * colours).astype(np.uint8).tobytes().hex()
+
+
+def _subtitle(load: Load) -> str:
+    (nx, ny), (lx, ly), unit = load.results.shape, load.results.lengths, _unit(load, "length")
+    surface, wall = load.job["surface"], load.law
+    size = f"{lx:g} × {ly:g} {unit}".strip()
+    rough = ", ".join(f"{symbol} = {surface[key]:g}" for key, symbol in
+                      (("hurst", "H"), ("lambda_s", "λₛ/a"), ("rms_slope", "rms slope"), ("seed", "seed"))
+                      if isinstance(surface.get(key), int | float))  # fmt: skip
+    kind = printable(str(surface.get("kind", "")), 40)
+    return f"{nx} × {ny} points, cell {size}; {kind} surface{f' ({rough})' if rough else ''}; {wall} wall"
+
+
+def _name(load: Load) -> str:
+    """A load in the list to choose from."""
+    unit = _unit(load, "pressure")
+    area = f", area {load.area:.3g}" if math.isfinite(load.area) else ""
+    return f"{load.index}: p̄ = {load.mean_pressure:.3g}{f' {unit}' if unit else ''}{area}"
+
+
+def _table(loads: Sequence[Load]) -> dict[str, list]:
+    """Columns and rows of the table of loads, with the error bars of the grid."""
+    results = loads[0].results
+    names = [name for name in COLUMNS if name in results.loads]
+    columns = [{"name": "load", "unit": "", "about": "number of the load"}]
+    columns += [{"name": NAMES.get(name, name.replace("_", " ")), "unit": _plain(results.units[name]),
+                 "about": LOADS[name][1]} for name in names]  # fmt: skip
+    rows = []
+    for load in loads:
+        bars = load.groups["discretisation"] if "discretisation" in load.kept else {}
+        row = [str(load.index)]
+        for name in names:
+            error = f" ± {float(np.ravel(bars[f'{name}_error'])[0]):.1g}" if f"{name}_error" in bars else ""
+            value = load.number(name)
+            row.append(f"{value:.5g}{error}" if math.isfinite(value) else "–")
+        rows.append([load.index, row])
+    return {"columns": columns, "rows": rows}
+
+
+def _plain(unit: object) -> str:
+    """A unit as text; none where it is 1 or only the name of what is measured."""
+    text = printable(str(unit), 40)
+    return "" if text in ("1", "as asked") or {"length", "pressure"} & set(text.replace("*", " ").split()) else text
+
+
+def _facts(load: Load) -> list[list[str]]:
+    about = load.results.provenance
+    facts = {
+        "folder": str(load.results.directory), "status": load.results.status, "command": about["command"],
+        "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
+        "started": f"{about['date']}, {about['ranks']} ranks × {about['threads']} threads",
+        "libraries": ", ".join(str(about["libraries"]).split("\n")),
+    }  # fmt: skip
+    return [[name, printable(str(text), 1000)] for name, text in facts.items()]
+
+
+def printable_lines(text: str) -> str:
+    """A text of several lines without control characters."""
+    return "\n".join(printable(line, 1000) for line in text.splitlines())
+
+
+def _charts(loads: Sequence[Load], notes: list[str]) -> list[dict]:
+    """Curves of all loads."""
+    charts = [_area_load(loads)] if len(loads) > 1 else []
+    for draw, lacking in ((_distributions, "histogram"), (_spectra, "spectra")):
+        chart = draw(loads)
+        charts.append(chart)
+        if not chart["curves"]:
+            notes.append(f'{chart["title"]} is not shown: the run kept no observable "{lacking}"')
+    return [chart for chart in charts if chart["curves"]]
+
+
+def _curve(x: np.ndarray, y: np.ndarray, name: str, **style: object) -> dict:
+    """A curve of finite points, five digits each."""
+    x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+    keep = np.isfinite(x) & np.isfinite(y)
+    digits = [[float(f"{value:.5g}") for value in values[keep]] for values in (x, y)]
+    return {"name": name, "x": digits[0], "y": digits[1], **style}
+
+
+def _area_load(loads: Sequence[Load]) -> dict:
+    """Contact area, or without a contact the mean gap, against the mean pressure."""
+    x, area = (np.array([getattr(load, name) for load in loads]) for name in ("mean_pressure", "corrected_area"))
+    unit = _unit(loads[0], "pressure")
+    label = "mean pressure" + (f" / {unit}" if unit else "")
+    touched = (x > 0) & (area > 0)
+    if not np.any(touched):
+        gap = np.array([load.number("mean_gap") for load in loads])
+        curve = _curve(x, gap, "", colour=BLUE, dots=True, loads=[load.index for load in loads])
+        return {"title": "Mean gap", "xlabel": label, "curves": [curve] if curve["x"] else [], "xlog": True}
+    used = [load for load, keep in zip(loads, touched, strict=True) if keep]
+    errors = [load.area_error if math.isfinite(load.area_error) else 0.0 for load in used]
+    curves = [_curve(x[touched], area[touched], "simulation", colour=BLUE, dots=True, error=errors,
+                     loads=[load.index for load in used])]  # fmt: skip
+    if loads[0].full_contact_std > 0 and loads[0].law == "hard":
+        p = np.geomspace(x[touched].min(), x[touched].max(), 60)
+        theory = persson.contact_fraction(p, loads[0].full_contact_std)
+        curves.append(_curve(p, theory, "Persson's theory", colour=BLACK))
+    return {"title": "Contact area against load", "xlabel": label, "xlog": True, "ylog": True, "curves": curves}
+
+
+def _distributions(loads: Sequence[Load]) -> dict:
+    """P(σ) over the whole surface, with Persson's prediction, which has no free parameter."""
+    from overview import distribution
+
+    curves = []
+    for load in loads:
+        if "pressure_histogram" not in load.kept or not load.full_contact_std > 0:
+            continue
+        std = load.full_contact_std
+        x, y, smooth, theory = distribution(load)
+        curves.append(_curve(x / std, y * std, "simulation", colour=BLUE, dots=True, load=load.index))
+        curves.append(_curve(smooth / std, theory * std, "Persson's theory", colour=BLACK, load=load.index, alone=True))
+    curves = [curve for curve in curves if curve["x"]]
+    label = "pressure over its standard deviation in full contact, σ / (E′ḡ/2)"
+    return {"title": "Distribution of pressures, P(σ) E′ḡ/2", "xlabel": label, "ylog": True, "curves": curves}
+
+
+def _spectra(loads: Sequence[Load]) -> dict:
+    """Spectra of stress and contact, f_c|f̃|²/((1 − f_c)|f̃(0)|²), which coincide where both are alike."""
+    from overview import scaled_spectra
+
+    curves = []
+    for load in loads:
+        if "stress_spectrum" not in load.kept:
+            continue
+        for (name, q, value), colour, dash in zip(scaled_spectra(load), (RED, BLUE), ("", "6 3"), strict=False):
+            curves.append(_curve(q, value, name, colour=colour, dash=dash, load=load.index))
+    limits = loads[0].q_limits
+    return {"title": "Spectra of stress and contact, scaled", "xlabel": "wave number q / q_l",
+            "xlog": True, "ylog": True, "curves": curves, "mark": [limits[1] / limits[0], "q_s"]}  # fmt: skip
