@@ -1,7 +1,8 @@
 """Elastic contact of randomly rough surfaces, solved in parallel.
 
 `solve` (arrays in, contact out), `run` (a job), `surface` (the heights of a job) and `Results` (the reader of result
-folders; `Runs`: of several) are imported when first used, so that `import pgfmd` needs no MPI.
+folders; `Runs`: of several; `Ensemble`: of a job with several seeds) are imported when first used, so that
+`import pgfmd` needs no MPI.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.parallel.private_cache import keep_compiled_code
 
 __version__ = "0.1.0"
-__all__ = ["InputError", "Results", "Runs", "SolverError", "run", "solve", "surface"]
+__all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "run", "solve", "surface"]
 
 _HOMES = {name: "pgfmd.api" for name in ("run", "solve", "surface")}
 _HOMES |= {name: "pgfmd.io.results" for name in ("Results", "Runs")}
+_HOMES["Ensemble"] = "pgfmd.io.ensemble"
 
 keep_compiled_code()
 

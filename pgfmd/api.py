@@ -16,6 +16,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results
 from pgfmd.job.job import Job, load, parse, toml_of
 from pgfmd.observables.contact import Contact
@@ -31,7 +32,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.simulate import simulate
+from pgfmd.simulate import run_job
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
@@ -274,7 +275,7 @@ def run(
     comm: MPI.Comm | None = None,
     overwrite: bool = False,
     restart: bool = False,
-) -> Results:
+) -> Results | Ensemble:
     """Run a job, as `pgfmd run` does, and open its results.  Collective over `comm`, all ranks if None.
 
     job: a `Job`, the path of a TOML file, or its tables.  output: folder of the results; None: a temporary one, which
@@ -289,8 +290,8 @@ def run(
     comm = launched() if comm is None else comm
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
     folder = from_root(comm, tempfile.mkdtemp, None, "pgfmd-") if output is None else output
-    simulate(job, comm, folder, overwrite=overwrite, restart=restart)
-    results = Results(folder)
+    run_job(job, comm, folder, overwrite=overwrite, restart=restart)
+    results = Ensemble(folder) if job.surface.seeds else Results(folder)
     if output is None and comm.rank == 0:
         weakref.finalize(results, shutil.rmtree, folder, True)
     return results

@@ -134,8 +134,9 @@ def _check(options: argparse.Namespace) -> str:
     from pgfmd.operation.memory import largest_memory, readable
 
     job = load(options.job, options.set)
-    if options.ranks > job.grid.n[0]:
-        raise InputError(f"--ranks {options.ranks}: more ranks than the {job.grid.n[0]} rows of the grid")
+    rows = job.grid.n[0] * max(1, len(job.surface.seeds))
+    if options.ranks > rows:
+        raise InputError(f"--ranks {options.ranks}: more ranks than the {rows} rows of the grid")
     size = estimate.estimate(job, options.ranks).memory * options.ranks
     here = largest_memory()
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
@@ -143,14 +144,17 @@ def _check(options: argparse.Namespace) -> str:
 
 
 def _info(options: argparse.Namespace) -> str:
-    from pgfmd.io import results
+    from pgfmd.io import ensemble, results
 
-    found = results.Results(options.directory)
-    if options.csv or options.json:
-        return results.as_csv(found) if options.csv else results.as_json(found)
+    several = ensemble.is_ensemble(options.directory)
+    runs = [results.Results(folder) for folder in ensemble.folders(options.directory)]
+    if options.csv:
+        return results.as_csv(results.Runs(runs) if several else runs[0])
+    if options.json:
+        return f"[{', '.join(map(results.as_json, runs))}]" if several else results.as_json(runs[0])
     if not options.verify:
-        return results.summary(found)
-    faults = results.damage(found)
+        return ensemble.summary(ensemble.Ensemble(options.directory)) if several else results.summary(runs[0])
+    faults = {path: fault for run in runs for path, fault in results.damage(run).items()}
     if faults:
         raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + MADE_AGAIN)
     return f"{options.directory}: every byte is the one that was written"
@@ -177,10 +181,10 @@ def _run(options: argparse.Namespace) -> int:
     try:
         from pgfmd.job.job import load
         from pgfmd.parallel.collectives import from_root
-        from pgfmd.simulate import simulate
+        from pgfmd.simulate import run_job
 
         job = from_root(comm, load, options.job, options.set)
-        simulate(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
+        run_job(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
     except (Exception, KeyboardInterrupt) as error:  # whatever it is, all ranks must end, and one of them must say why
         return _leave(farewell, error)
     return 0

@@ -7,8 +7,9 @@ import logging
 import os
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
 from pgfmd.operation import machine, preflight
+from pgfmd.operation.ensemble import run_ensemble
 from pgfmd.operation.estimate import estimate
 from pgfmd.operation.log_file import LogFile
 from pgfmd.operation.progress import Progress
@@ -36,11 +38,29 @@ from pgfmd.solvers.solution import ContactSolution, State
 log = logging.getLogger("pgfmd")
 
 
-def simulate(
+def run_job(
     job: Job, comm: MPI.Comm, directory: str | os.PathLike, *, overwrite: bool = False, restart: bool = False
 ) -> None:
-    """Solve all loads of a job and write its result folder.  Collective.
+    """Run a job of one surface (`simulate`) or of an ensemble (`run_ensemble`).  Collective."""
+    if job.surface.seeds:
+        mode: Mode = "overwrite" if overwrite else "restart" if restart else "new"
+        run_ensemble(simulate, job, comm, Path(directory), mode)
+    else:
+        simulate(job, comm, directory, overwrite=overwrite, restart=restart)
 
+
+def simulate(
+    job: Job,
+    comm: MPI.Comm,
+    directory: str | os.PathLike,
+    *,
+    overwrite: bool = False,
+    restart: bool = False,
+    interruptions: Interruptions | None = None,
+) -> None:
+    """Solve all loads of a job, of one surface, and write its result folder.  Collective.
+
+    interruptions: a context that was entered before, if several runs are stopped together; None: one of this run.
     Raises InputError (wrong input, nothing written), SolverError (completed loads stay written) or Stopped (asked to
     stop; what was done is kept for `restart`) on all ranks together.
     """
@@ -58,7 +78,9 @@ def simulate(
     with (
         LogFile(comm.rank) as log_file,
         ResultWriter(comm, directory, origin, form, mode) as writer,
-        Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
+        nullcontext(interruptions)
+        if interruptions
+        else Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
     ):
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
@@ -113,6 +135,7 @@ def simulate(
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:
             writer.write_load(index, {"target": job.load.targets[index]})
+        grid.free()
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
     if unreachable:
         raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")

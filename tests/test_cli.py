@@ -41,7 +41,7 @@ def simulate(job, comm, folder, overwrite=False, restart=False):
         writer.finish()
 
 module = types.ModuleType("pgfmd.simulate")
-module.simulate = simulate
+module.run_job = simulate
 sys.modules["pgfmd.simulate"] = module
 from pgfmd import cli
 cli.PATIENCE = 1.0

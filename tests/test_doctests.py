@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("pandas")
 
-MODULES = ("pgfmd.api", "pgfmd.observables.contact", "pgfmd.io.results")
+MODULES = ("pgfmd.api", "pgfmd.observables.contact", "pgfmd.io.results", "pgfmd.io.ensemble")
 
 
 @pytest.mark.parametrize("name", MODULES)

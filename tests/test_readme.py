@@ -87,8 +87,9 @@ def test_scripts_run(tmp_path):
     job = tmp_path / "job.toml"
     job.write_text(next(text for text in blocks("toml") if "[surface]" in text))
     small = ["--set", "grid.n=64", "--set", "surface.lambda_s=8"]
-    for name in ("quickstart", "study-1"):
+    for name, seed in (("quickstart", "1"), ("study", "1..2")):
         command = [sys.executable, "-m", "pgfmd", "run", str(job), "--output", str(tmp_path / "results" / name), *small]
+        command += ["--set", f"surface.seed={seed}"]
         subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     script = "\n".join(blocks("python"))
     subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, env=None)

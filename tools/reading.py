@@ -17,6 +17,7 @@ import numpy as np
 import rowblocks
 
 from pgfmd.errors import InputError
+from pgfmd.io import ensemble
 from pgfmd.io.results import Results
 from pgfmd.observables.statistics import spectra
 from pgfmd.options.text import printable
@@ -288,8 +289,11 @@ NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
 
 
 def loads(folders: Iterable[Path | str]) -> list[Load]:
-    """Every completed load of the folders, in their order.  Raises InputError if there is none."""
-    found = [Load(results, index) for results in map(Results, folders) for index in range(len(results))]
+    """Every completed load of the folders, in their order; of an ensemble those of each seed.  Raises InputError if
+    there is none.
+    """
+    runs = [Results(run) for folder in folders for run in ensemble.folders(folder)]
+    found = [Load(results, index) for results in runs for index in range(len(results))]
     if not found:
         raise InputError("no load was completed in the folders given")
     return found

@@ -277,10 +277,14 @@ def table(results: Results) -> str:
     return aligned(results.loads, results.units, errors)
 
 
-def as_csv(results: Results) -> str:
-    """The table of loads, one line each after one of names, in full precision, with the errors that were measured."""
-    rows = [{"load": load.index, **load.numbers} for load in results]
-    names = list(dict.fromkeys(name for row in rows for name in row)) or ["load", *results.loads]
+def as_csv(results: Results | Runs) -> str:
+    """The table of loads, one line each after one of names, in full precision, with the errors that were measured; of
+    several runs one below the other, with the name of the folder.
+    """
+    rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
+    if isinstance(results, Runs):
+        rows = [{"run": load.results.directory.name, **row} for load, row in zip(results, rows, strict=True)]
+    names = list(dict.fromkeys(name for row in rows for name in row)) or ["load", *LOADS]
     lines = io.StringIO()
     table = csv.DictWriter(lines, names, restval="nan", lineterminator="\n")
     table.writeheader()

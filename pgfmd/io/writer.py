@@ -35,6 +35,7 @@ from pgfmd.io.provenance import Origin
 from pgfmd.io.restart import EarlierResults
 from pgfmd.io.schema import (
     CHECKPOINT_FILE,
+    ENSEMBLE_FILE,
     FIELDS,
     FIELDS_FILE,
     FIELDS_FOLDER,
@@ -121,6 +122,8 @@ class ResultWriter:
         """
         folder = atomic.OutputFolder(self.directory)
         try:
+            if (self.directory / ENSEMBLE_FILE).exists():
+                raise InputError(f"{self.directory}: holds an ensemble; choose another folder for one surface")
             found = [
                 name
                 for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE, FIELDS_FOLDER)

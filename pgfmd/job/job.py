@@ -47,6 +47,11 @@ class Job:
         self.load.check_law(self.wall)
 
 
+    def of_seed(self, seed: int) -> Job:
+        """The job of one seed of an ensemble."""
+        return dataclasses.replace(self, surface=dataclasses.replace(self.surface, seed=seed))  # type: ignore[call-arg]
+
+
 _SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, Solid, LAWS, Load, Solver, Output, Run)
 SECTIONS = {kind.where: kind for kind in _SECTIONS}
 

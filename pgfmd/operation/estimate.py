@@ -17,6 +17,8 @@ BASE_BYTES = 2.45e8  # of a rank before it has a grid: interpreter, MPI, librari
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / area of Persson's theory − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
+SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
+LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 SOLVES_PER_TARGET = 4  # contacts solved until a prescribed contact area, gap or displacement is met
 
 
@@ -32,6 +34,8 @@ class Estimate:
 def estimate(job: Job, ranks: int) -> Estimate:
     """Memory per rank, size of the files and time of the job on `ranks` ranks with one core each, roughly."""
     points = job.grid.n[0] * job.grid.n[1]
+    surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks)
+    ranks = -(-ranks // groups)  # of one surface
     rows = -(-job.grid.n[0] // ranks)
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
@@ -42,9 +46,31 @@ def estimate(job: Job, ranks: int) -> Estimate:
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     return Estimate(
         memory=BASE_BYTES + gathered + bytes_per_point(job) * rows * job.grid.n[1],
-        files=field_count * points * itemsize,
-        seconds=work * points * SECONDS_PER_POINT / ranks,
+        files=surfaces * field_count * points * itemsize,
+        seconds=-(-surfaces // groups) * work * points * SECONDS_PER_POINT / ranks,
     )
+
+
+def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
+    """Into how many groups ranks are divided, each of which takes one surface at a time: 1 if there is only one; for an
+    ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
+
+    A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as its slabs have `LEAST_SLAB` points.
+    """
+    (nx, ny), surfaces = job.grid.n, len(job.surface.seeds)
+    if surfaces == 0:
+        return 1
+
+    def seconds(groups: int) -> float:
+        width = min(ranks // groups, max(1, nx * ny // LEAST_SLAB))
+        return -(-surfaces // groups) / (1.0 if width == 1 else SLAB_GAIN * width)
+
+    def fits(groups: int) -> bool:
+        width = -(-ranks // groups)
+        return width <= nx and BASE_BYTES + bytes_per_point(job) * -(-nx // width) * ny <= room
+
+    most = min(ranks, surfaces)
+    return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
 
 
 def bytes_per_point(job: Job) -> float:
@@ -90,6 +116,7 @@ def report(job: Job, ranks: int) -> str:
     lines = {
         "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",
         "surface": ": ".join(filter(None, [job.surface.kind, understood])),
+        "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
         f"({readable(BASE_BYTES)} and {bytes_per_point(job):.0f} bytes per grid point)",
@@ -97,7 +124,7 @@ def report(job: Job, ranks: int) -> str:
         "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
     }
     width = max(map(len, lines))
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
 
 
 def duration(seconds: float) -> str:

@@ -20,6 +20,13 @@ log = logging.getLogger("pgfmd")
 TOO_MUCH = 1.2  # an estimate above so many times a node's memory is refused; estimates are right to 15 %
 
 
+def room_per_rank(comm: MPI.Comm) -> float:
+    """Bytes that each rank can have if all take as much, on the node where that is least.  Collective."""
+    found = comm.allgather((platform.node(), largest_memory()))
+    ranks = Counter(node for node, _ in found)
+    return min(largest / ranks[node] for node, largest in found)
+
+
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
     """Raise InputError on all ranks if `per_rank` bytes each exceed the whole memory of a node.  Collective."""
     found = comm.allgather((platform.node(), largest_memory()))

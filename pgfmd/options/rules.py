@@ -11,6 +11,8 @@ import numpy as np
 
 from pgfmd.options.text import show
 
+MOST_SEEDS = 10**6  # of an ensemble
+
 
 @dataclass(frozen=True)
 class Rule:
@@ -29,6 +31,21 @@ def integer(low: int, high: int = 2**63 - 1) -> Rule:
         return int(value)
 
     return Rule(f"a whole number ≥ {low}" if high == 2**63 - 1 else f"a whole number from {low} to {high}", convert)
+
+
+def seeds() -> Rule:
+    """A seed; or for an ensemble several, as a list or as text "first..last", converted to a tuple."""
+    several = many(integer(0), least=1, distinct=True)
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, str):
+            first, last = map(int, value.split(".."))  # ValueError for any other text
+            if not 0 <= first <= last < first + MOST_SEEDS:
+                raise ValueError
+            return tuple(range(first, last + 1))
+        return several.convert(value) if isinstance(value, (list, tuple, np.ndarray)) else integer(0).convert(value)
+
+    return Rule('a whole number ≥ 0, or for an ensemble a list of them without repetition, or "first..last"', convert)
 
 
 def number(

@@ -12,10 +12,10 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.options.rules import POSITIVE, integer, number
+from pgfmd.options.rules import POSITIVE, number, seeds
 from pgfmd.options.section import key, wrong
 from pgfmd.options.text import show
-from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.surface import SEED, Surface, single
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
@@ -45,7 +45,7 @@ class SelfAffine(Surface):
     lambda_l: float | None = key(number(above=0, infinite=True), None, "longest wavelength; the cell if not given")
     lambda_r: float | None = key(POSITIVE, None, "roll-off, from lambda_s to lambda_l; lambda_l if not given")
     rms_slope: float = key(number(low=0), None, "√⟨|∇h|²⟩ = √Σ q²|h̃|², exact, spectral", needed=True, example=0.1)
-    seed: int = key(integer(0), 1, "one seed is one surface, on any grid")
+    seed: int | tuple[int, ...] = key(seeds(), 1, SEED)
 
     def check(self) -> None:
         longest = math.inf if self.lambda_l is None else self.lambda_l
@@ -84,7 +84,7 @@ class SelfAffine(Surface):
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         wavelengths = self.wavelengths(Cell(n=grid.shape, length=grid.lengths))
-        return _heights(grid, self.hurst, wavelengths, self.rms_slope, self.seed)
+        return _heights(grid, self.hurst, wavelengths, self.rms_slope, single(self.seed))
 
 
 def self_affine(

@@ -11,9 +11,9 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.options.rules import integer
+from pgfmd.options.rules import seeds
 from pgfmd.options.section import key
-from pgfmd.surfaces.surface import Surface, path_key
+from pgfmd.surfaces.surface import SEED, Surface, path_key, single
 from pgfmd.surfaces.text import read_table
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class FromSpectrum(Surface):
         "text of two columns, or .npy (m, 2): q (radians per length), increasing, and C (length⁴), all > 0",
         "spectrum.csv",
     )
-    seed: int = key(integer(0), 1, 'one seed is one surface, on any grid; random numbers as for "self-affine"')
+    seed: int | tuple[int, ...] = key(seeds(), 1, f'{SEED}; random numbers as for "self-affine"')
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -91,4 +91,4 @@ class FromSpectrum(Surface):
                 )
             return 1.0
 
-        return RandomModes(grid, self.seed, variance, q[-1] / unit * (1 + SLACK)).heights(factor)
+        return RandomModes(grid, single(self.seed), variance, q[-1] / unit * (1 + SLACK)).heights(factor)

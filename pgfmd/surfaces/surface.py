@@ -8,13 +8,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import text
 from pgfmd.options.section import Section, key
+from pgfmd.options.text import show
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.parallel.mpi import MPI
+
+
+SEED = "one seed is one surface, on any grid; several are an ensemble, with results for each and their mean"
+
+
+def single(seed: int | tuple[int, ...]) -> int:
+    """The seed of one surface; raises InputError for those of an ensemble."""
+    if isinstance(seed, tuple):
+        raise InputError(f"surface.seed = {show(seed)}: one surface has one seed; several are for runs of whole jobs")
+    return seed
 
 
 def path_key(about: str, example: str) -> Any:
@@ -31,6 +43,12 @@ class Surface(Section):
     def known_slope(self) -> float | None:
         """√⟨|∇h|²⟩ if the options tell it, for estimates before the run."""
         return None
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """The seeds of an ensemble; () for one surface."""
+        seed = getattr(self, "seed", None)
+        return seed if isinstance(seed, tuple) else ()
 
     @property
     def files(self) -> tuple[str, ...]:

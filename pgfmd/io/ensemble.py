@@ -1,0 +1,259 @@
+"""Ensembles: a folder of runs that differ by the seed of their surface alone, and means over them.  No MPI here.
+
+    seed_0001/, seed_0002/, …   a result folder for each seed
+    ensemble.h5                 what was run, the seeds, and for each load mean and standard error over the seeds
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.io import atomic
+from pgfmd.io.dimensions import name_axes
+from pgfmd.io.results import Results, Runs, aligned
+from pgfmd.io.schema import ENSEMBLE_FILE, LOADS, OBSERVABLES_FILE, load_name, member_name
+
+if TYPE_CHECKING:
+    import pandas
+
+LIBVER = ("v108", "v110")  # as for all other files
+COUNT = "number of seeds whose load was solved"
+
+
+class Ensemble(Runs):
+    """The folder of an ensemble, also of one that goes on or was broken off: whatever its seeds have completed.
+
+    seeds: as the job lists them; runs: of those that have begun; failed: what went wrong, by seed; provenance: of the
+    last command.  Raises InputError if the folder holds no ensemble.
+
+    >>> import pgfmd
+    >>> rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": "1..3"}
+    >>> job = {"grid": {"n": 32}, "surface": rough, "load": {"pressure": [0.005, 0.01]}}
+    >>> ensemble = pgfmd.run(job)
+    >>> ensemble.seeds, ensemble.status, len(ensemble)
+    ([1, 2, 3], 'complete', 6)
+    >>> ensemble.mean()[["contact_area", "contact_area_error", "seeds"]].shape
+    (2, 3)
+    """
+
+    def __init__(self, directory: str | os.PathLike):
+        self.directory = Path(directory)
+        try:
+            with h5py.File(self.directory / ENSEMBLE_FILE, "r", locking=False) as file:
+                self.provenance: dict[str, Any] = dict(file.attrs)
+        except OSError as error:
+            raise InputError(f"{self.directory}: not the folder of an ensemble: {error}") from None
+        self.seeds = [int(seed) for seed in self.provenance["seeds"]]
+        self.failed = {int(seed): message for seed, message in json.loads(self.provenance["failed"]).items()}
+        super().__init__(Results(folder) for folder in folders(self.directory))
+
+    @property
+    def status(self) -> str:
+        """ "complete", "running", "failed" (some seeds), "stopped", or "interrupted" (no process holds the folder)."""
+        status = str(self.provenance["status"])
+        return "interrupted" if status == "running" and atomic.holder(self.directory) is None else status
+
+    def __repr__(self) -> str:
+        return f"{self.directory}: {self.status}\n{table(self)}"
+
+    def mean(self) -> pandas.DataFrame:
+        """Mean over the seeds and its standard error (NAME_error) of each number, load by load, and how many seeds."""
+        import pandas
+
+        columns: dict[str, np.ndarray] = {}
+        for name, column in mean_loads(self.runs).items():
+            columns |= {name: column.value, f"{name}_error": column.error}
+        return pandas.DataFrame(columns | {"seeds": seeds_of(self.runs)}).rename_axis("load")
+
+    def load(self, index: int) -> dict[str, dict[str, np.ndarray]]:
+        """Curves of one load averaged over the seeds, each with its standard error: group → dataset, dataset_error.
+
+        Groups whose axes differ between the seeds (patches, histograms) have no mean and are left out.
+        """
+        found = mean_groups(self.runs, index)
+        return {title: {name: values for key, column in group.items() for name, values in column.named(key)}
+                for title, group in found.items()}  # fmt: skip
+
+
+@dataclass
+class Column:
+    """One dataset of several runs: mean and standard error, entry by entry, over the runs in which it is finite.
+
+    about: its description and units; axes: names of the datasets that hold its coordinates; is_axis: it is one itself.
+    """
+
+    about: dict[str, str] = field(default_factory=dict)
+    axes: tuple[str, ...] = ()
+    is_axis: bool = False
+    mean: np.ndarray = field(default_factory=lambda: np.zeros(()))
+    _squares: np.ndarray = field(default_factory=lambda: np.zeros(()))
+    _count: np.ndarray = field(default_factory=lambda: np.zeros(()))
+
+    def add(self, values: np.ndarray) -> None:
+        """Take in the values of one more run, by Welford's recurrence (doi:10.1080/00401706.1962.10490022)."""
+        values = np.asarray(values, np.float64)
+        if not self._count.any():
+            self.mean, self._squares, self._count = (np.zeros(values.shape) for _ in range(3))
+        known = np.isfinite(values)
+        self._count = self._count + known
+        apart = np.where(known, values, self.mean) - self.mean
+        self.mean = self.mean + apart / np.maximum(self._count, 1)
+        self._squares = self._squares + apart * (np.where(known, values, self.mean) - self.mean)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Standard error of the mean, √(Σ(x − x̄)²/(n(n − 1))); NaN for fewer than two runs."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(self._count > 1, np.sqrt(self._squares / (self._count * (self._count - 1))), np.nan)
+
+    @property
+    def value(self) -> np.ndarray:
+        """The mean; NaN where no run knows it."""
+        return np.where(self._count > 0, self.mean, np.nan)
+
+    def named(self, name: str) -> Iterable[tuple[str, np.ndarray]]:
+        """The mean under that name, and the error, unless it is an axis, under NAME_error."""
+        return [(name, self.value)] if self.is_axis else [(name, self.value), (f"{name}_error", self.error)]
+
+
+def is_ensemble(directory: str | os.PathLike) -> bool:
+    """Whether a folder holds an ensemble."""
+    return (Path(directory) / ENSEMBLE_FILE).is_file()
+
+
+def folders(directory: str | os.PathLike) -> list[Path]:
+    """The result folders in the folder of an ensemble, in the order of its seeds; of any other folder the folder."""
+    path = Path(directory)
+    if not is_ensemble(path):
+        return [path]
+    with h5py.File(path / ENSEMBLE_FILE, "r", locking=False) as file:
+        found = [path / member_name(seed) for seed in file.attrs["seeds"]]
+    return [folder for folder in found if (folder / OBSERVABLES_FILE).is_file()]
+
+
+def seeds_of(runs: Iterable[Results]) -> np.ndarray:
+    """How many of the runs have solved each load."""
+    solved = [np.isfinite(run.loads["mean_pressure"]) for run in runs]
+    count = np.zeros(max(map(len, solved), default=0), int)
+    for each in solved:
+        count[: len(each)] += each
+    return count
+
+
+def mean_loads(runs: list[Results]) -> dict[str, Column]:
+    """The columns of the tables of loads."""
+    longest = max(map(len, runs), default=0)
+    found: dict[str, Column] = {}
+    for run in runs:
+        for name, values in run.loads.items():
+            padded = np.full(longest, np.nan)
+            padded[: len(values)] = values
+            column = found.setdefault(name, Column({"units": run.units[name], "description": LOADS[name][1]}))
+            column.add(padded)
+    return found
+
+
+def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Column]]:
+    """The groups of curves of one load that all runs have with equal axes."""
+    found: dict[str, dict[str, Column]] = {}
+    for number, run in enumerate(run for run in runs if index < len(run)):
+        with h5py.File(run.directory / OBSERVABLES_FILE, "r", locking=False) as file:
+            groups: Mapping = file.get(load_name(index), {})
+            if number == 0:
+                found = {title: {key: _column(group[key]) for key in group} for title, group in groups.items()}
+            for title in list(found):
+                values = {key: dataset[()] for key, dataset in groups[title].items()} if title in groups else {}
+                if not _fits(found[title], values):
+                    del found[title]
+                    continue
+                for key, column in found[title].items():
+                    column.add(values[key])
+    return found
+
+
+def _column(dataset: h5py.Dataset) -> Column:
+    axes = tuple(next(iter(axis.keys())) for axis in dataset.dims if len(axis))
+    about = {name: str(dataset.attrs[name]) for name in ("description", "units")}
+    return Column(about, axes, dataset.is_scale, np.zeros(dataset.shape))
+
+
+def _fits(group: Mapping[str, Column], values: Mapping[str, np.ndarray]) -> bool:
+    """Whether the datasets of one more run have the shapes and axes of those before."""
+    return group.keys() == values.keys() and all(
+        values[key].shape == column.mean.shape
+        and (not column.is_axis or not column._count.any() or np.array_equal(values[key], column.mean))
+        for key, column in group.items()
+    )
+
+
+def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:
+    """Write ensemble.h5 anew: provenance, with the seeds, and the means over what is there.  Raises OSError."""
+    path = directory / ENSEMBLE_FILE
+
+    def fill(content: io.BytesIO) -> None:
+        with h5py.File(content, "w", libver=LIBVER) as file:
+            file.attrs.update(provenance)
+            file.attrs.update(status=status, failed=json.dumps(failed))
+
+    def add_means(content: io.BytesIO) -> None:
+        runs = [Results(folder) for folder in folders(directory)]
+        with h5py.File(content, "r+", libver=LIBVER) as file:
+            _put(file.create_group("loads"), mean_loads(runs))
+            count = file["loads"].create_dataset("seeds", data=seeds_of(runs))
+            count.attrs.update(description=COUNT, units="1")
+            for index in range(max(map(len, runs), default=0)):
+                for title, group in mean_groups(runs, index).items():
+                    _put(file.create_group(f"{load_name(index)}/{title}"), group)
+
+    atomic.revise(path, fill, anew=True)
+    if status != "running":
+        atomic.revise(path, add_means)
+
+
+def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
+    """Write columns with their errors into a group."""
+    for key, column in columns.items():
+        for name, values in column.named(key):
+            what = "" if name == key else "standard error over the seeds: "
+            dataset = group.create_dataset(name, data=values)
+            dataset.attrs.update(column.about | {"description": what + column.about["description"]})
+    for key, column in columns.items():
+        for name, _ in column.named(key):
+            name_axes(group, name, column.axes)
+
+
+def table(ensemble: Ensemble) -> str:
+    """The means of all numbers as aligned text, one row per load, with their standard errors."""
+    means = mean_loads(ensemble.runs)
+    if not means:
+        return "no load was completed"
+    units = {name: column.about["units"] for name, column in means.items()}
+    values = {name: column.value for name, column in means.items()}
+    return aligned(values, units, {name: column.error for name, column in means.items()})
+
+
+def summary(ensemble: Ensemble) -> str:
+    """What `pgfmd info` prints of an ensemble: what was run, how far it is, and the means over the seeds."""
+    about, complete = ensemble.provenance, sum(run.status == "complete" for run in ensemble.runs)
+    lines = {
+        "folder": str(ensemble.directory),
+        "status": ensemble.status,
+        "seeds": f"{complete} of {len(ensemble.seeds)} complete; each has a result folder {member_name(1)}, …",
+        "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
+        "command": about["command"],
+        "started": f"{about['date']} on {about['host']}, {about['ranks']} ranks × {about['threads']} threads",
+    }
+    lines |= {f"seed {seed}": f"failed: {message}" for seed, message in ensemble.failed.items()}
+    width = max(map(len, lines))
+    listed = [f"{name:<{width}}  {value}" for name, value in lines.items()]
+    return "\n".join([*listed, "", "mean over the seeds ± standard error:", table(ensemble)])

@@ -1,0 +1,171 @@
+"""A job of an ensemble: one run for each seed, shared out over the ranks."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
+from pgfmd.io import ensemble, provenance
+from pgfmd.io.atomic import OutputFolder
+from pgfmd.io.results import Results
+from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, member_name
+from pgfmd.job.job import Job, as_toml, differences, parse
+from pgfmd.operation import machine
+from pgfmd.operation.estimate import estimate, rank_groups
+from pgfmd.operation.stop import Interruptions
+from pgfmd.options.text import printable
+from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel.mpi import MPI, library
+
+log = logging.getLogger("pgfmd")
+progress = logging.getLogger("pgfmd.ensemble")  # its own level: the first rank of each group says what is done
+
+Simulate = Callable[..., None]
+"""simulate(job, comm, directory, overwrite=…, restart=…, interruptions=…): runs one surface.  Collective."""
+Failures = dict[int, Exception]
+"""What went wrong, by seed."""
+
+
+def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode: str) -> None:
+    """Run every seed of a job, in groups of ranks that take them in turn, each into a result folder of its own.
+    Collective.
+
+    mode: as for `ResultWriter`.  A seed that fails does not stop the others.  Raises Stopped or NoProgress, SolverError
+    at the end if some seeds failed, and the first error if all did.
+    """
+    seeds = job.surface.seeds
+    groups = rank_groups(job, comm.size, machine.room_per_rank(comm))
+    memory = estimate(job, comm.size).memory
+    machine.refuse_too_large(comm, memory)
+    with _Folder(job, comm, path, mode) as folder:
+        machine.report(comm, memory)
+        if comm.rank == 0:
+            log.info("%d seeds, %d at a time", len(seeds), groups)
+        failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)
+        nothing = len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values())
+        folder.finish(failed, "stopped" if stopped else "failed" if failed else "complete", remove=nothing)
+    if stopped:
+        raise stopped
+    if len(failed) == len(seeds):
+        raise next(iter(failed.values()))
+    if failed:
+        reasons = "; ".join(f"seed {seed}: {error}" for seed, error in failed.items())
+        raise SolverError(f"{len(failed)} of {len(seeds)} seeds failed, the others are written: {reasons}")
+
+
+class _Folder:
+    """The folder of an ensemble, locked, with its ensemble.h5; a context manager.  Its methods are collective.
+
+    Raises InputError on all ranks if the folder cannot be written, or holds what is not to be continued or replaced.
+    """
+
+    def __init__(self, job: Job, comm: MPI.Comm, path: Path, mode: str):
+        self.job, self.comm, self.path = job, comm, path
+        self._folder: OutputFolder | None = None
+        with raise_together(comm):
+            if comm.rank == 0:
+                self._folder = OutputFolder(path)
+                try:
+                    self._check(mode)
+                except BaseException:
+                    self._folder.release()
+                    self._folder.discard()
+                    raise
+        origin = provenance.Origin(job.text, as_toml(job), len(job.load.targets))
+        self._about = provenance.gather(comm.size, {"MPI": library()}, origin) | {"seeds": np.array(job.surface.seeds)}
+        from_root(comm, ensemble.write, path, self._about, {}, "running")
+
+    def _check(self, mode: str) -> None:
+        """Whether the folder may be written in that mode.  Rank 0."""
+        if (self.path / OBSERVABLES_FILE).exists():
+            raise InputError(f"{self.path}: holds the results of one surface; choose another folder for an ensemble")
+        if not (self.path / ENSEMBLE_FILE).exists():
+            return
+        if mode == "new":
+            raise InputError(f"{self.path}: holds an ensemble already ({ENSEMBLE_FILE}); replace it with --overwrite, "
+                             "continue it with --restart, or choose another folder")  # fmt: skip
+        if mode == "restart":
+            before = parse(ensemble.Ensemble(self.path).provenance["effective_toml"], "results")
+            changed = [text for text in differences(before, self.job) if not text.startswith("surface.seed:")]
+            if changed:
+                raise InputError(f"{self.path}: cannot be continued, the job differs: {'; '.join(changed)}")
+
+    def finish(self, failed: Failures, status: str, remove: bool) -> None:
+        """Write what became of the seeds, and the means over them; or remove the file of an ensemble without results.
+        """
+        if remove:
+            from_root(self.comm, (self.path / ENSEMBLE_FILE).unlink)
+        else:
+            reasons = {seed: printable(str(error), 400) for seed, error in failed.items()}
+            from_root(self.comm, ensemble.write, self.path, self._about, reasons, status)
+
+    def __enter__(self) -> _Folder:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._folder is not None:
+            self._folder.release()
+            self._folder.discard()
+
+
+def _run_seeds(
+    simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, groups: int, mode: str
+) -> tuple[Failures, Stopped | NoProgress | None]:
+    """Run the seeds, in groups of ranks; which of them failed, and why the run was stopped, if it was.  Collective."""
+    failed: Failures = {}
+    seeds = job.surface.seeds
+    stopped: Stopped | NoProgress | None = None
+    mine = comm.rank * groups // comm.size
+    group = comm if groups == 1 else comm.Split(mine, comm.rank)
+    with _quiet(group), Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions:
+        comm.Barrier()  # from here on a file that asks to stop is meant for this run
+        for position in range(mine, len(seeds), groups):
+            seed, began = seeds[position], time.perf_counter()
+            try:
+                interruptions.between_steps()
+                member, folder = job.of_seed(seed), path / member_name(seed)
+                anew = mode == "overwrite" or mode == "restart" and from_root(group, _is_stale, folder, member)
+                restart = mode == "restart" and not anew
+                simulate(member, group, folder, overwrite=anew, restart=restart, interruptions=interruptions)
+                progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
+                              time.perf_counter() - began)  # fmt: skip
+            except (Stopped, NoProgress) as reason:
+                stopped = reason
+                if group.rank == 0:
+                    interruptions.batch_stop_file.touch()  # for the other groups, which a signal may not have reached
+                break
+            except (InputError, SolverError, OSError) as error:
+                failed[seed] = error
+                progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds), error)
+    found = comm.allgather((failed, stopped))
+    if comm.rank == 0:
+        interruptions.batch_stop_file.unlink(missing_ok=True)
+    if groups > 1:
+        group.Free()
+    everywhere = {seed: error for each, _ in found for seed, error in each.items()}
+    return dict(sorted(everywhere.items())), next((reason for _, reason in found if reason), None)
+
+
+def _is_stale(folder: Path, job: Job) -> bool:
+    """Whether a folder holds results of another job: `--overwrite` was broken off before it came to them."""
+    with suppress(InputError):
+        return bool(differences(parse(Results(folder).provenance["effective_toml"], "results"), job))
+    return False
+
+
+@contextmanager
+def _quiet(group: MPI.Comm) -> Iterator[None]:
+    """Only warnings of the runs are logged; what is done by the first rank of each group."""
+    before, progress.propagate = log.level, True
+    log.setLevel(max(before, logging.WARNING))
+    progress.setLevel(logging.INFO if group.rank == 0 else logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(before)

@@ -1,0 +1,223 @@
+"""Ensembles: many surfaces in one job, each as if it had been run alone."""
+
+from __future__ import annotations
+
+import math
+
+import h5py
+import numpy as np
+import pytest
+
+import pgfmd
+from pgfmd import simulate as runner
+from pgfmd.errors import InputError, SolverError, Stopped
+from pgfmd.io.ensemble import Column, folders, summary
+from pgfmd.io.results import Results
+from pgfmd.job.job import parse, toml_of
+from pgfmd.operation.estimate import rank_groups
+
+pytestmark = pytest.mark.mpi
+
+JOB = {
+    "grid": {"n": 32},
+    "surface": {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": "3..7"},
+    "load": {"pressure": [0.004, 0.02]},
+    "solver": {"tolerance": 1e-18},
+    "output": {"observables": ["spectra", "histogram", "patches"]},
+}
+
+
+def with_seeds(seeds, **tables) -> dict:
+    return JOB | {"surface": JOB["surface"] | {"seed": seeds}} | tables
+
+
+@pytest.mark.parametrize(
+    ("written", "seeds"), [("2..4", (2, 3, 4)), ([5, 1], (5, 1)), ("7..7", (7,)), ([9], (9,)), (3, ())]
+)
+def test_seeds_of_an_ensemble(written, seeds):
+    """A list or "first..last"; one number is one surface.  The effective job gives the same seeds again."""
+    from pgfmd.job.job import as_toml
+
+    job = parse(toml_of(with_seeds(written)))
+    assert job.surface.seeds == seeds and parse(as_toml(job)) == job
+    assert all(job.of_seed(seed).surface.seed == seed for seed in seeds)
+
+
+@pytest.mark.parametrize("written", ["4..2", "1...3", "a..b", "1..3..5", [], [1, 1], [1, -1], "1..2000001", 1.5, "3"])
+def test_wrong_seeds_are_refused(written):
+    """In one line that names the key."""
+    with pytest.raises(InputError, match="surface.seed = ") as caught:
+        parse(toml_of(with_seeds(written)))
+    assert "\n" not in str(caught.value)
+
+
+def test_each_seed_is_what_it_is_alone(comm, shared_tmp_path):
+    """Results of a seed in an ensemble are those of a run of that seed alone, on any number of ranks: the same areas,
+    mean gaps to 1e-7 (both are certified to 1e-18, errors of second order in the gap).
+    """
+    found = pgfmd.run(JOB, shared_tmp_path / "all", comm=comm)
+    assert found.status == "complete" and found.seeds == [3, 4, 5, 6, 7] and len(found) == 10
+    for seed, run in zip(found.seeds, found.runs, strict=True):
+        alone = pgfmd.run(with_seeds(seed), shared_tmp_path / f"alone-{seed}", comm=comm)
+        assert run.job["surface"] == alone.job["surface"] and run.status == "complete"
+        np.testing.assert_array_equal(run.loads["contact_area"], alone.loads["contact_area"])
+        np.testing.assert_allclose(run.loads["mean_gap"], alone.loads["mean_gap"], rtol=1e-7)
+
+
+def test_means_and_standard_errors(comm, shared_tmp_path):
+    """Mean and σ/√n of numbers and curves are NumPy's over the seeds, in the file, in Python and in the table; what has
+    other axes for each seed (patches, histograms) has no mean.
+    """
+    found = pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+    areas = np.array([run.loads["contact_area"] for run in found.runs])
+    error = areas.std(axis=0, ddof=1) / math.sqrt(5)
+    spectra = np.array([run.load(1)["stress_spectrum"]["value"] for run in found.runs])
+    curve = found.load(1)
+    np.testing.assert_allclose(curve["stress_spectrum"]["value"], spectra.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(curve["stress_spectrum"]["value_error"], spectra.std(axis=0, ddof=1) / math.sqrt(5))
+    assert "patches" not in curve and "pressure_histogram" not in curve
+    with h5py.File(shared_tmp_path / "out" / "ensemble.h5", "r", locking=False) as file:
+        np.testing.assert_allclose(file["loads/contact_area"], areas.mean(axis=0), rtol=1e-12)
+        np.testing.assert_allclose(file["loads/contact_area_error"], error, rtol=1e-12)
+        stored = file["load_0001/stress_spectrum/value_error"]
+        np.testing.assert_allclose(stored, curve["stress_spectrum"]["value_error"], rtol=1e-12)
+        assert stored.dims[0]["q"] == file["load_0001/stress_spectrum/q"] and stored.attrs["units"] == "pressure^2"
+        assert list(file["loads/seeds"]) == [5, 5]
+    assert f"{areas.mean(axis=0)[1]:.5g} ± {error[1]:.1g}" in summary(found)
+    frame = pytest.importorskip("pandas") and found.mean()
+    np.testing.assert_allclose(frame["contact_area_error"], error, rtol=1e-12)
+
+
+def test_standard_errors_leave_out_what_is_missing():
+    """Entries that are not finite do not count; one sample has no error, none has no mean."""
+    column = Column()
+    for values in ([1.0, np.nan, np.nan], [3.0, 2.0, np.nan]):
+        column.add(np.array(values))
+    np.testing.assert_array_equal(column.value, [2, 2, np.nan])
+    np.testing.assert_array_equal(column.error, [1, np.nan, np.nan])
+
+
+def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monkeypatch):
+    """One seed's solver fails: the other seeds are complete, the error and the ensemble name the seed and the reason,
+    and --restart does that seed alone.
+    """
+    simulate = runner.simulate
+
+    def stand_in(job, group, directory, **options):
+        if job.surface.seed == 5:
+            raise SolverError("it does not converge")
+        simulate(job, group, directory, **options)
+
+    monkeypatch.setattr(runner, "simulate", stand_in)
+    with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 5: it does not converge"):
+        pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+    found = pgfmd.Ensemble(shared_tmp_path / "out")
+    assert found.status == "failed" and found.failed == {5: "it does not converge"} and len(found.runs) == 4
+    monkeypatch.undo()
+    again = pgfmd.run(JOB, shared_tmp_path / "out", comm=comm, restart=True)
+    assert again.status == "complete" and not again.failed and len(again) == 10
+
+
+def test_more_seeds_are_added_by_restart(comm, shared_tmp_path):
+    """A longer list of seeds continues; any other change is refused, with the key, and nothing is touched."""
+    pgfmd.run(with_seeds([3, 4]), shared_tmp_path / "out", comm=comm)
+    longer = pgfmd.run(with_seeds([3, 4, 9]), shared_tmp_path / "out", comm=comm, restart=True)
+    assert longer.seeds == [3, 4, 9] and longer.status == "complete"
+    with pytest.raises(InputError, match="job differs: grid.n"):
+        pgfmd.run(with_seeds([3], grid={"n": 16}), shared_tmp_path / "out", comm=comm, restart=True)
+    with pytest.raises(InputError, match="holds an ensemble"):
+        pgfmd.run(with_seeds([3]), shared_tmp_path / "out", comm=comm)
+    assert pgfmd.Ensemble(shared_tmp_path / "out").status == "complete"
+
+
+def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, monkeypatch):
+    """--overwrite by another job is stopped after its first seeds; --restart does the others anew, though their folders
+    hold complete results of the old job.
+    """
+    folder = shared_tmp_path / "out"
+    pgfmd.run(with_seeds([3, 4, 5, 6]), folder, comm=comm)
+    other, simulate = with_seeds([3, 4, 5, 6], load={"pressure": [0.01]}), runner.simulate
+
+    def stand_in(job, group, directory, **options):
+        if job.surface.seed >= 5:
+            raise Stopped("stopped by a test")
+        simulate(job, group, directory, **options)
+
+    monkeypatch.setattr(runner, "simulate", stand_in)
+    with pytest.raises(Stopped):
+        pgfmd.run(other, folder, comm=comm, overwrite=True)
+    assert pgfmd.Ensemble(folder).status == "stopped"
+    monkeypatch.undo()
+    found = pgfmd.run(other, folder, comm=comm, restart=True)
+    assert [len(run) for run in found.runs] == [1, 1, 1, 1] and found.status == "complete"
+
+
+def test_a_wrong_input_leaves_nothing(comm, shared_tmp_path):
+    """A surface without a mode fails for every seed alike: one line, and no folder."""
+    job = with_seeds("1..3")
+    job["surface"] = job["surface"] | {"lambda_s": 10.1, "lambda_l": 10.1}
+    with pytest.raises(InputError, match="no mode"):
+        pgfmd.run(job, shared_tmp_path / "out", comm=comm)
+    comm.Barrier()
+    assert not (shared_tmp_path / "out").exists()
+
+
+def test_one_surface_and_an_ensemble_do_not_share_a_folder(comm, shared_tmp_path):
+    """Neither takes the other's folder, whatever the mode; readers say which it is."""
+    pgfmd.run(with_seeds(3), shared_tmp_path / "one", comm=comm)
+    pgfmd.run(with_seeds([3]), shared_tmp_path / "all", comm=comm)
+    for mode in ({}, {"overwrite": True}, {"restart": True}):
+        with pytest.raises(InputError, match="one surface"):
+            pgfmd.run(with_seeds([3]), shared_tmp_path / "one", comm=comm, **mode)
+        with pytest.raises(InputError, match="ensemble"):
+            pgfmd.run(with_seeds(3), shared_tmp_path / "all", comm=comm, **mode)
+    with pytest.raises(InputError, match="an ensemble"):
+        Results(shared_tmp_path / "all")
+    with pytest.raises(InputError, match="not the folder of an ensemble"):
+        pgfmd.Ensemble(shared_tmp_path / "one")
+    assert folders(shared_tmp_path / "all") == [shared_tmp_path / "all" / "seed_0003"]
+    assert folders(shared_tmp_path / "one") == [shared_tmp_path / "one"]
+
+
+def test_an_ensemble_is_no_surface(comm):
+    """The heights of a job with several seeds are asked for: one line."""
+    with pytest.raises(InputError, match="surface.seed"):
+        pgfmd.surface(JOB, comm)
+
+
+@pytest.mark.parametrize(
+    ("n", "seeds", "ranks", "groups"),
+    [
+        (64, "1..64", 4, 4),  # small surfaces: one rank each
+        (4096, "1..64", 4, 4),  # also large ones, as long as there are as many as ranks
+        (4096, "1..2", 4, 2),  # else ranks share a surface
+        (64, "1..2", 4, 2),
+        (4096, "1..5", 4, 1),  # 5/(.8 · 4) rounds together, 2 side by side
+        (64, "1..5", 4, 4),
+    ],
+)
+def test_ranks_are_shared_out_by_size(n, seeds, ranks, groups):
+    """Surfaces are solved side by side; a surface is shared where that is faster, by the speed that slabs have."""
+    assert rank_groups(parse(toml_of(with_seeds(seeds, grid={"n": n}))), ranks) == groups
+
+
+def test_ranks_share_what_one_cannot_hold():
+    """Where one rank has not the memory for a whole surface, as many share it as are needed."""
+    job = parse(toml_of(with_seeds("1..64", grid={"n": 4096})))
+    alone = 4096**2 * 40 + 2.5e8
+    assert rank_groups(job, 8, alone * 3) == 8 and rank_groups(job, 8, alone * 0.6) < 8
+
+
+def test_tools_take_the_folder(comm, shared_tmp_path, monkeypatch):
+    """Figures are drawn of the folder of an ensemble as of its seeds' folders."""
+    if comm.size > 1:
+        pytest.skip("tools are serial")
+    pytest.importorskip("matplotlib")
+    from pgfmd import cli
+
+    pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+    pictures = shared_tmp_path / "pictures"
+    cli._plot(["area_load", str(shared_tmp_path / "out"), "--output", str(pictures)])
+    rows = (pictures / "area_load.csv").read_text().splitlines()
+    errors = [row.rpartition(",")[2] for row in rows if row.startswith("2,simulation,")]
+    assert len(errors) == 2 and all(float(error) > 0 for error in errors)
