@@ -80,6 +80,20 @@ def test_an_area_that_jumps_is_met_on_the_nearer_side(comm):
     assert abs(area - 0.4) <= 1 / 64
 
 
+@pytest.mark.parametrize("target", [0.125, 0.375, 0.55, 0.6875, 0.9375])
+def test_where_an_area_jumps_the_load_is_that_of_the_jump(comm, target):
+    """At loads 3e-4 below and above the one that is found (the search ends within 1e-4), a wave's area is below and
+    above a target that no load gives: rows come into contact two by two, one each side of the crest."""
+    grid = SlabGrid(comm, (32, 4))
+    heights = sinusoid(grid, 1.0, (1, 0))
+    found = Counted("contact_area", grid, heights).solution(target)
+    areas = []
+    for load in found.mean_pressure * np.array([1 - 3e-4, 1 + 3e-4]):
+        near = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-14))
+        areas.append(grid.reduction.sum(near.pressure > 0) / grid.size)
+    assert areas[0] < target < areas[1]
+
+
 @pytest.mark.parametrize("gap", [2.0, 0.7, 0.1, 0.01])
 def test_mean_gaps_are_met(rough, gap):
     """⟨u − h⟩ to 1e-5 of the rms height, for a hard wall."""

@@ -29,6 +29,7 @@ LOOSE = 1e-5  # certified error of solutions on the way
 SURE = 0.3  # part of the target's tolerance that the solution's own error may take
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
 JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs at its ends is said to jump
+SHARP = 1e-12  # certified error of its ends: at 1e-8, points at the edge change sides at loads up to 4 % beside the jump
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
 log = logging.getLogger("pgfmd")
@@ -95,6 +96,7 @@ class LoadControl:
     def _search(self, target: float) -> ContactSolution:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
         control, tolerance = self.control, max(LOOSE, self.tolerance)
+        sharpest = min(self.tolerance, SHARP) if control.jumps else self.tolerance
         search = _Search(self._first_guess(target))
         best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
@@ -102,18 +104,19 @@ class LoadControl:
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
                 return found
-            if tolerance <= self.tolerance and error < best[0]:
+            if tolerance <= self.tolerance and error <= best[0]:  # of equal ones the last, next to the jump
                 best = error, found
             narrow = search.width <= (JUMP if control.jumps else ROUNDING)  # at a jump, or no p̄ left in between
-            if narrow and tolerance <= self.tolerance:
+            if narrow and tolerance <= sharpest:
                 break
             known = max(found.certified_error, FINEST)
-            finer = min(self.tolerance, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
+            wanted = sharpest if narrow else self.tolerance
+            finer = min(wanted, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
             if finer < tolerance and (error <= max(1.0, unsure) or narrow):
                 tolerance = finer
                 search.restart(1.0 if narrow else search.slope)
-                if error <= max(1.0, unsure):  # the sign of its distance to the target is not certain
-                    continue
+                best = math.inf, None
+                continue  # the sign of its distance to the target is not certain
             search.add(control.distance(found, target))
         if best[1] is None or not (control.jumps and search.width <= JUMP):
             raise SolverError(f"load.{self.name} = {target:g}: not met to {control.tolerance_text}; allow a larger one")
