@@ -7,15 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from pgfmd.errors import InputError, SolverError
+from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall, wright_omega
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers import dispatch
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.theory.exponential import response
@@ -179,7 +182,7 @@ def test_a_wall_that_cannot_be_is_refused(rough, load, zeta):
 
 def test_an_accuracy_beyond_rounding_is_an_error(rough):
     """What cannot be certified is not returned."""
-    with pytest.raises(SolverError, match="certified error stays"):
+    with pytest.raises(SolverError, match="cannot be certified: rounding"):
         solve(*rough, 0.03, 1e-3, tolerance=1e-30)
 
 
@@ -246,3 +249,27 @@ def figure_8_bands(grid, seed, load, zeta) -> list[float]:
     shells = [(k == number) & (field > 0) for number in range(33)]
     ratio = [grid.reduction.sum(stress[shell]) / (grid.reduction.sum(field[shell]) or 1) for shell in shells]
     return [float(np.mean(ratio[low:stop])) for low, stop in ((4, 8), (8, 16), (16, 33))]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("zeta", [1e-7, 1e-5])
+def test_pressure_on_points_that_cannot_touch_counts(comm, seed, zeta):
+    """Points far below the highest are raised while a light load is solved; pressure that an iteration leaves on them
+    does work on the way down again.  That is in the certified error, and that is within the tolerance."""
+    heights = np.random.default_rng(seed).standard_normal((20, 3))
+    grid, solid = SlabGrid(comm, heights.shape, (93.0, 3.0)), Elasticity(1.0, 0.03, "sliding")
+    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, ExponentialWall(zeta=zeta), 1e-14)
+    assert solve_exponential_wall(problem, 1e-8).certified_error > 1e-8  # what the class is about
+    assert solve_contact(problem, Solver(tolerance=1e-8)).certified_error <= 1e-8
+
+
+def test_an_energy_that_rounding_hides_is_refused_at_once(comm, monkeypatch):
+    """Where p̄ is far below E', or far above it, the digits of a double hide the elastic energy: that is said, and no
+    thousands of steps of dynamics, no warning and no NaN follow."""
+    heights = np.random.default_rng(1).standard_normal((12, 8))
+    grid = SlabGrid(comm, heights.shape)
+    monkeypatch.setattr(dispatch, "solve_gfmd", lambda *_, **__: pytest.fail("dynamics were tried"))
+    for load, zeta in ((1e-100, 0.1), (1e-70, 1.0), (1e-40, 0.3), (1e20, 0.1), (1e60, 0.1), (1e100, 1.0)):
+        problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), ExponentialWall(zeta=zeta), load)
+        with pytest.raises(Uncertifiable, match="rounding in double precision|last digits"):
+            solve_contact(problem, Solver(tolerance=1e-8))

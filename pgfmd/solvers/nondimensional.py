@@ -8,17 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgfmd.errors import InputError, SolverError
+from pgfmd.errors import InputError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.second_order import last_digits
 from pgfmd.solvers.solution import ContactSolution, State
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
 UNIFORM = 1e15  # range of a law over the rms height above which the pressure is uniform to double precision
-ROUNDING = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
 BEYOND = 1.01  # factor on the depth that can touch, so that points that may just touch are not raised
 UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
@@ -37,7 +37,8 @@ class Dimensionless:
     """
 
     def __init__(self, physical: ContactProblem, overwrite_heights: bool = False):
-        """overwrite_heights: their memory is used, and they are lost.  Raises InputError for what cannot be solved."""
+        """overwrite_heights: their memory is used, and they are lost.  Raises InputError for what cannot be solved,
+        Uncertifiable where no pressure in double precision is accurate enough."""
         physical.check()
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
@@ -58,6 +59,11 @@ class Dimensionless:
         self.problem = ContactProblem(
             grid, heights, solid.in_units(height, unit), law.in_units(self.units), physical.mean_pressure / unit
         )
+        if law.range > 0 and hidden(self.problem):
+            raise Uncertifiable(
+                f"mean pressure = {unit:g}: beside the energy of the wall, the elastic one is lost in the last digits "
+                "of the pressure"
+            )
 
     def _uniform(self, heights: np.ndarray, height: float) -> ContactSolution:
         """A pressure that is the same everywhere; without a load the highest point touches.  Collective."""
@@ -86,7 +92,7 @@ class Dimensionless:
     ) -> ContactSolution:
         """The physical solution of a dimensionless state, whose fields become its own.  Collective.
 
-        energy: ½⟨p̂ û⟩ per point.  Raises SolverError if the rounding of the pressure's last digits, which the
+        energy: ½⟨p̂ û⟩ per point.  Raises Uncertifiable if the rounding of the pressure's last digits, which the
         certificate does not contain, brings the error above the tolerance.
         """
         pressure, gap, units, grid = state.pressure, state.gap, self.units, self.physical.grid
@@ -97,9 +103,9 @@ class Dimensionless:
 
         mean, square = self.problem.mean_pressure, grid.reduction.dot(pressure, pressure) / grid.size
         # Errors add in their norm, √(2 × energy).
-        error = (math.sqrt(max(state.error, 0.0)) + math.sqrt(self._digits(square) / (2 * energy))) ** 2
+        error = (math.sqrt(max(state.error, 0.0)) + math.sqrt(last_digits(self.problem, square) / (2 * energy))) ** 2
         if not error <= tolerance:
-            raise SolverError(
+            raise Uncertifiable(
                 f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
                 "energy is lost in the last digits of the pressure; allow a larger tolerance"
             )
@@ -121,15 +127,6 @@ class Dimensionless:
             pressure_error=getattr(state, "pressure_error", math.nan),
         )
 
-    def _digits(self, square: float) -> float:
-        """A bound of the energy of errors δ in the last digits of the pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point.
-        square: ⟨p²⟩.
-        """
-        grid, problem = self.physical.grid, self.problem
-        longest = np.array(2 * math.pi / max(grid.lengths))
-        softness = square * float(problem.solid.compliance(longest)) + problem.mean_pressure * problem.law.range
-        return ROUNDING**2 / 2 * softness
-
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:
         """Lowers the raised points to their own heights again.  Returns by how much the mean gap grows, and the work of
         the pressure on these points.  Collective.
@@ -145,6 +142,16 @@ class Dimensionless:
         parts = grid.threads.collect(lower, len(gap), grid.band)
         lowered, lost = (grid.reduction.sum(part) / grid.size for part in zip(*parts, strict=True))
         return lowered, lost
+
+
+def hidden(problem: ContactProblem) -> bool:
+    """Whether the last digits of the pressure change the energy by more than the elastic one, however the contact is:
+    with heights h of rms 1 and pressures p of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩ and the largest compliance times ⟨p²⟩.
+    """
+    grid, solid = problem.grid, problem.solid
+    shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
+    most = min(float(solid.stiffness(np.array(shortest))), grid.size * float(solid.compliance(np.array(longest))))
+    return last_digits(problem, 1.0) > most
 
 
 def deepest(problem: ContactProblem, height: float) -> float:

@@ -22,7 +22,9 @@ from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
 
+DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
 SINGLE = 1e-3  # relative error of ‖ρ‖_K, which is summed in single precision
 ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ N, without and with primes above 13 in
 # N: measured at most .7 and 1.3
@@ -87,6 +89,15 @@ class Rounding:
         """A bound of ½‖e‖²_K for the error e of a gap computed in that precision; squares: its Σ p² and Σ u²."""
         unit, digits = self.factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
         return (unit**2 * float(self.means @ squares) + digits**2 * float(self.means[1]) * heights_squared) / 2
+
+
+def last_digits(problem: ContactProblem, square: float) -> float:
+    """A bound of the energy of errors δ in the last digits of a pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point, which the
+    certificate does not contain.  square: ⟨p²⟩.
+    """
+    longest = np.array(2 * math.pi / max(problem.grid.lengths))
+    softness = square * float(problem.solid.compliance(longest)) + problem.mean_pressure * problem.law.range
+    return DIGITS**2 / 2 * softness
 
 
 def certified(square: float, rounding: float) -> float:

@@ -16,7 +16,7 @@ from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import source
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.patience import uncertifiable
-from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
+from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual, last_digits
 
 PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 bounds errors best
 
@@ -35,7 +35,7 @@ class WallState:
     contact: int = 0  # points in contact
     iterations: int = 0
     pressure_error: float = math.nan  # ‖Kρ‖/‖p̂‖, an estimate
-    rounding: float = 0.0  # the part of the error that is the gap's rounding
+    rounding: float = 0.0  # error that rounding of the gap and of the pressure's last digits may make
 
 
 class WallOperations:
@@ -100,7 +100,8 @@ class WallOperations:
         rounding = self.rounding.bound(self.squares, grid.size)
         bound = certified(square, rounding) + grid.reduction.sum([excess[first] for first in sorted(excess)])
         work = grid.size * state.work
-        state.error, state.rounding = (bound / work, rounding / work) if work > 0 else (math.inf, 0.0)
+        rounding += grid.size * last_digits(self.problem, self.squares[0] / grid.size)
+        state.error, state.rounding = (bound / work, rounding / work) if work > 0 else (math.inf, math.inf)
         state.pressure_error = math.sqrt(change / self.squares[0])
 
     @staticmethod

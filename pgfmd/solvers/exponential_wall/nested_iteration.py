@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 
 import numpy as np
 
@@ -69,7 +70,8 @@ class NewtonIteration(NestedIteration[WallState]):
         law = problem.law
         assert isinstance(law, ExponentialWall)
         for power in range(max(0, math.ceil(math.log(1 / law.zeta, REDUCTION))), 0, -1):
-            Newton(problem.with_law(law.softer(REDUCTION**power))).relax(state, LOOSE)
+            with suppress(SolverError):  # what is reached only starts the next
+                Newton(problem.with_law(law.softer(REDUCTION**power))).relax(state, LOOSE)
         return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
 
     def goal(self, exact: bool) -> float:

@@ -29,7 +29,7 @@ from pgfmd.grid.callbacks import sink
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
-from pgfmd.solvers.patience import Patience
+from pgfmd.solvers.patience import Patience, uncertifiable
 from pgfmd.solvers.wall_operations import WallOperations, WallState
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
@@ -71,6 +71,8 @@ class Newton(WallOperations):
             wanted = MOST_CUT if state.error < 0.1 * before else LEAST_CUT
             if not patience.take(state.error):
                 break
+        if not state.rounding <= tolerance:
+            raise uncertifiable(state.rounding, tolerance)
         raise patience.failure(self.law.kind, self.grid, state.iterations, tolerance)
 
     def advance(self, state: WallState, wanted: float, before: Merits) -> Merits:
