@@ -155,7 +155,7 @@ def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
     """method = "auto" ends right even if the fast solver gives up."""
     from pgfmd.solvers import dispatch
 
-    def fail(*_):
+    def fail(*_, **__):
         raise SolverError("no")
 
     monkeypatch.setitem(dispatch.SOLVERS, "active-set", fail)
