@@ -12,8 +12,9 @@ from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.controls import MeanGap
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.options import Solver
+from pgfmd.solvers.options import Load, Solver
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
@@ -132,3 +133,18 @@ def test_more_than_the_hardness_is_refused(comm):
     for load in (0.1, 0.2):
         with pytest.raises(InputError, match="0.1"):
             solved(grid, heights, load, 0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_imposed_gaps_are_met_to_their_bound(comm, seed):
+    """The mean gap of a loose solution differs from that of a tight one at the same load by no more than its bound."""
+    grid = SlabGrid(comm, (32, 32))
+    heights = self_affine(grid, 0.8, 4.0, 0.1, seed)
+    load = 0.01 * 3**seed
+    problem = ContactProblem(grid, heights, Elasticity(1.0), Hardness(hardness=3 * load), load)
+    control = MeanGap(problem, Load(mean_gap=(1.0,), gap_tolerance=1e-6))
+    exact = solve_contact(problem, Solver(tolerance=1e-20))
+    for tolerance in (1e-3, 1e-6, 1e-9):
+        found = solve_contact(problem, Solver(tolerance=tolerance))
+        bound = control.uncertainty(found, exact.mean_gap) * control.allowed(exact.mean_gap)
+        assert abs(found.mean_gap - exact.mean_gap) <= bound + 1e-9

@@ -193,7 +193,7 @@ class MeanGap(Control):
         return abs(self.reached(found) - self.approach(target)) / self.allowed(target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """A bound of the error of the mean gap, over its tolerance.
+        """A bound of the error of the mean gap, over its tolerance.  Collective.
 
         The least energy J*(P) is convex in the load P = Σ p, and its slope is the level λ* of contact.  A solution p
         with energy error B, and its multiples, bound J* from both sides: with a law of range ζ, A = ½⟨p, Gp⟩ + ζP/2,
@@ -202,13 +202,31 @@ class MeanGap(Control):
             J*(P ± sP) ≤ J(p ± sp) ≤ J(p) ± sPλ + s² A + s³ ζP/2,    J*(P) ≥ J(p) − B,
 
         so that |λ* − λ| ≤ (s A + s² ζP/2 + B/s)/P, which is at most (2√(AB) + B)/P at s = √(B/A), or at 1 if that is
-        less.  An estimate only under a law that limits the pressure: it may not admit multiples of p.
+        less.  Under a law that limits the pressure to σ_Y, p may not be multiplied: w = min(p, σ_Y − p) is added or
+        taken away instead.  Then A = ½⟨w, Gw⟩, P is Σ w, and the terms ±s Σ w(g − λ), which vanish for w = p, are at
+        most 2s√(AB): the bound is (4√(AB) + B)/Σ w.
         """
-        energy, pressure = found.elastic_energy, found.mean_pressure
-        bound = 2 * energy * max(found.certified_error, FINEST)
-        return (2 * math.sqrt(bound * (energy + self.problem.law.range * pressure / 2)) + bound) / (
-            pressure * self.allowed(target)
-        )
+        energy, change, highest = found.elastic_energy, found.mean_pressure, self.problem.law.highest
+        bound, roots = 2 * energy * max(found.certified_error, FINEST), 2
+        if highest < math.inf:
+            energy, change = self._energy(np.minimum(found.pressure, highest - found.pressure))
+            roots = 4
+        if change == 0:  # every point is at a limit: the level may lie anywhere between their gaps
+            return math.inf
+        curvature = energy + self.problem.law.range * change / 2
+        return (roots * math.sqrt(bound * curvature) + bound) / (change * self.allowed(target))
+
+    def _energy(self, pressure: np.ndarray) -> tuple[float, float]:
+        """½⟨p, Gp⟩ per point, without the mode q = 0, and the mean of a pressure (nx_local, ny).  Collective."""
+        grid, parts = self.grid, dict[int, tuple[float, float]]()
+
+        def measure(first: int, stop: int, rows: np.ndarray) -> None:
+            block = pressure[first:stop]
+            parts[first] = float(np.vdot(rows, block)) / 2, float(block.sum())
+
+        grid.convolve(source(pressure), self.problem.solid.apply_compliance(grid, np.float64, 1 / grid.size), measure)
+        energy, total = grid.reduction.sums_of_blocks(parts, 2)
+        return float(energy) / grid.size, float(total) / grid.size
 
 
 class Displacement(MeanGap):
