@@ -6,6 +6,7 @@ import atexit
 import contextlib
 import os
 import platform
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -15,10 +16,14 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.parallel.private_cache import private_folder
 
+sys.modules.setdefault("scipy.fftpack", None)  # type: ignore[arg-type]  # pyfftw wraps it where it is: a tenth of start
 try:
     import pyfftw
 except ImportError:
     pyfftw = None
+finally:
+    if sys.modules["scipy.fftpack"] is None:
+        del sys.modules["scipy.fftpack"]
 
 PRECISIONS = 3  # FFTW exports its wisdom as three texts: for double, single and long double precision
 BETWEEN = b"\0"

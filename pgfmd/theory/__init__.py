@@ -14,6 +14,16 @@ A spectrum is handed over as in the result files: wave numbers q (m,), ascending
 modes.
 """
 
-from pgfmd.theory import asperity, bearing, exact, exponential, hertz, persson, surface
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
 
 __all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "persson", "surface"]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """A module, imported when first used: a run needs `lattice_edge` only, and SciPy's optimisers take long."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module(f"{__name__}.{name}")
