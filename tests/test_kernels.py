@@ -274,15 +274,14 @@ def test_products_of_spectra(rng):
 
 
 def test_start_rows(rng):
-    """Contact where compliance · p exceeds the gap, with the coarse pressure and a part of what new heights add;
-    elsewhere the gap is left open."""
+    """Contact where compliance · p exceeds the gap to the new heights, with the coarse pressure and that which flattens
+    a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
     set_kernels.start_rows((p, g, coarse), h, 0.3, pressure, gap)
-    new = g - (h - coarse)
-    assert np.array_equal(gap, np.where(0.3 * p > new, 0, np.maximum(new, 0)))
-    rougher = np.maximum(p + set_kernels.ROUGHER * (h - coarse) / 0.3, 1e-300)
-    assert np.allclose(pressure, np.where(0.3 * p > new, rougher, 0), rtol=1e-14)
+    flattened, contact = set_kernels.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
+    assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
+    assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-300), 0), rtol=1e-14)
 
 
 def test_listed_points_are_cut(points, rng):

@@ -31,6 +31,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 
+TOLERANCE = 1e-11  # at 1e-7 the areas of the finest grids are .3 % off
 NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_energy", "mean_square_pressure")
 
 
@@ -41,7 +42,7 @@ def solved(points: int, across: int, hurst: float, load: float, seed: int, bars:
     heights = self_affine(grid, hurst, 1 / across, 1.0, seed)
     problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), load)
     observer = Observer(problem, [OBSERVABLES["discretisation"]()] if bars else [], 2 * math.pi * across)
-    contact = observer.contact(solve_hard_wall(problem, 1e-7))
+    contact = observer.contact(solve_hard_wall(problem, TOLERANCE))
     found = observer.groups(contact).get("discretisation", {})
     return observer.row(contact) | {name: float(value) for name, value in found.items()}
 

@@ -45,8 +45,10 @@ Precision = type[np.float32] | type[np.float64]
 
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
-MARGIN = 0.15  # the last step aims at this part of the tolerance
+MARGIN = 0.4  # the last step aims at this part of the tolerance
+WITHIN = 0.3  # a step goes for the tolerance if that takes a factor of at least this part of what seems useful
 MOST_INNER = 300
+MOST_LOW = 100.0  # by which one certificate may raise later estimates
 STUCK = 3  # steps without halving the least error, before double precision is taken
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
@@ -58,7 +60,8 @@ class State:
     level: λ, the gap Gp − h of points in contact.  opened: false if `gap` is Gp − h; true if it is measured from λ and
     set to 0 wherever the pressure lies between its bounds.  energy: ½⟨p, Gp⟩.  error: of the energy over 2 · energy,
     certified or estimated.  contact: number of points with p > 0; between: of those with 0 < p < σ_Y.  iterations: of
-    conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, set by a certificate.
+    conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, set by a certificate.  estimated: true if `gap` is interpolated from
+    a coarser grid.
     """
 
     pressure: np.ndarray
@@ -71,6 +74,7 @@ class State:
     between: int = 0
     iterations: int = 0
     pressure_error: float = 0.0
+    estimated: bool = False
 
 
 class Relaxation:
@@ -113,7 +117,7 @@ class Relaxation:
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
-                low *= max(1.0, state.error / max(estimate, MARGIN * tolerance))
+                low *= min(max(1.0, state.error / max(estimate, MARGIN * tolerance)), MOST_LOW)
             self.settle(state)
             if monitor is not None:
                 monitor(state)
@@ -145,11 +149,15 @@ class Relaxation:
         changes = min(LEAST_CUT, max(MOST_CUT, math.sqrt(estimate)))
         if 0 < before < math.inf:
             changes = min(changes, (estimate / before) ** CUT_POWER)
-        return max(changes, math.sqrt(MARGIN * tolerance / max(estimate, tolerance)))
+        last = math.sqrt(MARGIN * tolerance / max(estimate, tolerance))
+        return last if last >= WITHIN * changes else changes
 
     def goal(self, estimate: float, tolerance: float) -> float:
         """Tolerance for a coarse grid, from the estimated error of its start."""
         return tolerance
+
+    def begin(self, state: State) -> None:
+        """Improves a start of estimated gap without full transforms.  Collective."""
 
     def look(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state, and chooses the unknowns.  Returns the system whose solution

@@ -60,11 +60,16 @@ class Blocks:
         if self.stiffness is not None:
             self.stiffness.begin(self.window.own.copy())
 
-    def split(self, residuals: Sums) -> None:
-        """Leaves in the window the means of the residuals; keeps the loads that answer them for `join`.  Collective."""
+    def split(self, residuals: Sums, unanswered: bool = False) -> None:
+        """Leaves in the window the means of the residuals; keeps the loads that answer them, or 0, for `join`.
+        Collective.
+        """
         self._sum(residuals)
         if self.stiffness is not None:
-            self.stiffness.respond(self.window.own, self.loads)
+            if unanswered:
+                self.loads[...] = 0
+            else:
+                self.stiffness.respond(self.window.own, self.loads)
             self._on_own(lambda own, loads, share: np.multiply(own, share, out=own))
         self.window.fetch()
 

@@ -42,6 +42,10 @@ class GapSteps(Relaxation):
         """Frees the transforms of the mesh.  Collective."""
         self.inner.free()
 
+    def begin(self, state: State) -> None:
+        """The gap of the coarser grid is a start.  Collective."""
+        self.open_gap(state)
+
     def look(self, state: State, precision: Precision) -> ConjugateGradients:
         """The pressure of the gap; the system makes it vanish where there is a gap.  Collective."""
         if not state.opened:

@@ -319,7 +319,7 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
             target[j] = min(around, g[j] - level) if p[j] <= 0 else max(around, g[j] - level)
 
 
-ROUGHER = 0.5  # heights that only the finer grid resolves add this part of the pressure that flattens one pixel alone
+ROUGHER = 0.3  # part of the heights that only the finer grid resolves which its start flattens
 
 
 @jit
@@ -332,7 +332,7 @@ def start_rows(
 ) -> None:
     """Pressure and gap that start a finer grid, from those of the coarse one interpolated.  With new = h − coarse h,
     the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact: its pressure is
-    max(coarse p + ROUGHER · new/compliance, tiny), its gap 0.  Elsewhere the pressure is 0 and the gap max(g, 0).
+    max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere the pressure is 0.
     """
     coarse_pressure, coarse_gap, coarse_heights = coarse
     for i in range(pressure.shape[0]):
@@ -340,7 +340,7 @@ def start_rows(
             p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
             g = coarse_gap[i, j] - new
             closed = compliance * p > g
-            gap[i, j] = 0.0 if closed else max(g, 0.0)
+            gap[i, j] = g + ROUGHER * new if closed else g
             pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if closed else 0.0
 
 

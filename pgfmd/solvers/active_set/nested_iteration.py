@@ -123,6 +123,8 @@ class ActiveSetIteration(NestedIteration[State]):
         by_gaps = problem.law.highest == np.inf and state.between > GAPS_FROM * problem.grid.size
         steps = GapSteps if by_gaps else PressureSteps
         solver = steps(problem, exact)
+        if state.estimated:
+            solver.begin(state)
         try:
             state = solver.relax(state, self.tolerance, self.watch(problem))
         except Uncertifiable:
@@ -140,8 +142,7 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
 
     A point is in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap
     to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
-    (`set_kernels.start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.  Inside, pressures
-    interpolated linearly alone would miss up to 8 % of a wave of eight coarse pixels.
+    (`set_kernels.start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
     """
     grid, top = problem.grid, problem.law.highest
     found.gap -= found.level
@@ -156,4 +157,4 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
 
     grid.threads.share(begin, grid.local_shape[0], grid.band)
     carry(grid, (pressure, gap), problem.load, top, 1 / compliance)
-    return State(pressure, gap, True, between=round(found.between / coarse.place.size * grid.size))
+    return State(pressure, gap, estimated=True, between=round(found.between / coarse.place.size * grid.size))

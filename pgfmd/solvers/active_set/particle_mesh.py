@@ -36,7 +36,11 @@ SMALLEST = 256  # points of the shorter side below which full transforms are as 
 
 
 class MeshResponse:
-    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness."""
+    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness.  If
+    `near_only`, without the smooth part.
+    """
+
+    near_only = False
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol) -> None:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
@@ -69,6 +73,9 @@ class MeshResponse:
 
     def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective."""
+        if self.near_only:
+            self.stencil.apply(points, values.exchange(), out)
+            return
         window = self.window
         requests = values.start()
         for first, stop in window.around:

@@ -25,8 +25,10 @@ NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: b
 
 class MultilevelStiffness:
     """z = (1 − Q) S K_cut Sᵀ (1 − Q) r + B K_blocks Bᵀ r: S restricts to a contact set, Q = B Bᵀ takes means over
-    blocks.
+    blocks.  If `near_only`, without the second term: blocks then keep their loads.
     """
+
+    near_only = False
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol) -> None:
         """half_space(|q|): stiffness of a half-space, for the near part; stiffness(|q|): of the solid, for the far."""
@@ -40,7 +42,7 @@ class MultilevelStiffness:
         if self.far is None:
             self.near.apply(points, residual.exchange(), out.own)
             return
-        rest = self.far.split(points, residual)
+        rest = self.far.split(points, residual, self.near_only)
         self.near.apply(points, rest.exchange(), out.own)
         self.far.join(points, out)
 
@@ -61,13 +63,14 @@ class FarPart:
         self.points: ContactSet | None = None
         self.rest: SetVector
 
-    def split(self, points: ContactSet, residual: SetVector) -> SetVector:
+    def split(self, points: ContactSet, residual: SetVector, near_only: bool) -> SetVector:
         """The residual less its means over blocks, whose loads are kept for `join`.  Collective."""
         if points is not self.points:
             self.points, self.rest = points, SetVector(points)
             self.blocks.begin(self._sums(points, np.ones(points.count, np.float32)))
-        self.blocks.split(self._sums(points, residual.own))
-        self.grid.transforms += 0.5 * self.blocks.size / self.grid.size
+        self.blocks.split(self._sums(points, residual.own), near_only)
+        if not near_only:
+            self.grid.transforms += 0.5 * self.blocks.size / self.grid.size
         self._subtract(points, residual.own, self.rest.own)
         return self.rest
 

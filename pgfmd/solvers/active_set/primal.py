@@ -13,7 +13,7 @@ from pgfmd.solvers.active_set.active_set import MOST_INNER, Precision, Relaxatio
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.feasible import Feasible
-from pgfmd.solvers.active_set.particle_mesh import inner_response
+from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 
 PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most on the next grid
@@ -41,6 +41,18 @@ class PressureSteps(Relaxation):
         the next grid will make one of about the same size.
         """
         return max(min(PART * estimate, LOOSEST), tolerance / 4, FINEST)
+
+    def begin(self, state: State) -> None:
+        """Adapts the start to roughness that only this grid resolves: one iteration with the near part of the response.
+        Blocks of pixels keep their loads, since the coarser grid has long waves right.  At λ_s = a this leaves a fifth
+        of the error.  Collective.
+        """
+        if isinstance(self.inner, MeshResponse):
+            points = ContactSet(self.grid, (state.pressure, state.gap), 0.0, self.top)
+            self.inner.near_only = self.preconditioner.near_only = True
+            system = ConjugateGradients(points.below(0.0, state.gap), self.inner, self.preconditioner)
+            self.improve(state, system, 0.5)
+            self.inner.near_only = self.preconditioner.near_only = False
 
     def look(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
