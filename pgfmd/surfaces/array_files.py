@@ -11,7 +11,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
-from pgfmd.surfaces import instruments, text
+from pgfmd.surfaces import instruments, text, tiff
 from pgfmd.surfaces.measurement import Measurement, named
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
@@ -44,7 +44,9 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
     """
     with named(path):
         try:
-            if not is_array(path, dataset):
+            if path.lower().endswith(tiff.SUFFIXES):
+                yield tiff.read(path)
+            elif not is_array(path, dataset):
                 yield text.read(path) or instruments.read(path)
             elif path.endswith(".npy"):
                 if dataset is not None:

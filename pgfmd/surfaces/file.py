@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pgfmd")
 
+ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
+CLIFF = 5.0  # times the rms step between neighbours: a jump between opposite edges that is none of the surface's own
 SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 CHECKED = 2**21  # heights that are read at once to be checked
 MARGIN = 0.1  # part of a side that a taper changes at each edge
@@ -41,7 +43,7 @@ class FromFile(Surface):
 
     kind = "file"
     path: str = path_key(
-        ".npy, HDF5 (file.h5:dataset), text, or what SurfaceTopography reads; relative to the job's folder",
+        ".npy, HDF5 (file.h5:dataset), text, .csv, .tif, or what SurfaceTopography reads; relative to the job's folder",
         "heights.npy",
     )
     dataset: str | None = key(text(), None, "of an HDF5 file; the same as the part of the path after the colon")
@@ -51,7 +53,9 @@ class FromFile(Surface):
     missing: str = key(
         choice("refuse", "interpolate"), "refuse", "points that were not measured: NaN, masked, or left out of a list"
     )
-    detrend: str = key(choice("none", "mean", "plane"), "none", "subtract the mean, or the plane that fits best")
+    detrend: str = key(
+        choice("none", "mean", "plane", "quadratic"), "none", "subtract the mean, plane or paraboloid that fits best"
+    )
     periodic: str = key(choice("as-is", "mirror", "taper"), "as-is", "how the periodic cell closes")
     height_scale: float = key(number(), 1.0, "factor on the heights; negative turns them over")
 
@@ -105,10 +109,10 @@ class FromFile(Surface):
             filled = f"; {missing} missing points interpolated" * (missing > 0)
             log.info("surface: %s: %s%s", printable(self.path, 400), said, filled)
         _log_range(grid, heights, length_unit)
-        if self.detrend == "mean":
-            heights -= grid.reduction.sum(heights) / grid.size
-        elif self.detrend == "plane":
-            _subtract_plane(grid, heights, [folded(count, self._copies) for count in grid.shape])
+        if self.detrend != "none":
+            _subtract(grid, heights, ORDERS[self.detrend], [folded(count, self._copies) for count in grid.shape])
+        if self.periodic == "as-is":
+            _warn_of_cliffs(grid, heights)
         if self.periodic == "taper":
             mean = grid.reduction.sum(heights) / grid.size
             weights = [_edge_weights(count) for count in grid.shape]
@@ -177,19 +181,53 @@ def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> 
         )  # fmt: skip
 
 
-def _subtract_plane(grid: SlabGrid, heights: np.ndarray, folds: list) -> None:
-    """Subtract the least-squares plane of the file's heights, in place.  Collective.
+def _subtract(grid: SlabGrid, heights: np.ndarray, order: int, folds: list[np.ndarray]) -> None:
+    """Subtract the polynomial of that order that fits the file's heights best, in place.  Collective.
 
-    Coordinates are taken about their mean, so that the three coefficients are independent.  A mirrored point has the
-    coordinates of its original.
+    Least squares in products of polynomials of x and of y that are orthogonal over the points, so that each coefficient
+    is a sum of its own.  A mirrored point has the coordinates of its original.
     """
-    x, y = (fold - fold.mean() for fold in folds)
-    nx, ny = grid.shape
-    mine = x[grid.rows, None]
-    level, along_x, along_y = grid.reduction.sums(heights.sum(), np.sum(mine * heights), np.sum(y * heights))
-    slope_x = along_x / (ny * np.sum(x**2)) if np.any(x) else 0.0
-    slope_y = along_y / (nx * np.sum(y**2)) if np.any(y) else 0.0
-    heights -= level / grid.size + slope_x * mine + slope_y * y
+    along_x, along_y = (_orthogonal(fold, order) for fold in folds)
+    terms = [(f, g) for m, f in enumerate(along_x) for n, g in enumerate(along_y) if m + n <= order]
+    mine = [f[grid.rows] for f, _ in terms]
+    sums = grid.reduction.sums(*(f @ (heights @ g) for f, (_, g) in zip(mine, terms, strict=True)))
+    for total, f, (whole, g) in zip(sums, mine, terms, strict=True):
+        squares = (whole @ whole) * (g @ g)
+        if squares > 0:  # else there are too few points for that term
+            heights -= total / squares * f[:, None] * g
+
+
+def _orthogonal(fold: np.ndarray, order: int) -> list[np.ndarray]:
+    """1, t and t² less their means, of coordinates t from −1 to 1, as far as `order`: orthogonal, since the points lie
+    evenly about 0.
+    """
+    last = max(fold.max(), 1)
+    t = (2 * fold - fold.max()) / last
+    return [np.ones(len(fold)), t, t**2 - np.mean(t**2)][: order + 1]
+
+
+def _warn_of_cliffs(grid: SlabGrid, heights: np.ndarray) -> None:
+    """Log a warning if heights jump from one edge of the cell to the opposite one more than they do between neighbours.
+    Collective.
+    """
+    unit = max(-grid.reduction.min(heights), grid.reduction.max(heights)) or 1.0  # so that squares do not overflow
+    below = grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1) / unit
+    steps_x, steps_y = np.diff(heights / unit, axis=0, append=below), np.diff(heights / unit, axis=1)
+    at_edge = grid.rows.stop == grid.shape[0]
+    jumps = grid.reduction.sums(
+        np.sum(steps_x[-1] ** 2) if at_edge else 0.0,
+        np.sum((heights[:, 0] / unit - heights[:, -1] / unit) ** 2),
+        np.sum(steps_x[: len(steps_x) - at_edge] ** 2),
+        np.sum(steps_y**2),
+    )
+    for name, count, others, jump, steps in zip("xy", grid.shape, grid.shape[::-1], jumps[:2], jumps[2:], strict=True):
+        jump, step = math.sqrt(jump / others), math.sqrt(steps / max((count - 1) * others, 1))
+        if jump > CLIFF * step and grid.comm.rank == 0:
+            log.warning(
+                "surface: the edges across %s do not match: they differ by %.3g (rms), neighbours by %.3g; the cell is "
+                'periodic, so a cliff is pressed there (periodic = "mirror" or "taper", detrend, under [surface])',
+                name, unit * jump, unit * step,
+            )  # fmt: skip
 
 
 def _edge_weights(count: int) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ STYLES = ((",", "."), ("\t", "."), (None, "."), (";", "."), (";", ","), ("\t", "
 NOTHING = {"", "nan", "bad", "na", "n/a", "null", "none", "---", "--", "***"}  # fields of points not measured
 UNIT = re.compile(r"(Lateral|Value) units:\s*(\S+)")  # of coordinates and heights, as Gwyddion exports points
 FOREIGN = re.compile(r"(?i)\bunit|[:=]\s*\S*\d")  # in comments that give sizes or units: SurfaceTopography reads these
+HEADER, MOST_COMMENTS = 200, 10**6  # lines in which the first numbers of a .csv, of another text are looked for
 LATTICE = 0.05  # distance from the lattice, over its spacing, at which a point still belongs to it
 SAME = 1e-6  # coordinates closer than that, over their range, are equal
 
@@ -26,16 +28,18 @@ def read(path: str) -> Measurement | None:
     `numpy.savetxt` writes it.  Three columns are x, y and height, in any order of lines; lattice points without a line
     are NaN.  Raises InputError, without the path: fewer columns, lines of different length, points off a lattice.
     """
-    comments, _ = _opening(path)
+    comments, _, passed = _opening(path)
+    after = f", after {passed} lines of words, which are not read" * (passed > 0)
     units = {match[1]: match[2] for match in map(UNIT.search, comments) if match}
     if any(FOREIGN.search(line) for line in comments if not UNIT.search(line)):
         return None
     numbers = read_table(path)
     if numbers is None or numbers.shape[1] > 3:
-        return None if numbers is None or units else Measurement(numbers, "text, a matrix")
+        return None if numbers is None or units else Measurement(numbers, f"text, a matrix{after}")
     if numbers.shape[1] < 3:
         raise InputError("holds a line scan, not the heights of a surface")
-    return _on_lattice(numbers, units.get("Lateral"), units.get("Value"))
+    found = _on_lattice(numbers, units.get("Lateral"), units.get("Value"))
+    return replace(found, format=found.format + after)
 
 
 def read_table(path: str) -> np.ndarray | None:
@@ -43,22 +47,23 @@ def read_table(path: str) -> np.ndarray | None:
     first line does not consist of numbers.
 
     Columns are separated by blanks, tabs, commas or semicolons.  The decimal mark is a point, or a comma if commas do
-    not separate columns.  # begins a comment.  Raises InputError, without the path, if lines differ in length.
+    not separate columns.  # begins a comment.  A .csv may begin with lines of words, which are passed over.  Raises
+    InputError, without the path, if lines differ in length.
     """
-    _, first = _opening(path)
-    style = next((style for style in STYLES if _fields(first, style) is not None), None)
+    _, first, passed = _opening(path)
+    style = _style(first)
     if style is None:
         return None
     if style[1] == ".":
         try:
-            return np.loadtxt(path, delimiter=style[0], ndmin=2, encoding="utf-8-sig")
+            return np.loadtxt(path, delimiter=style[0], ndmin=2, encoding="utf-8-sig", skiprows=passed)
         except ValueError:  # fields without a number, or not a table: slowly, to say where
             pass
     rows: list[list[float]] = []
     with open(path, encoding="utf-8-sig", errors="replace") as file:
         for number, line in enumerate(file, 1):
             line = line.partition("#")[0]
-            if not line.strip():
+            if number <= passed or not line.strip():
                 continue
             fields = _fields(line, style)
             if fields is None or len(fields) != len(rows[0] if rows else fields):
@@ -69,22 +74,38 @@ def read_table(path: str) -> np.ndarray | None:
     return table[:, :-1] if np.isnan(table[:, -1]).all() else table  # each line ends in a separator
 
 
-def _opening(path: str) -> tuple[list[str], str]:
-    """The comments at the beginning of the file, and the first line after them that is not blank."""
+def _opening(path: str) -> tuple[list[str], str, int]:
+    """The comments at the beginning of the file; the first line after them that is not blank; in a .csv, the first one
+    with three numbers, if one of the first HEADER lines has them.  Last, the number of lines before it, 0 if these are
+    comments only.
+    """
     comments: list[str] = []
+    first, words = "", 0
     with open(path, encoding="utf-8-sig", errors="replace") as file:
-        while True:
+        for passed in range(HEADER if path.lower().endswith(".csv") else MOST_COMMENTS):
             line = file.readline(2**22)  # a file with longer lines is no text
             if line.startswith("#"):
                 comments.append(line)
-            elif line.strip() or not line:
-                return comments, line
+            elif not line:
+                break
+            elif line.strip():
+                first = first or line
+                style = _style(line)
+                if not path.lower().endswith(".csv") or style and len(_fields(line, style) or []) > 2:
+                    return comments, line, passed if words else 0
+                words += 1
+    return comments, first, 0
+
+
+def _style(line: str) -> tuple[str | None, str] | None:
+    """How the numbers of a line are written; None if it does not consist of numbers."""
+    return next((style for style in STYLES if _fields(line, style) is not None), None)
 
 
 def _fields(line: str, style: tuple[str | None, str]) -> list[float] | None:
     """The numbers of a line, NaN for those that are missing; None if the line is not written in that style."""
     separator, mark = style
-    fields = [field.strip() for field in line.rstrip("\r\n").split(separator)]
+    fields = [field.strip().strip('"') for field in line.rstrip("\r\n").split(separator)]
     if mark != "." and any("." in field for field in fields) or not line.strip():
         return None
     try:

@@ -1,0 +1,35 @@
+"""Heights in TIFF images of one channel, through the optional package Pillow.  No MPI here."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.options.text import printable
+from pgfmd.surfaces.measurement import Measurement
+
+SUFFIXES = (".tif", ".tiff")
+
+
+def read(path: str) -> Measurement:
+    """The values of the pixels, [line, column]; the sizes and units that a TIFF may hold are not those of heights.
+
+    Raises InputError, without the path: Pillow is not installed, the file is damaged, holds colours or several images.
+    """
+    try:
+        from PIL import Image
+    except ImportError:
+        raise InputError("TIFF images are read by Pillow, which is not installed here: pip install pillow") from None
+    try:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+            bands, count, values = image.getbands(), getattr(image, "n_frames", 1), np.array(image)
+    except Exception as error:  # whatever a damaged file makes a reader raise
+        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
+        raise InputError(f"cannot be read as a TIFF image: {reason}") from None
+    if len(bands) > 1 or image.mode == "P" or values.ndim != 2:
+        raise InputError(f"is an image of colours ({image.mode}), not of heights")
+    if count > 1:
+        raise InputError(f"holds {count} images; one of heights is needed")
+    return Measurement(values, "TIFF image, values of pixels")
