@@ -111,10 +111,11 @@ def plot(arguments: Sequence[str]) -> str:
     sheet = draw(figure, folders, **options)
     output = output or folders[0] / "figures"
     try:
-        sheet.save(output, figure)
+        pages = [path for path in sheet.save(output, figure) if path.suffix == ".html"]
     except OSError as error:
         raise InputError(f"{output}: cannot be written: {error.strerror}") from None
     width = max(map(len, sheet.findings), default=0)
     lines = [f"{name:<{width}}  {sheet.findings.text(name)}" for name in sheet.findings]
     lines += [*(f"note: {note}" for note in sheet.notes), f"pictures and tables: {output}"]
+    lines += [f"page for a browser: {path}" for path in pages]
     return "\n".join(printable(line, 1000) for line in lines)

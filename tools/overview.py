@@ -81,7 +81,7 @@ def _panels(run: list[Load], notes: list[str]) -> Iterator[Callable]:
             yield function
         else:
             notes.append(f"not drawn: {load.folder} has no {lacking}")
-    yield lambda sheet, panel, _: draw_loads(sheet, panel, run)
+    yield draw_numbers if len(run) == 1 else lambda sheet, panel, _: draw_loads(sheet, panel, run)
 
 
 def thinned(load: Load, name: str) -> np.ndarray:
@@ -147,6 +147,24 @@ def draw_patches(sheet: Sheet, panel: int, load: Load):
     norm = LogNorm(point, max(float(area.max()), 10 * point))
     label = "area of the patch" + (f" / {unit}²" if unit else "")
     _show(sheet, panel, load, np.ma.masked_where(area <= 0, area), label, cmap="cividis", norm=norm)
+
+
+def draw_numbers(sheet: Sheet, panel: int, load: Load):
+    """The numbers of a single load, as text."""
+    axes, (nx, ny) = sheet.panels[panel], load.results.shape
+    unit, length = _unit(load, "pressure"), _unit(load, "length")
+    numbers = {
+        "points": f"{nx} × {ny}", "mean pressure": f"{load.mean_pressure:.4g} {unit}",
+        "contact area": f"{load.area:.4g}", "corrected": f"{load.corrected_area:.4g}",
+        r"$\kappa = f_c E' \bar g / \bar p$": f"{load.number('kappa'):.4g}",
+        "mean gap": f"{load.number('mean_gap'):.4g} {length}",
+        "certified error": f"{load.number('certified_error'):.1e}",
+    }  # fmt: skip
+    axes.axis("off")
+    for number, (name, text) in enumerate(numbers.items()):
+        height = 0.9 - 0.12 * number
+        axes.text(0.0, height, name, transform=axes.transAxes, color="0.35")
+        axes.text(1.0, height, text.strip(), transform=axes.transAxes, ha="right")
 
 
 def draw_loads(sheet: Sheet, panel: int, run: Sequence[Load]):
