@@ -36,6 +36,7 @@ from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.solution import ContactSolution, State
 
 log = logging.getLogger("pgfmd")
+PATIENCE = 5.0  # seconds whose loads one of many runs may lose if it is killed
 
 
 def run_job(
@@ -77,7 +78,7 @@ def simulate(
     mode: Mode = "overwrite" if overwrite else "restart" if restart else "new"
     with (
         LogFile(comm.rank) as log_file,
-        ResultWriter(comm, directory, origin, form, mode) as writer,
+        ResultWriter(comm, directory, origin, form, mode, PATIENCE if interruptions else 0.0) as writer,
         nullcontext(interruptions)
         if interruptions
         else Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,

@@ -33,12 +33,13 @@ def beside(path: Path) -> Path:
     return path.with_name(f".{path.name}.new")
 
 
-def commit(path: Path, keep: bool = False) -> None:
+def commit(path: Path, keep: bool = False, sync: bool = True) -> None:
     """Rename the finished temporary file of `path` to `path`; the file is synced to the disk before, the folder after.
 
-    keep : the version that it replaces stays as `previous(path)`
+    keep : the version that it replaces stays as `previous(path)`;  sync : False leaves that to the caller
     """
-    _sync(temporary(path))
+    if sync:
+        _sync(temporary(path))
     if keep and path.exists():
         previous(path).unlink(missing_ok=True)
         try:
@@ -46,13 +47,22 @@ def commit(path: Path, keep: bool = False) -> None:
         except OSError:
             os.replace(path, previous(path))  # a file system without hard links
     os.replace(temporary(path), path)
-    _sync(path.parent)
+    if sync:
+        _sync(path.parent)
 
 
-def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False, anew: bool = False) -> None:
+def sync_files(folder: Path) -> None:
+    """Sync the files of a folder, and the folder, to the disk."""
+    for path in (*folder.glob("*.h5"), folder):
+        _sync(path)
+
+
+def revise(
+    path: Path, change: Callable[[io.BytesIO], None], keep: bool = False, anew: bool = False, sync: bool = True
+) -> None:
     """Let `change` modify the content of the small, sealed file `path` (empty for a new file), and replace the file.
 
-    keep : see `commit`;  anew : `change` gets empty content even if the file exists
+    keep, sync : see `commit`;  anew : `change` gets empty content even if the file exists
 
     `change` works in memory, since HDF5 crashes when a disk is full.  Raises OSError then; the old file stays.
     """
@@ -61,7 +71,7 @@ def revise(path: Path, change: Callable[[io.BytesIO], None], keep: bool = False,
     try:
         with named(path):
             temporary(path).write_bytes(sealed(content.getbuffer()))
-            commit(path, keep)
+            commit(path, keep, sync)
     except BaseException:
         temporary(path).unlink(missing_ok=True)
         raise

@@ -74,8 +74,10 @@ class Results:
             self.phases = (
                 {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
             )
-            self.loads = {name: file["loads"][name][:] for name in LOADS if name in file["loads"]}
-            self.units = {name: file["loads"][name].attrs["units"] for name in self.loads}
+            loads = file["loads"]
+            columns = {name: loads[name] for name in LOADS if name in loads}
+            self.loads = {name: column[:] for name, column in columns.items()}
+            self.units = {name: column.attrs["units"] for name, column in columns.items()}
 
     def __len__(self) -> int:
         """Number of completed loads."""

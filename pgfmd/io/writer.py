@@ -18,10 +18,11 @@ from __future__ import annotations
 import io
 import logging
 import os
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from typing import Literal
 
@@ -80,6 +81,8 @@ class ResultWriter:
     comm : communicator; directory : the folder, made if missing; origin : what is written about the run;  form : the
     form of its files
     mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
+    patience : seconds within which changes of observables.h5 are put together, so that runs of moments write it once;
+    then it is left to the caller to sync it to the disk
 
     Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
     written, is in use, or holds results or files that are not to be replaced.
@@ -96,9 +99,12 @@ class ResultWriter:
         origin: Origin,
         form: Form,
         mode: Mode = "new",
+        patience: float = 0.0,
     ):
         self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
         self._begun = False
+        self._changes: list[Callable[[h5py.File], None]] = []
+        self._patience, self._last_change = patience, time.monotonic()
         self._folder: atomic.OutputFolder | None = None
         self.earlier, self.replacing, self._fields = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
@@ -161,7 +167,7 @@ class ResultWriter:
         if not self._begun:
             from_root(self.comm, self._remove_leftovers)
             if not self.replacing:
-                from_root(self.comm, self._revise_observables, self._prepare_observables)
+                from_root(self.comm, self._revise_observables, partial(self._prepare_observables, self.completed))
             self._begun = True
 
     def write_field(
@@ -218,7 +224,7 @@ class ResultWriter:
             file.attrs.update(status="complete", finished=provenance.now())
             file.require_group("phases").attrs.update({name: float(value) for name, value in (phases or {}).items()})
 
-        from_root(self.comm, self._revise_observables, mark)
+        from_root(self.comm, self._revise_observables, mark, True)
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -248,7 +254,7 @@ class ResultWriter:
             return
         status = "stopped" if isinstance(error, Stopped) else "failed"
         message = (str(error) or type(error).__name__)[:1000]
-        self._revise_observables(lambda file: file.attrs.update(status=status, error=message))
+        self._revise_observables(lambda file: file.attrs.update(status=status, error=message), now=True)
 
     def _remove_leftovers(self) -> None:
         """Remove what interrupted runs left behind, and fields that belong to no results in observables.h5."""
@@ -281,7 +287,7 @@ class ResultWriter:
         path = self.directory / OBSERVABLES_FILE
 
         def describe(file: h5py.File) -> None:
-            self._prepare_observables(file)
+            self._prepare_observables(self.completed, file)
             change(file)
 
         self._remove_views()
@@ -290,8 +296,19 @@ class ResultWriter:
         self._remove_replaced()
         self._write_views()
 
-    def _revise_observables(self, change: Callable[[h5py.File], None]) -> None:
-        _revise(self.directory / OBSERVABLES_FILE, change, keep=True)
+    def _revise_observables(self, change: Callable[[h5py.File], None], now: bool = False) -> None:
+        """Change observables.h5: at once if asked to, or if the last change is longer ago than the patience."""
+        self._changes.append(change)
+        if now or time.monotonic() - self._last_change >= self._patience:
+            changes, self._changes = self._changes, []
+
+            def apply(file: h5py.File) -> None:
+                for each in changes:
+                    each(file)
+
+            path, units = self.directory / OBSERVABLES_FILE, self.form.units
+            _revise(path, apply, _without_loads(*units.values()), keep=True, sync=not self._patience)
+            self._last_change = time.monotonic()
 
     def _link(self, targets: dict[str, tuple[str, str]]) -> None:
         """Show more fields, name → (file, dataset), once fields.h5 is this run's.  Collective."""
@@ -323,28 +340,16 @@ class ResultWriter:
 
         _revise(self.directory / name, describe, anew=True)
 
-    def _prepare_observables(self, file: h5py.File) -> None:
+    def _prepare_observables(self, completed: int, file: h5py.File) -> None:
         if self.earlier.job is None:
             file.attrs.update(self._provenance)
         else:
-            line = f"from load {self.completed} on: " + " ".join(
+            line = f"from load {completed} on: " + " ".join(
                 f"{name} {self._provenance[name]}" for name in ("date", "commit", "host", "ranks", "threads")
             )
             file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
             file.attrs.update({name: self._provenance[name] for name in ("job_toml", "effective_toml")})
-        group = file.require_group("loads")
-        if "load" not in group:
-            numbers = np.arange(self.completed)
-            column = group.create_dataset("load", data=numbers, maxshape=(None,), chunks=(64,))
-            self._annotate(column, "number of the load, counted from 0", "1")
-        for name, (units, description) in LOADS.items():
-            if name not in group:  # an earlier version may not have written it
-                kind, missing = (np.int64, -1) if name == "iterations" else (np.float64, np.nan)
-                column = group.create_dataset(
-                    name, (self.completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing
-                )
-                self._annotate(column, description, units)
-                name_axes(group, name, ("load",))
+        _add_columns(file.require_group("loads"), completed, self.form.units)
         file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self.origin.loads)
 
@@ -358,12 +363,11 @@ class ResultWriter:
         unknown = row.keys() - LOADS.keys()
         if unknown:
             raise ValueError(f"not in schema.LOADS: {', '.join(sorted(unknown))}")
-        for name in LOADS:
-            group[name].resize((max(index + 1, len(group[name])),))
-            if name in row:
-                group[name][index] = row[name]
-        group["load"].resize((len(group["mean_pressure"]),))
-        group["load"][index] = index
+        for name, value in {"load": index, **dict.fromkeys(LOADS), **row}.items():
+            column = group[name]
+            column.resize((max(index + 1, len(column)),))
+            if value is not None:
+                column[index] = value
 
     def _add_group(self, load: h5py.Group, title: str, table: Mapping[str, np.ndarray]) -> None:
         for key, values in table.items():
@@ -420,8 +424,34 @@ class ResultWriter:
         return np.dtype(np.float64)
 
 
-def _revise(path: Path, change: Callable[[h5py.File], None], **options: bool) -> None:
+def _add_columns(group: h5py.Group, completed: int, units: Mapping[str, str]) -> None:
+    """Make the columns of the table of loads that are not there: an earlier version may not have written all."""
+    columns = {"load": ("1", "number of the load, counted from 0")} | LOADS
+    for name, (unit, description) in columns.items():
+        if name not in group:
+            kind, missing = (np.int64, -1) if name in ("load", "iterations") else (np.float64, np.nan)
+            column = group.create_dataset(name, (completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing)
+            if name == "load":
+                column[:] = np.arange(completed)
+            column.attrs.update(description=description, units=unit.format(**units))
+            name_axes(group, name, ("load",) if name != "load" else ())
+
+
+@cache
+def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
+    """The beginning of an observables.h5, kept: making its columns takes as long as solving 256² points."""
+    content = io.BytesIO()
+    with h5py.File(content, "w", libver=hdf5_slabs.LIBVER) as file:
+        _add_columns(file.create_group("loads"), 0, {"length": length_unit, "pressure": pressure_unit})
+    return content.getvalue()
+
+
+def _revise(path: Path, change: Callable[[h5py.File], None], blank: bytes = b"", **options: bool) -> None:
+    """Change a small HDF5 file; blank: what a new one begins with."""
+
     def modify(content: io.BytesIO) -> None:
+        if not content.getbuffer().nbytes:
+            content.write(blank)
         with h5py.File(content, "r+" if content.getbuffer().nbytes else "w", libver=hdf5_slabs.LIBVER) as file:
             change(file)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
 from pgfmd.io import ensemble, provenance
-from pgfmd.io.atomic import OutputFolder
+from pgfmd.io.atomic import OutputFolder, sync_files
 from pgfmd.io.results import Results
 from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, member_name
 from pgfmd.job.job import Job, as_toml, differences, parse
@@ -119,11 +119,15 @@ def _run_seeds(
 ) -> tuple[Failures, Stopped | NoProgress | None]:
     """Run the seeds, in groups of ranks; which of them failed, and why the run was stopped, if it was.  Collective."""
     failed: Failures = {}
+    written: list[Path] = []
     seeds = job.surface.seeds
     stopped: Stopped | NoProgress | None = None
     mine = comm.rank * groups // comm.size
     group = comm if groups == 1 else comm.Split(mine, comm.rank)
-    with _quiet(group), Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions:
+    with (
+        _quiet(group),
+        Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
+    ):
         comm.Barrier()  # from here on a file that asks to stop is meant for this run
         for position in range(mine, len(seeds), groups):
             seed, began = seeds[position], time.perf_counter()
@@ -133,6 +137,7 @@ def _run_seeds(
                 anew = mode == "overwrite" or mode == "restart" and from_root(group, _is_stale, folder, member)
                 restart = mode == "restart" and not anew
                 simulate(member, group, folder, overwrite=anew, restart=restart, interruptions=interruptions)
+                written.append(folder)
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
             except (Stopped, NoProgress) as reason:
@@ -143,6 +148,9 @@ def _run_seeds(
             except (InputError, SolverError, OSError) as error:
                 failed[seed] = error
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds), error)
+    if group.rank == 0:
+        for folder in written:  # all at once: a disk syncs many small files in little more time than one
+            sync_files(folder)
     found = comm.allgather((failed, stopped))
     if comm.rank == 0:
         interruptions.batch_stop_file.unlink(missing_ok=True)
