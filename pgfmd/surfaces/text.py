@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import replace
 
@@ -80,9 +81,9 @@ def _opening(path: str) -> tuple[list[str], str, int]:
     comments only.
     """
     comments: list[str] = []
-    first, words = "", 0
+    first, words, table = "", 0, os.fspath(path).lower().endswith(".csv")
     with open(path, encoding="utf-8-sig", errors="replace") as file:
-        for passed in range(HEADER if path.lower().endswith(".csv") else MOST_COMMENTS):
+        for passed in range(HEADER if table else MOST_COMMENTS):
             line = file.readline(2**22)  # a file with longer lines is no text
             if line.startswith("#"):
                 comments.append(line)
@@ -91,7 +92,7 @@ def _opening(path: str) -> tuple[list[str], str, int]:
             elif line.strip():
                 first = first or line
                 style = _style(line)
-                if not path.lower().endswith(".csv") or style and len(_fields(line, style) or []) > 2:
+                if not table or style and len(_fields(line, style) or []) > 2:
                     return comments, line, passed if words else 0
                 words += 1
     return comments, first, 0
