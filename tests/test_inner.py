@@ -11,13 +11,13 @@ from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness, preconditioner
-from pgfmd.solvers.active_set.contact_set import HALO, ContactSet, SetVector
 from pgfmd.solvers.active_set.dual import NearCompliance
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.active_set.unknowns import HALO, SetVector, Unknowns
 
 pytestmark = pytest.mark.mpi
 comm = MPI.COMM_WORLD
@@ -29,11 +29,11 @@ def random_set(grid: SlabGrid, density: float):
     mask = rng.random(grid.shape) < density
     field = np.where(mask, rng.standard_normal(grid.shape), 0).astype(np.float32)
     field -= np.where(mask, field[mask].mean(), 0).astype(np.float32)
-    points = ContactSet(grid, (mask[grid.rows].astype(float), np.ones(grid.local_shape)), -np.inf)
+    points = Unknowns(grid, (mask[grid.rows].astype(float), np.ones(grid.local_shape)), -np.inf)
     return points, mask, field
 
 
-def on(points: ContactSet, values: np.ndarray | None = None) -> SetVector:
+def on(points: Unknowns, values: np.ndarray | None = None) -> SetVector:
     """A vector on the set, with those values."""
     vector = SetVector(points)
     if values is not None:
@@ -41,7 +41,7 @@ def on(points: ContactSet, values: np.ndarray | None = None) -> SetVector:
     return vector
 
 
-def everywhere(grid: SlabGrid, points: ContactSet, values: np.ndarray) -> np.ndarray:
+def everywhere(grid: SlabGrid, points: Unknowns, values: np.ndarray) -> np.ndarray:
     """Values on the set as a field on the whole grid, on every rank."""
     field = np.zeros(grid.local_shape)
     points.add(field, values.astype(float))
@@ -104,7 +104,7 @@ def test_mesh_stiffness(shape, density):
 def test_mesh_is_exact_for_long_waves(wave):
     """To two per cent of the response itself, compliance and stiffness: what they get wrong there never converges."""
     grid, elasticity = SlabGrid(comm, (128, 128)), Elasticity(1.3)
-    everything = ContactSet(grid, (np.ones(grid.local_shape), np.ones(grid.local_shape)), -np.inf)
+    everything = Unknowns(grid, (np.ones(grid.local_shape), np.ones(grid.local_shape)), -np.inf)
     at = 2 * np.pi / 128 * (wave[0] * np.arange(128)[grid.rows, None] + wave[1] * np.arange(128))
     values, found = np.cos(at).ravel().astype(np.float32), np.empty(at.size, np.float32)
     q = 2 * np.pi / 128 * np.hypot(*wave)
@@ -143,7 +143,7 @@ def test_mesh_is_where_it_serves():
 def test_near_compliance_is_positive(lengths):
     """⟨a, M a⟩ > 0 for waves of every length, also on oblong pixels."""
     grid = SlabGrid(comm, (64, 64), lengths)
-    everything = ContactSet(grid, (np.ones(grid.local_shape), np.ones(grid.local_shape)), -np.inf)
+    everything = Unknowns(grid, (np.ones(grid.local_shape), np.ones(grid.local_shape)), -np.inf)
     near = NearCompliance(grid, lambda q: 2 / q)
     for wave in ((1, 0), (0, 1), (32, 0), (0, 32), (32, 32), (16, 32), (16, 0), (0, 16), (32, 11), (11, 32)):
         phase = 2 * np.pi / 64 * (wave[0] * np.arange(64)[grid.rows, None] + wave[1] * np.arange(64))
@@ -222,7 +222,7 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
     grid = SlabGrid(comm, (512, 512))
     clumps = np.random.default_rng(4).random((128, 128)) < 0.3
     mask = np.repeat(np.repeat(clumps, 4, axis=0), 4, axis=1)[grid.rows]
-    points = ContactSet(grid, (mask.astype(float), np.ones(grid.local_shape)), -np.inf)
+    points = Unknowns(grid, (mask.astype(float), np.ones(grid.local_shape)), -np.inf)
 
     def answer(wave: int) -> float:
         phase = 2 * np.pi / 512 * wave * np.arange(512)[grid.rows, None] + np.zeros(512)

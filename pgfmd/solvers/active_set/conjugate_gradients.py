@@ -9,7 +9,7 @@ import numpy as np
 
 from pgfmd.parallel.collectives import Reduction
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 
 PART = 1 << 16  # entries that a thread takes at a time: fewer cost more to hand out than to compute
 
@@ -17,7 +17,7 @@ PART = 1 << 16  # entries that a thread takes at a time: fewer cost more to hand
 class Operator(Protocol):
     """A linear operator between the points of a set."""
 
-    def apply(self, points: ContactSet, values: SetVector, out: Any, /) -> None:
+    def apply(self, points: Unknowns, values: SetVector, out: Any, /) -> None:
         """out = A · values.  `out` is an array (count,), or for a preconditioner a `SetVector`.  Collective."""
 
 

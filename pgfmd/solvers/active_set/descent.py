@@ -17,8 +17,8 @@ import numpy as np
 
 from pgfmd.solvers.active_set.active_set import MOST_INNER, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
-from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.active_set.unknowns import Unknowns
 
 CUT = 1e-3  # factor on the residual in one step: the signs of the solution decide, single precision has no more
 ENOUGH = 0.1  # a step beyond a bound is shortened if it gains less than this part of what the slope promises
@@ -58,7 +58,7 @@ class Descent(PressureSteps):
                 return
             step = max(furthest, min(step / 4, math.sqrt(step * furthest))) if trial < TRIALS - 1 else furthest
 
-    def _direction(self, state: State) -> tuple[ContactSet, np.ndarray]:
+    def _direction(self, state: State) -> tuple[Unknowns, np.ndarray]:
         """The unknowns, and the change (nx_local, ny) that makes the gap constant on them, by which all that are at a
         bound leave it.  Collective.
         """
@@ -66,7 +66,7 @@ class Descent(PressureSteps):
         # shown: the gap by which unknowns are chosen, infinite at points that stay at their bound
         low, high, shown = pressure <= 0, pressure >= self.top, gap.copy()
         while True:
-            points = ContactSet(self.grid, (pressure, shown), level, self.top)
+            points = Unknowns(self.grid, (pressure, shown), level, self.top)
             system = ConjugateGradients(points.below(level, gap), self.inner, self.preconditioner)
             change, steps = system.solve(CUT, MOST_INNER)
             state.iterations += steps

@@ -17,9 +17,9 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import MOST_INNER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
-from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
@@ -66,7 +66,7 @@ class GapSteps(Relaxation):
         state.energy = (self.scale * work - self.mean * self.load) / 2
         state.contact = state.between = int(count)
         state.level = 0.0
-        points = ContactSet(self.grid, (state.gap, state.pressure))
+        points = Unknowns(self.grid, (state.gap, state.pressure))
         return ConjugateGradients(points.below(0.0, state.pressure), self.inner, self.preconditioner, False)
 
     def settled(self, state: State, first: int, stop: int) -> np.ndarray:
@@ -151,6 +151,6 @@ class NearCompliance:
         kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # needed for oblong pixels
         self.stencil = Stencil(grid, kernel)
 
-    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
+    def apply(self, points: Unknowns, residual: SetVector, out: SetVector) -> None:
         """out = M · residual on the set.  Collective."""
         self.stencil.apply(points, residual.exchange(), out.own)

@@ -16,8 +16,8 @@ import numpy as np
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.kernels import Change, Fields
+from pgfmd.solvers.active_set.unknowns import Unknowns
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
@@ -36,7 +36,7 @@ class Feasible:
         self.width = (grid.shape[1] - 1 >> SHIFT) + 1
         self.window = RowWindow(layout, (start >> SHIFT, (stop - 1 >> SHIFT) + 1), 2 * self.width, np.float64)
 
-    def make(self, points: ContactSet, fields: Fields, load: float) -> None:
+    def make(self, points: Unknowns, fields: Fields, load: float) -> None:
         """Brings the pressure on the set between its bounds, and its sum over all points to `load`.  Collective.
 
         The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`

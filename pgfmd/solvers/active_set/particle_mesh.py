@@ -25,9 +25,9 @@ from pgfmd.grid.sub_grid import FEW, SubGrid
 from pgfmd.parallel.layout import Piece
 from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 from pgfmd.solvers.active_set.kernels import Splines
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 
 SPLIT = 0.55  # α in 1/pixel: errors of the truncation and of the mesh are then about equal
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
@@ -71,7 +71,7 @@ class MeshResponse:
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
-    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
+    def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective."""
         if self.near_only:
             self.stencil.apply(points, values.exchange(), out)
@@ -93,7 +93,7 @@ class MeshResponse:
         self.grid.threads.deal(add, self.grid.local_shape[0])
         self.grid.transforms += 0.5 * self.place.size / self.grid.size
 
-    def _respond(self, mesh: SlabGrid, points: ContactSet, values: SetVector, pieces: list[Piece]) -> None:
+    def _respond(self, mesh: SlabGrid, points: Unknowns, values: SetVector, pieces: list[Piece]) -> None:
         """The smooth part of the response, on this rank's rows of the mesh.  pieces: what others spread there.
         Collective over the mesh.
         """
@@ -114,7 +114,7 @@ class MeshResponse:
 
         mesh.convolve(fill, act, drain, np.float32)
 
-    def _spread(self, points: ContactSet, values: SetVector, first: int, block: np.ndarray) -> None:
+    def _spread(self, points: Unknowns, values: SetVector, first: int, block: np.ndarray) -> None:
         """The rows `block` of the mesh, the first of which is row `first` of the window, from this rank's points."""
         block[...] = 0
         low = self.window.low + first
@@ -168,7 +168,7 @@ class FullResponse:
     def __init__(self, action: ColumnAction) -> None:
         self.action = action
 
-    def apply(self, points: ContactSet, values: SetVector, out: np.ndarray) -> None:
+    def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`.  Collective."""
         points.convolve(values.own, self.action, out)
 

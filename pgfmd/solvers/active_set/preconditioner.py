@@ -17,8 +17,8 @@ import numpy as np
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.block_stiffness import FACTOR, FEWEST, Blocks, Sums
-from pgfmd.solvers.active_set.contact_set import ContactSet, SetVector
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 
 NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: below 1 it stays positive definite
 
@@ -37,7 +37,7 @@ class MultilevelStiffness:
         self.near = Stencil(grid, kernel)
         self.far = FarPart(grid, stiffness) if min(grid.shape) >= FEWEST * FACTOR else None
 
-    def apply(self, points: ContactSet, residual: SetVector, out: SetVector) -> None:
+    def apply(self, points: Unknowns, residual: SetVector, out: SetVector) -> None:
         """out = M · residual on the set.  Collective."""
         if self.far is None:
             self.near.apply(points, residual.exchange(), out.own)
@@ -60,10 +60,10 @@ class FarPart:
         self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing))
         row_block = np.arange(grid.rows.start, grid.rows.stop) // FACTOR - self.blocks.low
         self.block_of = row_block, np.arange(grid.shape[1]) // FACTOR
-        self.points: ContactSet | None = None
+        self.points: Unknowns | None = None
         self.rest: SetVector
 
-    def split(self, points: ContactSet, residual: SetVector, near_only: bool) -> SetVector:
+    def split(self, points: Unknowns, residual: SetVector, near_only: bool) -> SetVector:
         """The residual less its means over blocks, whose loads are kept for `join`.  Collective."""
         if points is not self.points:
             self.points, self.rest = points, SetVector(points)
@@ -74,12 +74,12 @@ class FarPart:
         self._subtract(points, residual.own, self.rest.own)
         return self.rest
 
-    def join(self, points: ContactSet, values: SetVector) -> None:
+    def join(self, points: Unknowns, values: SetVector) -> None:
         """Replaces the sum of `values` over each block by its kept load, spread evenly over its points.  Collective."""
         self.blocks.join(self._sums(points, values.own))
         self._subtract(points, values.own, values.own)
 
-    def _sums(self, points: ContactSet, values: np.ndarray) -> Sums:
+    def _sums(self, points: Unknowns, values: np.ndarray) -> Sums:
         """Sums over blocks of values on the set."""
 
         def add(first: int, stop: int, sums: np.ndarray) -> None:
@@ -87,7 +87,7 @@ class FarPart:
 
         return add
 
-    def _subtract(self, points: ContactSet, values: np.ndarray, out: np.ndarray) -> None:
+    def _subtract(self, points: Unknowns, values: np.ndarray, out: np.ndarray) -> None:
         """out = values − the window's entry for the block of each."""
         rows, lists = self.blocks.window.rows, points.lists
 

@@ -11,10 +11,10 @@ import numpy as np
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import MOST_INNER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
-from pgfmd.solvers.active_set.contact_set import ContactSet
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
+from pgfmd.solvers.active_set.unknowns import Unknowns
 
 PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most on the next grid
 LOOSEST = 2e-2  # largest tolerance of a coarse grid
@@ -48,7 +48,7 @@ class PressureSteps(Relaxation):
         of the error.  Collective.
         """
         if isinstance(self.inner, MeshResponse):
-            points = ContactSet(self.grid, (state.pressure, state.gap), 0.0, self.top)
+            points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.top)
             self.inner.near_only = self.preconditioner.near_only = True
             system = ConjugateGradients(points.below(0.0, state.gap), self.inner, self.preconditioner)
             self.improve(state, system, 0.5)
@@ -58,7 +58,7 @@ class PressureSteps(Relaxation):
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
         self.compute_gap(state, precision)
         self.measure(state)
-        points = ContactSet(self.grid, (state.pressure, state.gap), state.level, self.top)
+        points = Unknowns(self.grid, (state.pressure, state.gap), state.level, self.top)
         return ConjugateGradients(points.below(state.level, state.gap), self.inner, self.preconditioner)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.contact_set import HALO, ContactSet
+from pgfmd.solvers.active_set.unknowns import HALO, Unknowns
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: what it multiplies a mode of wave number |q| by."""
@@ -38,7 +38,7 @@ class Stencil:
         self.grid, corner = grid, kernel[RADIUS:, RADIUS:]
         self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(np.float32)
 
-    def apply(self, points: ContactSet, extended: np.ndarray, out: np.ndarray) -> None:
+    def apply(self, points: Unknowns, extended: np.ndarray, out: np.ndarray) -> None:
         """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on the set."""
         vector, lists = (extended, points.extended), points.lists
         rows, ny = self.grid.local_shape

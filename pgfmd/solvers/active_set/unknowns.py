@@ -1,6 +1,6 @@
 """The points of a slab that are unknowns, listed row by row (compressed rows), and vectors on them.
 
-In the primal steps these are the points in contact, hence the name; in the dual ones they are the others.
+In the primal steps these are points in contact, in the dual ones the others.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pgfmd.solvers.active_set.kernels import Fields, Points
 HALO = 2  # rows of neighbouring ranks on either side: the radius of a stencil
 
 
-class ContactSet:
+class Unknowns:
     """The unknowns of this rank.
 
     These are points whose pressure lies between its bounds 0 and `top`, or at a bound from which the gap drives it
@@ -79,10 +79,10 @@ class ContactSet:
 
 class SetVector:
     """A vector (count,) on a set, `own`, within an array `all` of the values of the rows before, its own, and the rows
-    after, in the order of `ContactSet.extended`.
+    after, in the order of `Unknowns.extended`.
     """
 
-    def __init__(self, points: ContactSet, dtype: DTypeLike = np.float32) -> None:
+    def __init__(self, points: Unknowns, dtype: DTypeLike = np.float32) -> None:
         self.points = points
         self.all = np.empty(points.every_offset[-1], dtype)
         self.own = self.all[points.first : points.first + points.count]
