@@ -319,7 +319,7 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
             target[j] = min(around, g[j] - level) if p[j] <= 0 else max(around, g[j] - level)
 
 
-ROUGHER = 0.3  # part of the heights that only the finer grid resolves which its start flattens
+ROUGHER = 0.3  # of the heights that only the finer grid resolves, the start on it flattens this part
 
 
 @jit
