@@ -273,3 +273,16 @@ def test_an_energy_that_rounding_hides_is_refused_at_once(comm, monkeypatch):
         problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), ExponentialWall(zeta=zeta), load)
         with pytest.raises(Uncertifiable, match="rounding in double precision|last digits"):
             solve_contact(problem, Solver(tolerance=1e-8))
+
+
+def test_a_start_whose_residual_vanishes_in_single_precision(comm):
+    """One point of 8 × 8 bears all, and the others 1e-150 of it: Newton's system is nothing to single precision, and
+    the answer is that of any other start, to 1e-5."""
+    heights = np.random.default_rng(1).standard_normal((8, 8))
+    grid = SlabGrid(comm, heights.shape)
+    problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), ExponentialWall(zeta=0.01), 0.05)
+    start = np.full(heights.shape, 1e-150)
+    start[3, 4] = 1.0
+    plain = solve_exponential_wall(problem, 1e-12)
+    found = solve_exponential_wall(problem, 1e-12, start[grid.rows].copy())
+    assert norm(grid, found.pressure - plain.pressure) < 1e-5 * norm(grid, plain.pressure)

@@ -30,7 +30,7 @@ def newton_start(
             r = -s * (gap[i, j] + zeta * math.log(p) - level) if p > 0 else 0.0
             root[i, j] = s
             residual[i, j] = r
-            total += r * r
+            total += np.float64(residual[i, j]) ** 2  # as it is in single precision, where it may have vanished
     return total
 
 
