@@ -32,7 +32,6 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
     return bad, verdicts
 
 
-@pytest.mark.xfail(strict=True, reason="issue 15, rows 9 and 27")
 @pytest.mark.mpi
 def test_random_jobs(comm, shared_tmp_path):
     """Each is right, to its certified error, or refused in one line; half of them are right."""
