@@ -23,7 +23,7 @@ JOB = {
     "surface": {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": "3..7"},
     "load": {"pressure": [0.004, 0.02]},
     "solver": {"tolerance": 1e-18},
-    "output": {"observables": ["spectra", "histogram", "patches"]},
+    "output": {"observables": ["spectra", "histogram", "patches", "discretisation"]},
 }
 
 

@@ -43,7 +43,8 @@ def draw(loads: list[Load], chosen: Sequence[int] | None = None, tiles: bool = T
     """Up to six panels of the last load, and the page of all."""
     first = loads[0].results.directory
     run = [load for load in loads if load.results.directory == first]
-    load, notes = run[-1], []
+    load, others = run[-1], {other.results.directory for other in loads} - {first}
+    notes = [f"of {len(others) + 1} runs, the first is shown: {load.folder}"] if others else []
     panels = list(_panels(run, notes))
     columns = len(panels) if len(panels) <= 3 else -(-len(panels) // 2)
     sheet = Sheet(-(-len(panels) // columns), columns, width=PAGE if columns > 1 else None, height=2.3)

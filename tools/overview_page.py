@@ -22,6 +22,7 @@ from pyramid import Pyramid
 from reading import Load
 from scipy import ndimage
 
+from pgfmd.errors import InputError
 from pgfmd.io.schema import LOADS
 from pgfmd.options.text import printable
 from pgfmd.theory import persson
@@ -114,6 +115,9 @@ def _part(name: str) -> str:
 def _spread(loads: list[Load], chosen: Sequence[int] | None) -> list[Load]:
     """The chosen ones, or MOST_LOADS of them, the first and the last included."""
     if chosen is not None:
+        for index in chosen:
+            if index not in [load.index for load in loads]:
+                raise InputError(f"--loads {index}: the run kept no fields of such a load, counted from 0")
         return [load for load in loads if load.index in chosen]
     places = np.unique(np.rint(np.linspace(0, len(loads) - 1, MOST_LOADS)).astype(int)) if loads else []
     return [loads[place] for place in places]
@@ -167,9 +171,9 @@ def _embedded(views: list[View], shown: list[Load]) -> tuple[dict[str, list], li
     if sum(sizes.values()) <= BUDGET:
         inside = list(sizes)
     else:
-        for level in reversed(range(max((int(key.split("/")[1]) for key in sizes), default=-1) + 1)):
+        for level in reversed(range(max(int(key.split("/")[1]) for key in sizes) + 1)):
             more = [key for image in images for key in image.at_level(level)]
-            if sum(sizes[key] for key in [*inside, *more]) > BUDGET / 2:
+            if inside and sum(sizes[key] for key in [*inside, *more]) > BUDGET / 2:
                 break
             inside += more
         for image in reversed(images):  # the last load first

@@ -81,7 +81,7 @@ class Ensemble(Runs):
         Groups whose axes differ between the seeds (patches, histograms) have no mean and are left out.
         """
         found = mean_groups(self.runs, index)
-        return {title: {name: values for key, column in group.items() for name, values in column.named(key)}
+        return {title: {name: values for key, column in group.items() for name, values in column.named(key, group)}
                 for title, group in found.items()}  # fmt: skip
 
 
@@ -121,9 +121,12 @@ class Column:
         """The mean; NaN where no run knows it."""
         return np.where(self._count > 0, self.mean, np.nan)
 
-    def named(self, name: str) -> Iterable[tuple[str, np.ndarray]]:
-        """The mean under that name, and the error, unless it is an axis, under NAME_error."""
-        return [(name, self.value)] if self.is_axis else [(name, self.value), (f"{name}_error", self.error)]
+    def named(self, name: str, group: Mapping[str, Column]) -> Iterable[tuple[str, np.ndarray]]:
+        """The mean under that name, and the error, unless it is an axis, under NAME_error; NAME_seed_error where the
+        group has another NAME_error.
+        """
+        error = f"{name}_seed_error" if f"{name}_error" in group else f"{name}_error"
+        return [(name, self.value)] if self.is_axis else [(name, self.value), (error, self.error)]
 
 
 def is_ensemble(directory: str | os.PathLike) -> bool:
@@ -223,12 +226,12 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
 def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
     """Write columns with their errors into a group."""
     for key, column in columns.items():
-        for name, values in column.named(key):
+        for name, values in column.named(key, columns):
             what = "" if name == key else "standard error over the seeds: "
             dataset = group.create_dataset(name, data=values)
             dataset.attrs.update(column.about | {"description": what + column.about["description"]})
     for key, column in columns.items():
-        for name, _ in column.named(key):
+        for name, _ in column.named(key, columns):
             name_axes(group, name, column.axes)
 
 
