@@ -5,6 +5,7 @@
     python tools/benchmark.py resolution DIR                                            # discretisation error against n
     python tools/benchmark.py transforms DIR                                            # an FFT pair, ours and others'
     python tools/benchmark.py cores DIR                                                 # what a second core gains
+    python tools/benchmark.py phases DIR --n 4096                                       # a whole run, phase by phase
     python tools/benchmark.py report DIR                                                # tables, pictures once more
 
 All times are wall seconds of a complete solution: planning, coarse grids and all, but not the start of Python, the
@@ -60,9 +61,9 @@ PLAN = [  # (method, setting, ranks, threads)
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "report"))
+    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "phases", "report"))
     parser.add_argument("folder", type=Path, help="for results; made if missing")
-    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores: 4096)")
+    parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores, phases: 4096)")
     parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
     parser.add_argument("--lambda-s", nargs="+", help="in grid spacings; n/64 is allowed (16; cores: n/64)")
     parser.add_argument("--area", type=float, nargs="+", default=[0.08], help="relative contact areas")
@@ -97,7 +98,12 @@ def main(arguments: list[str] | None = None) -> int:
             options.n or [4096], options.hurst, options.lambda_s or ["n/64"], options.area
         ):
             cores(options.folder, n, hurst, _wavelength(length, n), area, options.tolerance, options.repeat)
-    if options.what not in ("transforms", "cores"):
+    elif options.what == "phases":
+        from benchmarks.phases import phases
+
+        for n, length, ranks in itertools.product(options.n or [4096], options.lambda_s or ["16"], options.threads):
+            phases(options.folder, n, _wavelength(length, n), ranks, options.repeat)
+    if options.what not in ("transforms", "cores", "phases"):
         from benchmarks.report import report
 
         report(options.folder, options.clock)

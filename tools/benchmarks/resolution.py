@@ -10,9 +10,6 @@ import numpy as np
 HURST, RATIO, PRESSURE, LENGTH = 0.3, 32, 0.0032, 1024.0  # λ_l/λ_s and the cell; the surface of PHYSICS section 6
 REFINEMENTS = (2, 4, 8, 16, 32, 128)  # points per λ_s; the last one is the reference
 COLUMNS = ("points_per_lambda_s", "n", "area_raw", "area_corrected", "mean_gap", "second_moment", "energy")
-# Area per pixel edge by Yastrebov, Anciaux, Molinari 2017.  Here area_corrected is by this constant, not by the contact
-# line as in a run.
-STAIRCASE = (np.pi - 1 + np.log(2)) / 24
 
 
 def main(folder: Path) -> None:
@@ -35,6 +32,8 @@ def _solve(refinement: int) -> tuple:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.observables.contact_line.line import SMOOTH, contact_line
+    from pgfmd.observables.statistics.staircase import contact_area
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
@@ -47,9 +46,8 @@ def _solve(refinement: int) -> tuple:
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))
     heights = self_affine(grid, HURST, LENGTH / RATIO, RMS_SLOPE, SEED)
     solution = solve_hard_wall(ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), PRESSURE), 1e-9)
-    contact = solution.pressure > 0
-    edges = sum(np.count_nonzero(contact != np.roll(contact, 1, axis)) for axis in (0, 1))
-    raw = float(np.mean(contact))
-    corrected = raw - STAIRCASE * edges / n**2
+    line = contact_line(grid, solution.pressure, solution.gap, CONTACT_MODULUS) if refinement > SMOOTH else None
+    area = contact_area(grid, solution.pressure, line)
     second = float(np.mean(solution.pressure**2)) / PRESSURE**2
-    return refinement, n, raw, corrected, solution.mean_gap / float(np.std(heights)), second, solution.elastic_energy
+    gap = solution.mean_gap / float(np.std(heights))
+    return refinement, n, area.fraction, area.corrected, gap, second, solution.elastic_energy
