@@ -6,7 +6,7 @@ import pytest
 from pgfmd.grid import kernels
 from pgfmd.physics.laws.hard import finish_rows
 from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.second_order import spectral_dot
+from pgfmd.solvers.second_order import spectral_dots
 
 
 @pytest.fixture
@@ -267,10 +267,11 @@ def test_field_of_the_certificate(fields, cut):
 
 
 def test_products_of_spectra(rng):
-    """Σ_j w_j Σ_i Re(a* b)."""
+    """Σ_j w_j Σ_i Re(a* b), and the same of b* b."""
     a, b = (rng.standard_normal((3, 8, 2)).astype(np.float32) for _ in range(2))
-    expected = (np.array([1.0, 2, 2]) @ (a.astype(float) * b).sum(axis=(1, 2))).sum()
-    assert spectral_dot(a, b, np.array([1.0, 2, 2])) == pytest.approx(expected, rel=1e-12)
+    expected = [(np.array([1.0, 2, 2]) @ (left.astype(float) * b).sum(axis=(1, 2))).sum() for left in (a, b)]
+    found = spectral_dots(a, b, np.array([1.0, 2, 2]))
+    assert found == pytest.approx(expected, rel=1e-12)
 
 
 def test_start_rows(rng):

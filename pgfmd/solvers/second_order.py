@@ -43,7 +43,7 @@ def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction)
         stiffness(block, first, stop)
         before, after = (part.view(np.float32).reshape(*part.shape, 2) for part in (before, block))
         weights = grid.hermitian_weight[first:stop, 0]
-        parts[first] = spectral_dot(before, after, weights), spectral_dot(after, after, weights)
+        parts[first] = spectral_dots(before, after, weights)
 
     grid.read_spectrum(fill, act, np.float32)
     square, change = grid.reduction.sums_of_blocks(parts, 2)
@@ -51,15 +51,18 @@ def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction)
 
 
 @compiled()
-def spectral_dot(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float:
-    """Σ_j weights[j] Σ_i Re(a* b); the last axis of a and b holds (real, imaginary)."""
-    total = 0.0
+def spectral_dots(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Σ_j weights[j] Σ_i Re(a* b), and the same of b* b; the last axis of a and b holds (real, imaginary)."""
+    product = square = 0.0
     for j in range(a.shape[0]):
-        part = 0.0
+        of_row = square_of_row = 0.0
         for i in range(a.shape[1]):
-            part += np.float64(a[j, i, 0]) * b[j, i, 0] + np.float64(a[j, i, 1]) * b[j, i, 1]
-        total += weights[j] * part
-    return total
+            x, y = np.float64(b[j, i, 0]), np.float64(b[j, i, 1])
+            of_row += a[j, i, 0] * x + a[j, i, 1] * y
+            square_of_row += x * x + y * y
+        product += weights[j] * of_row
+        square += weights[j] * square_of_row
+    return product, square
 
 
 class Rounding:

@@ -15,7 +15,8 @@ from pgfmd.parallel.compiled import compiled
 
 _jit = compiled()
 
-OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
+# Last axis of a table, see `table.EdgeTable`.  Numba would compile what takes them once for each Python number.
+OFFSET, COSINE, PLACE, INNER, OUTER = map(np.int64, range(5))
 _ROUNDS = 8
 _LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite
 
@@ -141,11 +142,10 @@ def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray
             di, dj = (sign, 0) if axis == 0 else (0, sign)
             if _signed(pressure, gap, halo, i + di, j + dj, scale) > 0:
                 continue
-            for k in range(4):
-                around[k] = _signed(pressure, gap, halo, i + (k - 1) * di, j + (k - 1) * dj, scale)
-            for k in range(2):
-                around[4 + 2 * k] = _signed(pressure, gap, halo, i + k * di - dj, j + k * dj - di, scale)
-                around[5 + 2 * k] = _signed(pressure, gap, halo, i + k * di + dj, j + k * dj + di, scale)
+            for k in range(8):
+                along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
+                row, column = i + along * di + across * dj, j + along * dj + across * di
+                around[k] = _signed(pressure, gap, halo, row, column, scale)
             offset, cosine = locate(around, ratios[axis], tables[axis], farthest)
             area += offset
             if axis == 0:
