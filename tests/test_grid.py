@@ -7,7 +7,7 @@ import pytest
 from mpi4py_fft import PFFT, newDistArray
 
 from pgfmd.errors import InputError
-from pgfmd.grid import sub_grid
+from pgfmd.grid import sub_grid, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import Interpolation, restrict
@@ -38,6 +38,23 @@ def test_forward_is_the_plain_sum(comm, shape, shared, dtype):
     assert found.shape == grid.spectral_shape
     assert np.abs(found - expected).max(initial=0) <= EXACT[dtype] * np.abs(whole).sum()
     grid.free()
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("shape", [*SHAPES, (11, 600)])
+def test_transforms_between_nodes(comm, monkeypatch, shape, dtype):
+    """The same where each two ranks that follow each other share memory, and messages pass between these pairs."""
+    pair = comm.Split(comm.rank // 2)
+    monkeypatch.setattr(transpose, "node_of", lambda _: pair)
+    whole = field(shape)
+    if comm.size <= shape[0]:
+        grid = SlabGrid(comm, shape)
+        spectrum = grid.forward(whole[grid.rows].astype(dtype))
+        expected = np.fft.rfft2(whole.astype(dtype)).T[grid.columns]
+        assert np.abs(spectrum - expected).max(initial=0) <= EXACT[dtype] * np.abs(whole).sum()
+        assert np.allclose(grid.backward(spectrum), whole[grid.rows], rtol=0, atol=100 * EXACT[dtype])
+        grid.free()
+    pair.Free()
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -24,16 +24,19 @@ def points(rng):
 
 
 def test_strips_in_tiles(rng):
-    """Rows to tiles and back, and a few columns of these, transposed, there and back."""
+    """Rows to the tiles of two targets and back, and a few columns of the first, transposed, there and back."""
     half, start, count = rng.random((37, 14)) + 1j, 2, 11
-    strip, tiles = half[:, start : start + count], np.zeros((3, 42, 4), complex)
-    kernels.rows_to_tiles(half, start, count, 3, tiles)
+    strip, flat = half[:, start : start + count], np.zeros(7 + 42 * (12 + 2), complex)
+    tiles, other = flat[7 : 7 + 42 * 12].reshape(3, 42, 4), flat[7 + 42 * 12 :].reshape(42, 2)
+    table = np.array([[start, start + count, 7, 4], [0, 2, 7 + 42 * 12, 2]])
+    kernels.rows_to_tiles(half, 3, flat, table, 42)
     assert np.array_equal(np.hstack(list(tiles))[3:40, :count], strip)
-    assert np.count_nonzero(tiles) == strip.size
+    assert np.array_equal(other[3:40], half[:, :2])
+    assert np.count_nonzero(flat) == strip.size + 2 * 37
     back = np.zeros_like(half)
-    kernels.tiles_to_rows(tiles, 3, back, start, count)
-    assert np.array_equal(back[:, start : start + count], strip)
-    assert np.count_nonzero(back) == strip.size
+    kernels.tiles_to_rows(back, 3, flat, table, 42)
+    assert np.array_equal(back[:, : start + count], half[:, : start + count])
+    assert np.count_nonzero(back) == strip.size + 2 * 37
     block, target = np.zeros((6, 38), complex), np.zeros_like(tiles)
     kernels.gather_columns(tiles[:, 3:].copy(), 37, 3, 6, block)
     assert np.array_equal(block[:, :37], strip[:, 3:9].T)

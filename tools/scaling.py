@@ -79,11 +79,11 @@ def _transform_parts(grid, kind, repeats: int = 5) -> dict[str, float]:
         worker = transform.workers[thread]
         worker.rows[: stop - first] = field[first:stop]
         worker.rows_forward()
-        transform.strips.put(transform.views, first, worker.padded_half[: stop - first])
+        transform.strips.put(transform.parts, first, worker.padded_half[: stop - first])
 
     def backward(thread: int, first: int, stop: int):
         worker = transform.workers[thread]
-        transform.strips.get(transform.views, first, worker.padded_half[: stop - first])
+        transform.strips.get(transform.parts, first, worker.padded_half[: stop - first])
         worker.rows_backward()
         field[first:stop] = worker.rows[: stop - first]
 

@@ -17,27 +17,31 @@ u = np.uintp  # for indices: Numba tests signed ones for being negative, and doe
 
 
 @jit
-def rows_to_tiles(half: np.ndarray, start: int, count: int, at: int, tiles: np.ndarray) -> None:
-    """tiles[c // w, at + i, c % w] = half[i, start + c] for c < count, where w = tiles.shape[2]."""
-    size = tiles.shape[2]
-    for t in range(tiles.shape[0]):
-        tile, first = tiles[t], start + t * size
-        for i in range(half.shape[0]):
-            source, target = half[i], tile[at + i]
-            for j in range(min(size, start + count - first)):
-                target[u(j)] = source[u(first + j)]
+def rows_to_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarray, height: int) -> None:
+    """flat[offset + (c // w · height + at + i) w + c % w] = half[i, first + c] for c < stop − first and each row
+    (first, stop, offset, w) of the table: columns of all rows into the tiles, w columns wide, of all targets.
+    """
+    for target in range(table.shape[0]):
+        first, stop, offset, width = table[target]
+        for start in range(first, stop, width):
+            for i in range(half.shape[0]):
+                source, to = half[i], offset + (at + i) * width
+                for j in range(min(width, stop - start)):
+                    flat[u(to + j)] = source[u(start + j)]
+            offset += height * width
 
 
 @jit
-def tiles_to_rows(tiles: np.ndarray, at: int, half: np.ndarray, start: int, count: int) -> None:
-    """half[i, start + c] = tiles[c // w, at + i, c % w] for c < count, where w = tiles.shape[2]."""
-    size = tiles.shape[2]
-    for t in range(tiles.shape[0]):
-        tile, first = tiles[t], start + t * size
-        for i in range(half.shape[0]):
-            source, target = tile[at + i], half[i]
-            for j in range(min(size, start + count - first)):
-                target[u(first + j)] = source[u(j)]
+def tiles_to_rows(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarray, height: int) -> None:
+    """The same from the tiles to the rows."""
+    for source in range(table.shape[0]):
+        first, stop, offset, width = table[source]
+        for start in range(first, stop, width):
+            for i in range(half.shape[0]):
+                target, there = half[i], offset + (at + i) * width
+                for j in range(min(width, stop - start)):
+                    target[u(start + j)] = flat[u(there + j)]
+            offset += height * width
 
 
 @jit

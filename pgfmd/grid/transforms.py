@@ -56,14 +56,13 @@ class Transform:
         self.real = np.dtype(dtype)
         self.complex = np.result_type(self.real, np.complex64)
         nx, ny = shape
-        self.views, self.strip = strips.views(self.complex), strips.strip(self.complex)
+        self.parts, self.strip = strips.parts(self.complex), strips.strip(self.complex)
         # Larger with threads: between blocks they wait for the interpreter's lock.
         budget = ROW_BLOCK * min(threads.count, 2)
         self.row_block = _rows_per_block(budget, ny * self.real.itemsize, strips.rows, threads.count)
         itemsize = self.complex.itemsize
-        self.column_block = _rows_per_block(
-            COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize
-        )
+        columns = _rows_per_block(COLUMN_BLOCK, nx * itemsize, strips.width, threads.count, ALIGNMENT // itemsize)
+        self.column_block = max(1, min(columns, strips.width))
         self.threads = threads
         self.workers = [_Worker(self) for _ in range(threads.count)]
         self.cost = self.real.itemsize / 8  # of a transform pair, in double-precision equivalents
@@ -75,7 +74,7 @@ class Transform:
             worker = self.workers[thread]
             fill(first, stop, worker.rows[: stop - first])
             worker.rows_forward()
-            self.strips.put(self.views, first, worker.padded_half[: stop - first])
+            self.strips.put(self.parts, first, worker.padded_half[: stop - first])
 
         self.strips.begin(self.complex)
         self.threads.share(one, self.strips.rows, self.row_block)
@@ -93,15 +92,15 @@ class Transform:
             self.strips.begin(self.complex)
 
         def one(thread: int, first: int, stop: int) -> None:
-            worker = self.workers[thread]
+            worker, place = self.workers[thread], self.strips.first_column + first
             block = worker.block[: stop - first]
             if forward:
-                kernels.gather_columns(self.strip, self.shape[0], first, stop - first, worker.padded_block)
+                kernels.gather_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block)
                 worker.columns_forward()
             action(block, first, stop)
             if backward:
                 worker.columns_backward()
-                kernels.scatter_columns(worker.padded_block, self.shape[0], first, stop - first, self.strip)
+                kernels.scatter_columns(worker.padded_block, self.shape[0], place, stop - first, self.strip)
 
         self.threads.share(one, self.strips.width if count is None else count, self.column_block)
 
@@ -110,7 +109,7 @@ class Transform:
 
         def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
-            self.strips.get(self.views, first, worker.padded_half[: stop - first])
+            self.strips.get(self.parts, first, worker.padded_half[: stop - first])
             worker.rows_backward()
             drain(first, stop, worker.rows[: stop - first])
 

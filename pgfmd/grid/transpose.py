@@ -1,8 +1,9 @@
 """The distributed transpose between transforms along rows and transforms along columns.
 
 Before it each rank holds whole rows, after it whole columns: its *strip*, the columns ky of this rank for all nx rows.
-Ranks of one node write into each other's strips, which lie in shared memory (`SharedStrips`).  Otherwise rows are
-packed for each rank and sent with one `Alltoallv` (`ExchangedStrips`).
+Ranks of one node write into each other's strips, which lie in shared memory (`SharedStrips`).  With several nodes, one
+strip in shared memory serves all ranks of a node, and each rank sends its rows to one rank of every other node: as many
+messages per rank as there are nodes, in one `Alltoallv` (`ExchangedStrips`).
 
 A strip is an array of shape (tiles, rows, columns of a tile); the last tile need not be full.  In shared memory a tile
 has a few columns, so that passes along rows and along columns both read and write long contiguous pieces of memory.  An
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -20,13 +22,24 @@ from numpy.typing import DTypeLike
 from pgfmd.grid import kernels
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.mpi import MPI, datatype
-from pgfmd.parallel.teams import node_of
+from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
 
+WIDE = 16 * ALIGNMENT  # bytes of a row from which its padding does not count
 Counts = tuple[np.ndarray, np.ndarray]
-"""Bytes of each rank's part of a buffer, and the offsets of the parts."""
+"""Items of each rank's part of a buffer, and where the parts begin."""
+
+
+class Parts(NamedTuple):
+    """Where rows go: all columns first … stop−1 of a row of `table` (first, stop, offset, columns of a tile) to tiles
+    of `height` rows in `flat`, from the offset on.
+    """
+
+    flat: np.ndarray
+    table: np.ndarray
+    height: int
 
 
 def row_stride(count: int, itemsize: int) -> int:
@@ -85,37 +98,62 @@ class Strips(ABC):
     back.
     """
 
-    first_row: int  # where the rows of this rank begin in the arrays `views`
+    first_row = 0  # where the rows of this rank begin in the tiles of `parts`
+    first_column = 0  # where the columns of this rank begin in its `strip`
+    node: MPI.Comm  # the ranks that use one piece of memory
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         self.comm, self.nx = comm, shape[0]
         self.row_starts = slab_starts(shape[0], comm.size)
         self.column_starts = slab_starts(shape[1] // 2 + 1, comm.size)
-        self.widths = np.diff(self.column_starts)
         self.rows = int(self.row_starts[comm.rank + 1] - self.row_starts[comm.rank])
-        self.width = int(self.widths[comm.rank])
+        self.width = int(self.column_starts[comm.rank + 1] - self.column_starts[comm.rank])
+        self.window: MPI.Win | None = None
 
-    def put(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """Copy the row-transformed rows `half`, the first of which is local row `first`, into the `views`."""
-        for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
-            kernels.rows_to_tiles(half, start, width, self.first_row + first, view)
+    def _allocate(self, node: MPI.Comm, count: int) -> None:
+        """Takes that many bytes, and sees those of all ranks of the node.  Collective over the node.
 
-    def get(self, views: list[np.ndarray], first: int, half: np.ndarray) -> None:
-        """Copy the rows `half`, the first of which is local row `first`, out of the `views`."""
-        for view, start, width in zip(views, self.column_starts, self.widths, strict=False):
-            kernels.tiles_to_rows(view, self.first_row + first, half, start, width)
+        flat: all of their memory.  begins: where in it that of each rank begins, on a cache line.
+        """
+        self.node = node
+        if node.size == 1:
+            self.flat, self.begins = aligned_bytes(count), np.zeros(1, np.int64)
+            return
+        self.window = window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=MPI.Intracomm(node))
+        window.Lock_all(MPI.MODE_NOCHECK)
+        buffers = [window.Shared_query(rank)[0] for rank in range(node.size)]
+        places = np.array([(buffer.address, buffer.address + buffer.nbytes) for buffer in buffers])
+        first = -(-int(places.min()) // ALIGNMENT) * ALIGNMENT
+        self.flat = np.asarray(type(buffers[0]).fromaddress(first, int(places.max() - first))).view(np.uint8)
+        self.begins = -(-places[:, 0] // ALIGNMENT) * ALIGNMENT - first
+
+    def put(self, parts: Parts, first: int, half: np.ndarray) -> None:
+        """Copy the row-transformed rows `half`, the first of which is local row `first`, into their parts."""
+        kernels.rows_to_tiles(half, self.first_row + first, *parts)
+
+    def get(self, parts: Parts, first: int, half: np.ndarray) -> None:
+        """Copy the rows `half`, the first of which is local row `first`, out of their parts."""
+        kernels.tiles_to_rows(half, self.first_row + first, *parts)
 
     @abstractmethod
-    def views(self, dtype: np.dtype) -> list[np.ndarray]:
-        """For each rank, the array that takes its part of this rank's rows, as complex `dtype`."""
+    def parts(self, dtype: np.dtype) -> Parts:
+        """Where the parts of this rank's rows go, as complex `dtype`."""
 
     @abstractmethod
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank, as complex `dtype`."""
 
-    @abstractmethod
-    def begin(self, dtype: np.dtype) -> None:
-        """Wait until the strips may be overwritten.  Collective."""
+    def meet(self, dtype: np.dtype | None = None) -> None:
+        """Wait until all ranks of the node have written their part; then each sees what the others wrote.
+        Collective.
+        """
+        if self.window is not None:
+            self.window.Sync()
+            self.node.Barrier()
+            self.window.Sync()
+
+    begin = meet
+    """Wait until the strips may be overwritten.  Collective."""
 
     @abstractmethod
     def to_columns(self, dtype: np.dtype) -> None:
@@ -125,9 +163,13 @@ class Strips(ABC):
     def to_rows(self, dtype: np.dtype) -> None:
         """Columns of the strips become rows to `get`.  Collective."""
 
-    @abstractmethod
     def free(self) -> None:
         """Give the memory back.  Collective."""
+        self.flat = np.empty(0, np.uint8)
+        if self.window is not None:
+            self.window.Unlock_all()
+            self.window.Free()
+            self.window = None
 
 
 class SharedStrips(Strips):
@@ -138,117 +180,112 @@ class SharedStrips(Strips):
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
         self.first_row = int(self.row_starts[comm.rank])
-        count = self.nbytes(comm.rank)
-        if comm.size == 1:
-            self.window: MPI.Win | None = None
-            self.raw = [aligned_bytes(count)]
-            return
-        self.window = window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=MPI.Intracomm(comm))
-        window.Lock_all(MPI.MODE_NOCHECK)
-        buffers = [np.asarray(window.Shared_query(rank)[0]).view(np.uint8) for rank in range(comm.size)]
-        self.raw = [_from_cache_line(buffer) for buffer in buffers]
+        self._allocate(comm, math.prod(self._tiles(16)) * 16)
 
-    def tiles(self, rank: int, itemsize: int) -> tuple[int, int, int]:
-        """Shape of the strip of `rank`.  It has one row more than nx, so that tiles start on different cache sets."""
+    def _tiles(self, itemsize: int) -> tuple[int, int, int]:
+        """Shape of this rank's strip.  It has one row more than nx, so that tiles start on different cache sets."""
         columns = TILE // itemsize
-        return -(-int(self.widths[rank]) // columns), self.nx + 1, columns
+        return -(-self.width // columns), self.nx + 1, columns
 
-    def nbytes(self, rank: int) -> int:
-        """Bytes of the strip of `rank`, in the larger precision."""
-        return math.prod(self.tiles(rank, 16)) * 16
-
-    def views(self, dtype: np.dtype) -> list[np.ndarray]:
-        """The strip of each rank."""
-        shapes = [self.tiles(rank, dtype.itemsize) for rank in range(self.comm.size)]
-        return [
-            raw[: math.prod(shape) * dtype.itemsize].view(dtype).reshape(shape)
-            for raw, shape in zip(self.raw, shapes, strict=True)
-        ]
+    def parts(self, dtype: np.dtype) -> Parts:
+        """The strips of all ranks."""
+        first, stop = self.column_starts[:-1], self.column_starts[1:]
+        columns = np.full_like(first, TILE // dtype.itemsize)
+        table = np.stack([first, stop, self.begins // dtype.itemsize, columns], axis=1)
+        return Parts(_items(self.flat, dtype), table, self.nx + 1)
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank."""
-        return self.views(dtype)[self.comm.rank]
+        shape = self._tiles(dtype.itemsize)
+        return _items(self.flat[self.begins[self.comm.rank] :], dtype)[: math.prod(shape)].reshape(shape)
 
-    def meet(self, dtype: np.dtype | None = None) -> None:
-        """Wait until all ranks have written their part; then each sees what the others wrote.  Collective."""
-        if self.window is not None:
-            self.window.Sync()
-            self.comm.Barrier()
-            self.window.Sync()
-
-    begin = to_columns = to_rows = meet
-
-    def free(self) -> None:
-        """Give the memory back.  Collective."""
-        if self.window is not None:
-            self.raw = []
-            self.window.Unlock_all()
-            self.window.Free()
-            self.window = None
+    to_columns = to_rows = Strips.meet
 
 
 class ExchangedStrips(Strips):
-    """Strips in memory of each rank's own: rows are packed for each rank and sent with one `Alltoallv`."""
+    """One strip for all ranks of a node, in memory that they share.  Rows are packed for each other node and sent to
+    the rank there that has the same place in its node, by one `Alltoallv`.
+    """
 
-    def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int], node: MPI.Comm, peers: MPI.Comm) -> None:
+        """node: the ranks that share memory, consecutive in `comm`, as many on each node; peers: those of the same
+        place in each node.
+        """
         super().__init__(comm, shape)
-        self.first_row = 0
-        self.own = aligned_bytes(self.nbytes(comm.rank, self.nx))
-        sizes = [self.nbytes(rank, self.rows) for rank in range(comm.size)]
-        self.packed = aligned_bytes(sum(sizes))
+        self.peers, self.place = peers, peers.rank
+        self.node_starts = self.column_starts[:: node.size]
+        self.first_column = int(self.column_starts[comm.rank] - self.node_starts[self.place])
+        sizes = [[counts * kind for counts in self._sizes(kind)] for kind in (8, 16)]
+        strip, packed = (max(each) for each in zip(*sizes, strict=True))
+        self._packed = strip + node.rank * packed  # bytes before this rank's packed rows
+        self._allocate(node, strip + node.size * packed if node.rank == 0 else 0)
 
-    def nbytes(self, rank: int, rows: int, itemsize: int = 16) -> int:
-        """Bytes of that many rows of the strip of `rank`."""
-        return rows * row_stride(int(self.widths[rank]), itemsize) * itemsize
+    def _strides(self, itemsize: int) -> np.ndarray:
+        """Items from row to row in the strip of each node."""
+        widths = np.diff(self.node_starts)
+        return np.array([row_stride(n, itemsize) if n * itemsize >= WIDE else n for n in widths.tolist()])
 
-    def _counts(self, itemsize: int) -> tuple[Counts, Counts]:
-        """Counts of `packed`, a part for the strip of each rank, and of `own`, a part for the rows of each rank."""
-        packed = np.array([self.nbytes(rank, self.rows, itemsize) for rank in range(self.comm.size)])
-        strip = np.diff(self.row_starts) * self.nbytes(self.comm.rank, 1, itemsize)
-        return (packed, np.cumsum(packed) - packed), (strip, np.cumsum(strip) - strip)
+    def _sizes(self, itemsize: int) -> tuple[int, int]:
+        """Items of the strip of this node, and of the packed rows of one rank (those with most rows)."""
+        strides, lines = self._strides(itemsize), ALIGNMENT // itemsize
+        most = int(np.diff(self.row_starts).max())
+        counts = self.nx * int(strides[self.place]), most * int(strides.sum() - strides[self.place])
+        return -(-counts[0] // lines) * lines, -(-counts[1] // lines) * lines
 
-    def views(self, dtype: np.dtype) -> list[np.ndarray]:
-        """The packed block for each rank."""
-        (counts, starts), _ = self._counts(dtype.itemsize)
-        blocks = [self.packed[start : start + count] for start, count in zip(starts, counts, strict=True)]
-        return [
-            _rows_and_padding(raw, (self.rows, int(width)), dtype)[None]
-            for raw, width in zip(blocks, self.widths, strict=True)
-        ]
+    def _layout(self, dtype: np.dtype) -> tuple[Counts, Counts]:
+        """Of the packed rows of this rank, a part for each node; of the strip, a part for the rows of each peer."""
+        strides = self._strides(dtype.itemsize)
+        mine = slice(self.node.rank, self.comm.size, self.node.size)
+        rows, first = np.diff(self.row_starts)[mine], self.row_starts[mine]
+        packed, strip = self.rows * strides, rows * strides[self.place]
+        packed[self.place] = strip[self.place] = 0  # they are put in their place at once
+        begin = self._packed // dtype.itemsize
+        return (packed, begin + np.cumsum(packed) - packed), (strip, first * strides[self.place])
+
+    def parts(self, dtype: np.dtype) -> Parts:
+        """The packed rows for the other nodes, and this rank's rows of the strip."""
+        offsets, strides = self._layout(dtype)[0][1], self._strides(dtype.itemsize)
+        offsets[self.place] = self.row_starts[self.comm.rank] * strides[self.place]
+        table = np.stack([self.node_starts[:-1], self.node_starts[1:], offsets, np.maximum(strides, 1)], axis=1)
+        return Parts(_items(self.flat, dtype), table, self.rows)
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
-        """The strip of this rank."""
-        return _rows_and_padding(self.own, (self.nx, self.width), dtype)[None]
-
-    def begin(self, dtype: np.dtype) -> None:
-        """Nothing to wait for."""
+        """The strip of this node."""
+        stride = int(self._strides(dtype.itemsize)[self.place])
+        return _items(self.flat, dtype)[: self.nx * stride].reshape(1, self.nx, stride)
 
     def to_columns(self, dtype: np.dtype) -> None:
-        """Packed blocks to strips.  Collective."""
-        packed, strip = self._counts(dtype.itemsize)
-        self._alltoall(self.packed, packed, self.own, strip, dtype)
+        """Packed rows to strips.  Collective."""
+        packed, strip = self._layout(dtype)
+        self._alltoall(packed, strip, dtype)
+        self.meet()
 
     def to_rows(self, dtype: np.dtype) -> None:
-        """Strips to packed blocks.  Collective."""
-        packed, strip = self._counts(dtype.itemsize)
-        self._alltoall(self.own, strip, self.packed, packed, dtype)
+        """Strips to packed rows.  Collective."""
+        packed, strip = self._layout(dtype)
+        self.meet()
+        self._alltoall(strip, packed, dtype)
 
-    def _alltoall(
-        self, source: np.ndarray, sent: Counts, target: np.ndarray, received: Counts, dtype: np.dtype
-    ) -> None:
+    def _alltoall(self, sent: Counts, received: Counts, dtype: np.dtype) -> None:
         # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
-        send, receive = ([numbers // dtype.itemsize for numbers in counts] for counts in (sent, received))
-        kind = datatype(dtype)
-        self.comm.Alltoallv([source.view(dtype), *send, kind], [target.view(dtype), *receive, kind])
+        items, kind = _items(self.flat, dtype), datatype(dtype)
+        self.peers.Alltoallv([items, *sent, kind], [items, *received, kind])
 
-    def free(self) -> None:
-        """Give the memory back."""
-        self.own = self.packed = np.empty(0, np.uint8)
+
+def _items(raw: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """The bytes `raw` as whole items."""
+    return raw[: len(raw) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
 def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = None) -> SharedStrips | ExchangedStrips:
-    """Shared strips where all ranks of `comm` are on one node, else exchanged ones; `shared=False` forces the latter.
-    Collective.
+    """Shared strips where all ranks of `comm` are on one node, else exchanged ones.  Collective.
+
+    `shared=False`: no memory is shared; each rank is a node of its own.
     """
-    one_node = node_of(comm).size == comm.size
-    return SharedStrips(comm, shape) if one_node and shared is not False else ExchangedStrips(comm, shape)
+    if shared is False:
+        return ExchangedStrips(comm, shape, MPI.COMM_SELF, comm)
+    node = node_of(comm)
+    if node.size == comm.size:
+        return SharedStrips(comm, shape)
+    peers = peers_of(comm, node)
+    return ExchangedStrips(comm, shape, *((MPI.COMM_SELF, comm) if peers is None else (node, peers)))

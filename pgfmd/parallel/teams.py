@@ -52,3 +52,18 @@ def node_of(comm: MPI.Comm) -> MPI.Comm:
     node = _once(comm, "node", lambda: comm.Split_type(MPI.COMM_TYPE_SHARED))
     assert node is not None
     return node
+
+
+def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm | None:
+    """The ranks that have the same place in their nodes, one of each node; None if the nodes have different numbers of
+    ranks, or the ranks of a node do not follow each other.  Collective at first.
+    """
+
+    def make() -> MPI.Comm | None:
+        first = node.bcast(comm.rank)
+        regular = comm.rank == first + node.rank and first % node.size == 0
+        sizes = comm.allgather(node.size)
+        regular = regular and min(sizes) == max(sizes)
+        return None if comm.allreduce(not regular, MPI.LOR) else comm.Split(node.rank)
+
+    return _once(comm, "peers", make)
