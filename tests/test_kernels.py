@@ -29,12 +29,12 @@ def test_strips_in_tiles(rng):
     strip, flat = half[:, start : start + count], np.zeros(7 + 42 * (12 + 2), complex)
     tiles, other = flat[7 : 7 + 42 * 12].reshape(3, 42, 4), flat[7 + 42 * 12 :].reshape(42, 2)
     table = np.array([[start, start + count, 7, 4], [0, 2, 7 + 42 * 12, 2]])
-    kernels.rows_to_tiles(half, 3, flat, table, 42)
+    kernels.rows_and_tiles(half, 3, flat, table, 42, False)
     assert np.array_equal(np.hstack(list(tiles))[3:40, :count], strip)
     assert np.array_equal(other[3:40], half[:, :2])
     assert np.count_nonzero(flat) == strip.size + 2 * 37
     back = np.zeros_like(half)
-    kernels.tiles_to_rows(back, 3, flat, table, 42)
+    kernels.rows_and_tiles(back, 3, flat, table, 42, True)
     assert np.array_equal(back[:, : start + count], half[:, : start + count])
     assert np.count_nonzero(back) == strip.size + 2 * 37
     block, target = np.zeros((6, 38), complex), np.zeros_like(tiles)

@@ -17,30 +17,22 @@ u = np.uintp  # for indices: Numba tests signed ones for being negative, and doe
 
 
 @jit
-def rows_to_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarray, height: int) -> None:
+def rows_and_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarray, height: int, back: bool) -> None:
     """flat[offset + (c // w · height + at + i) w + c % w] = half[i, first + c] for c < stop − first and each row
-    (first, stop, offset, w) of the table: columns of all rows into the tiles, w columns wide, of all targets.
+    (first, stop, offset, w) of the table: columns of all rows into the tiles, w columns wide, of all targets; or back.
     """
     for target in range(table.shape[0]):
         first, stop, offset, width = table[target]
         for start in range(first, stop, width):
+            count = min(width, stop - start)
             for i in range(half.shape[0]):
-                source, to = half[i], offset + (at + i) * width
-                for j in range(min(width, stop - start)):
-                    flat[u(to + j)] = source[u(start + j)]
-            offset += height * width
-
-
-@jit
-def tiles_to_rows(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarray, height: int) -> None:
-    """The same from the tiles to the rows."""
-    for source in range(table.shape[0]):
-        first, stop, offset, width = table[source]
-        for start in range(first, stop, width):
-            for i in range(half.shape[0]):
-                target, there = half[i], offset + (at + i) * width
-                for j in range(min(width, stop - start)):
-                    target[u(start + j)] = flat[u(there + j)]
+                row, place = half[i], offset + (at + i) * width
+                if back:
+                    for j in range(count):
+                        row[u(start + j)] = flat[u(place + j)]
+                else:
+                    for j in range(count):
+                        flat[u(place + j)] = row[u(start + j)]
             offset += height * width
 
 

@@ -129,11 +129,11 @@ class Strips(ABC):
 
     def put(self, parts: Parts, first: int, half: np.ndarray) -> None:
         """Copy the row-transformed rows `half`, the first of which is local row `first`, into their parts."""
-        kernels.rows_to_tiles(half, self.first_row + first, *parts)
+        kernels.rows_and_tiles(half, self.first_row + first, *parts, False)
 
     def get(self, parts: Parts, first: int, half: np.ndarray) -> None:
         """Copy the rows `half`, the first of which is local row `first`, out of their parts."""
-        kernels.tiles_to_rows(half, self.first_row + first, *parts)
+        kernels.rows_and_tiles(half, self.first_row + first, *parts, True)
 
     @abstractmethod
     def parts(self, dtype: np.dtype) -> Parts:
