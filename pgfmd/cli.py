@@ -132,6 +132,8 @@ def _check(options: argparse.Namespace) -> str:
     from pgfmd.job.job import load
     from pgfmd.operation import estimate
     from pgfmd.operation.memory import largest_memory, readable
+    from pgfmd.operation.reachability import doubts
+    from pgfmd.simulate import make_elasticity
 
     job = load(options.job, options.set)
     rows = job.grid.n[0] * max(1, len(job.surface.seeds))
@@ -140,7 +142,9 @@ def _check(options: argparse.Namespace) -> str:
     size = estimate.estimate(job, options.ranks).memory * options.ranks
     here = largest_memory()
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
-    return f"{options.job}: valid{limit}\n{estimate.report(job, options.ranks)}"
+    report = estimate.report(job, options.ranks)  # opens the files of the surface
+    against = "".join(f"\n{line}" for line in doubts(job, make_elasticity(job)))
+    return f"{options.job}: valid{limit}{against}\n{report}"
 
 
 def _info(options: argparse.Namespace) -> str:

@@ -265,6 +265,42 @@ def test_a_job_that_no_node_can_hold(tmp_path, capsys):
     assert "too large for this machine" in said and "valid\n" not in said
 
 
+REACHED = [  # under [load]; exit code of check and of the run; what both say
+    ("contact_area = [0.3]", 0, 0, ""),
+    ("contact_area = [0.1, 0.3]", 0, 3, "load.contact_area = 0.1: not reachable, 0.25 touches first"),
+    ("mean_gap = [0.1, -1.0]", 2, 2, "load.mean_gap = -1: must be above 0"),
+    ("mean_gap = [5.0]", 0, 0, ""),
+    ("displacement = [0.1, 100.0]", 2, 2, "load.displacement = 100: must be below 0.75"),
+    ("displacement = [-1.0]", 0, 0, ""),
+]
+
+
+@pytest.mark.parametrize(("load", "checked", "run", "words"), REACHED, ids=range(len(REACHED)))
+def test_check_tests_the_loads_as_a_run_does(tmp_path, capsys, load, checked, run, words):
+    """On a surface whose highest quarter is a plateau: `check` makes the surface, and says of each target that no load
+    gives what the run will say, in the same words."""
+    np.save(tmp_path / "plateau.npy", np.kron([[1.0, 0.0], [0.0, 0.0]], np.ones((4, 4))))
+    path = tmp_path / "job.toml"
+    surface = '[surface]\nkind = "file"\npath = "plateau.npy"\n'
+    path.write_text(f"[grid]\nn = 8\n{surface}[solid]\ncontact_modulus = 1.0\n[load]\n{load}\n")
+    assert cli.main(["check", str(path)]) == checked
+    assert words in "".join(capsys.readouterr())
+    done = subprocess.run(
+        [sys.executable, "-m", "pgfmd", "run", path, "--output", tmp_path / "out"],
+        check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == run, done.stderr
+    assert words in done.stderr
+
+
+def test_check_says_what_it_does_not_test(tmp_path, capsys):
+    """A surface of more points than it makes in a moment: that the targets are not tested is said."""
+    path = tmp_path / "large.toml"
+    path.write_text(JOB.replace("[8, 6]", "[4096, 2048]").replace("pressure =", "contact_area ="))
+    assert cli.main(["check", str(path)]) == 0
+    assert "can be reached is tested up to" in capsys.readouterr().out
+
+
 def test_estimate_scales():
     """Memory beside that of an empty rank is split over the ranks; files are counted byte for byte: fields × points ×
     width × loads; what is gathered on the way into them counts on several ranks.

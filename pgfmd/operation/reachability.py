@@ -1,0 +1,43 @@
+"""Whether what a job imposes can be reached on its surface, as far as that is known without a solution."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from pgfmd.errors import Unreachable
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.job.job import Job
+from pgfmd.parallel.mpi import ALONE
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.load_control import LoadControl
+
+LARGEST = 2**22  # points of the surfaces that are made for this: a few seconds
+
+
+def doubts(job: Job, solid: Elasticity) -> list[str]:
+    """What speaks against the loads of a job, a line each: targets that no load gives, or that the surface has too many
+    points to be made here.  By this process alone.
+
+    Raises InputError for a target, and for a surface, that a run would refuse before its first solution.
+    """
+    seeds = job.surface.seeds
+    surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
+    if job.load.control == "pressure":
+        return []  # any surface takes it
+    if math.prod(job.grid.shape) * len(surfaces) > LARGEST:
+        return [f"whether each {job.load.control} can be reached is tested up to {LARGEST} points only"]
+    found: dict[str, None] = {}
+    for surface in surfaces:
+        grid = SlabGrid(ALONE, job.grid.shape, job.grid.lengths)
+        problem = ContactProblem(grid, surface.heights(grid, job.output.length_unit), solid, job.wall)
+        control = LoadControl(job.load, problem).control
+        for target in job.load.targets:
+            control.check_target(target)
+            try:
+                control.check_reachable(target)
+            except Unreachable as failure:
+                found[str(failure)] = None
+        grid.free()
+    return list(found)
