@@ -92,7 +92,8 @@ def thinned(load: Load, name: str) -> np.ndarray:
 
 def _thinned(load: Load, blocks) -> np.ndarray:
     step = max(1, max(load.results.shape) // PIXELS)
-    return np.concatenate([values[-rows.start % step :: step, ::step] for rows, values in blocks])
+    parts = [values[-rows.start % step :: step, ::step].copy() for rows, values in blocks]  # a view keeps its block
+    return np.concatenate(parts)
 
 
 def _unit(load: Load, name: str) -> str:
