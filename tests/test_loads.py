@@ -204,6 +204,24 @@ def test_a_tolerance_beyond_rounding_is_refused_by_its_name(rough, control):
         Counted(control, *rough, gap_tolerance=1e-16).solution(0.3)
 
 
+@pytest.mark.parametrize("control", ["pressure", "mean_gap"])
+def test_a_failure_names_the_key_that_asked_for_the_tolerance(rough, control):
+    """Where rounding forbids solver.tolerance the message names that key, and the load; one of the search's own, which
+    nobody asked for, is not put in its place."""
+    counted = Counted(control, *rough, tolerance=1e-40)
+    with pytest.raises(SolverError, match=f"load.{control} = 0.3: solver.tolerance = 1e-40: .*(rounding|digits)"):
+        counted.solution(0.3)
+    if control == "mean_gap":
+
+        def fail(*_):
+            raise SolverError("no")
+
+        counted = Counted(control, *rough, tolerance=1e-8)
+        counted.loads.solver = fail
+        with pytest.raises(SolverError, match="load.mean_gap = 0.3: not even a certified error of 1e-05 .* way: no"):
+            counted.solution(0.3)
+
+
 @pytest.mark.parametrize("tolerance", [1e-15, 1e-300])
 def test_an_area_tolerance_of_nothing_means_a_pixel(rough, tolerance):
     """Areas are met to a pixel at best, whatever is asked for: 64² points have none finer."""

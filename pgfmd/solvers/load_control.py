@@ -74,7 +74,7 @@ class LoadControl:
         self.control.check_target(target)
         self._totals = np.zeros(3)
         if self.name == "pressure" or self.control.met_without_load(target):
-            found = self._at(target if self.name == "pressure" else 0.0, self.tolerance)
+            found = self._tried(target if self.name == "pressure" else 0.0, self.tolerance, target)
         else:
             self.control.check_reachable(target)
             found = self._search(target)
@@ -100,7 +100,7 @@ class LoadControl:
         search = _Search(self._first_guess(target))
         best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
-            found = self._tried(search.at, tolerance, target)
+            found = self._tried(math.exp(search.at), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
                 return found
@@ -132,17 +132,19 @@ class LoadControl:
                 return math.log(total / self.grid.size)
         return self.control.guess(target)
 
-    def _tried(self, at: float, tolerance: float, target: float) -> ContactSolution:
-        """The contact at ln p̄ = `at`.  If it fails at a tolerance tighter than the user's, the message says that the
-        target needs it.  Collective.
+    def _tried(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
+        """The contact at that mean pressure.  If it fails, the message says which key of the job asked for the
+        tolerance.  Collective.
         """
         try:
-            return self._at(math.exp(at), tolerance)
+            return self._at(mean_pressure, tolerance)
         except SolverError as failure:
-            if tolerance >= self.tolerance:
-                raise
-            needs = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
-            raise SolverError(f"load.{self.name} = {target:g}: {needs}: {failure}") from None
+            asked = f"solver.tolerance = {self.tolerance:g}"
+            if tolerance < self.tolerance:
+                asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
+            elif tolerance > self.tolerance:
+                asked = f"not even a certified error of {tolerance:g} is reached on the way"
+            raise type(failure)(f"load.{self.name} = {target:g}: {asked}: {failure}") from None
 
 
 class _Search:
