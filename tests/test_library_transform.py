@@ -12,6 +12,8 @@ from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.slab_grid import SlabGrid
 
+pytest.importorskip("mpi4py_fft")
+
 SHAPES = [(24, 20), (17, 13), (9, 64)]
 SEED = 20
 
@@ -107,3 +109,15 @@ else:
     raise AssertionError
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_it_is_named_where_it_is_missing(tmp_path):
+    """Where mpi4py-fft cannot be imported, a job that chooses it is refused in one line."""
+    code = "import sys; sys.modules['mpi4py_fft'] = None; from pgfmd.cli import main; sys.exit(main())"
+    (tmp_path / "job.toml").write_text(
+        "[grid]\nn = 8\n[surface]\nkind = 'paraboloid'\nradius = 9\n[load]\npressure = 0.1\n"
+        "[solver]\ntransform = 'mpi4py-fft'\n"
+    )
+    words = [sys.executable, "-c", code, "run", tmp_path / "job.toml", "--output", tmp_path / "out"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "needs that package" in done.stderr.splitlines()[-1]

@@ -10,7 +10,8 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import ColumnAction, RowAction
-from pgfmd.parallel.mpi import MPI
+from pgfmd.options.text import printable
+from pgfmd.parallel.mpi import MPI, for_library
 from pgfmd.parallel.threads import Threads
 
 ROWS = 64  # rows, or columns, handed to a callback at once
@@ -23,8 +24,14 @@ class LibraryTransform:
     """
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int], dtype: np.dtype, threads: Threads) -> None:
-        from mpi4py_fft import PFFT
+        try:
+            from mpi4py_fft import PFFT
 
+            comm = for_library(comm)
+        except (ImportError, RuntimeError) as error:
+            raise InputError(
+                f'solver.transform = "mpi4py-fft": needs that package and MPI (tools/setup.sh): {printable(str(error))}'
+            ) from None
         columns = shape[1] // 2 + 1
         if comm.size > min(columns, shape[0]):
             raise InputError(

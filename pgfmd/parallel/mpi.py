@@ -60,6 +60,13 @@ def launched() -> MPI.Intracomm:
     return world() if "mpi4py.MPI" in sys.modules or _launched(_SIZES, 1) > 1 else ALONE
 
 
+def for_library(comm: MPI.Comm) -> MPI.Comm:
+    """A communicator of MPI itself in place of one that may be the stand-in; initialises MPI.  Raises ImportError."""
+    from mpi4py import MPI
+
+    return comm if isinstance(comm, MPI.Comm) else MPI.COMM_SELF
+
+
 def launched_rank() -> int:
     """This process's rank as its launcher tells it, without MPI; 0 if it was started alone."""
     return _launched(_RANKS, 0)
