@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pgfmd.errors import InputError
-from pgfmd.grid import sub_grid, transpose
+from pgfmd.grid import holders, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import Interpolation, restrict
@@ -172,7 +172,7 @@ def test_rows_cross_the_ranks(comm, shared, shape, dtype):
 @pytest.mark.parametrize("least", [1, 16])
 def test_restriction_keeps_the_long_waves(comm, monkeypatch, fine, coarse, least):
     """Waves that both grids resolve come through exactly, shorter ones vanish; on any number of ranks."""
-    monkeypatch.setattr(sub_grid, "SMALL", 0)
+    monkeypatch.setattr(holders, "SMALL", 0)
     big = SlabGrid(comm, fine, (3.0, 4.0))
     small = SubGrid(big, coarse, big.lengths, least)
 
@@ -202,3 +202,24 @@ def test_interpolation_is_exact_for_cubics(comm, shape):
     for which, power in ((0, 3), (1, 1)):
         whole = np.vstack([found.rows(which, i, i + 1).copy() for i in range(fine.local_shape[0])])
         assert np.abs(whole - values(fine, power))[rows, columns].max(initial=0) < 1e-12
+
+
+def test_coarser_grids_lie_on_fewer_ranks(comm):
+    """All ranks together hold each grid once, none more than rank 0, of which `check` knows how much; ranks without
+    rows learn what the others found, or its failure.
+    """
+    fine = SlabGrid(comm, (1024, 300))
+    shares, place = holders.largest_shares(fine.shape, comm.size), SubGrid.coarse(fine)
+    for share in shares[1:]:
+        points = place.comm.allgather(place.local_shape[0] * place.local_shape[1])
+        assert sum(points) == place.size and max(points) == points[0] == share
+        assert place.on_all(lambda grid: grid.comm.size) == holders.holders(place.shape, place.comm.size)
+        if place.grid is None:
+            break
+        place = SubGrid.coarse(place.grid)
+
+    def fail(grid):
+        raise InputError("no")
+
+    with pytest.raises(InputError, match="no"):
+        SubGrid(fine, (10, 10), fine.lengths).on_all(fail)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from pgfmd.grid import sub_grid
+from pgfmd.grid import holders
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.physics.elasticity import Elasticity
@@ -60,13 +60,13 @@ def test_halo_of_a_set(shape):
     assert np.array_equal(on(points, field[grid.rows][mask[grid.rows]]).exchange(), field[rows][mask[rows]])
 
 
-@pytest.mark.parametrize("holders", [1, (comm.size + 1) // 2, comm.size])
+@pytest.mark.parametrize("count", [1, (comm.size + 1) // 2, comm.size])
 @pytest.mark.parametrize("beyond", [(0, 0), (-3, 2), (-40, 35)])
-def test_window_of_rows(beyond, holders):
+def test_window_of_rows(beyond, count):
     """Rows around the own ones, from as many ranks and periods as it takes, each time anew, also where some ranks have
     none of their own; and back to those that hold them, where all are added up.
     """
-    layout, rank = Layout.spread(comm, 23, holders), comm.rank
+    layout, rank = Layout.spread(comm, 23, count), comm.rank
     rows = layout.rows
     window = RowWindow(layout, (23 * rank // comm.size + beyond[0], 23 * (rank + 1) // comm.size + beyond[1]), 4)
     numbers = np.arange(window.low, window.low + len(window.rows)) % 23
@@ -154,12 +154,12 @@ def test_near_compliance_is_positive(lengths):
 
 @pytest.mark.parametrize("shape", [(512, 384), (387, 386), (20, 20)])
 @pytest.mark.parametrize("fewest", [64, 8])
-@pytest.mark.parametrize("small", [sub_grid.SMALL, 0])
+@pytest.mark.parametrize("small", [holders.SMALL, 0])
 def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, small):
     """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks, for any number of levels."""
     monkeypatch.setattr(block_stiffness, "FEWEST", fewest)
     monkeypatch.setattr(preconditioner, "FEWEST", fewest)
-    monkeypatch.setattr(sub_grid, "SMALL", small)
+    monkeypatch.setattr(holders, "SMALL", small)
     grid, one = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
     kernels = (lambda q: q / 2,) * 2
 

@@ -8,6 +8,7 @@ import sys
 from contextlib import ExitStack, contextmanager
 
 import launching
+import numpy as np
 import pytest
 from conftest import ROOT, SIZE, WORLD
 
@@ -55,6 +56,42 @@ def test_over_tcp(case, tmp_path, ranks):
     code, stderr = launching.wait(run, 300)
     assert code == 0, stderr
     assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
+
+
+MANY = """
+import sys
+import numpy as np
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import world
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
+n, path = int(sys.argv[1]), sys.argv[2]
+grid = SlabGrid(world(), (n, n))
+problem = ContactProblem(grid, self_affine(grid, 0.8, 8.0, 0.031, 1), Elasticity(2.66667), HardWall(), 0.0036)
+found = solve_hard_wall(problem, 1e-22)
+rows = grid.comm.gather(found.pressure)
+if rows is not None:
+    np.savez(path, pressure=np.concatenate(rows), work=[found.iterations, found.transforms])
+"""
+
+
+LONG = [pytest.param(n, ranks, marks=pytest.mark.long) for n in (256, 128) for ranks in (4, 16, 64, 128)]
+
+
+@pytest.mark.parametrize(("n", "ranks"), [(128, 12), *LONG])
+def test_thin_slabs_take_no_more_work(tmp_path, n, ranks):
+    """Down to one row per rank, the pressure is that of one rank to 1e-10; iterations and transforms are within 5 %."""
+    (tmp_path / "solve.py").write_text(MANY)
+    for count in (1, ranks):
+        run = launching.start(count, n, tmp_path / f"{count}.npz", script=(tmp_path / "solve.py",))
+        code, stderr = launching.wait(run, 900)
+        assert code == 0, stderr
+    one, many = (np.load(tmp_path / f"{count}.npz") for count in (1, ranks))
+    assert np.linalg.norm(many["pressure"] - one["pressure"]) < SAME * np.linalg.norm(one["pressure"])
+    assert np.allclose(many["work"], one["work"], rtol=0.05)
 
 
 def sudo(*command: str) -> bool:

@@ -10,15 +10,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import DTypeLike
 
+from pgfmd.grid.holders import ROWS, holders
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, Range, RowWindow
 from pgfmd.parallel.teams import team_of
 
 T = TypeVar("T")
-
-ROWS = 16  # per rank, at least: of a grid that a rank with fewer would solve no faster
-FEW = 4  # the same of grids on which each inner iteration depends
-SMALL = 256 * 256  # points that one rank alone transforms in the time of a few messages
 
 
 class SubGrid:
@@ -33,12 +30,12 @@ class SubGrid:
     ) -> None:
         """least: rows per rank."""
         nx, ny = shape
-        holders = 1 if nx * ny <= SMALL else max(1, min(parent.comm.size, nx // least))
+        count = holders(shape, parent.comm.size, least)
         self.comm, self.shape, self.size = parent.comm, shape, nx * ny
         self.spacing = lengths[0] / nx, lengths[1] / ny
-        self.layout = Layout.spread(parent.comm, nx, holders)
+        self.layout = Layout.spread(parent.comm, nx, count)
         self.local_shape = self.layout.rows.stop - self.layout.rows.start, ny
-        team = team_of(parent.comm, holders)
+        team = team_of(parent.comm, count)
         self.grid = None if team is None else parent.like(team, shape, lengths)
 
     @classmethod

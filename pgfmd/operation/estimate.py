@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.cost import Cost
+from pgfmd.grid.holders import largest_shares
 from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
 from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
+WAITING_BYTES = 24.0  # per point of a grid that waits for a coarser one: heights, as given and scaled, and strips
 BASE_BYTES = 2.45e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / area of Persson's theory − 1
@@ -36,7 +38,6 @@ def estimate(job: Job, ranks: int) -> Estimate:
     points = job.grid.n[0] * job.grid.n[1]
     surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks)
     ranks = -(-ranks // groups)  # of one surface
-    rows = -(-job.grid.n[0] // ranks)
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
@@ -45,10 +46,15 @@ def estimate(job: Job, ranks: int) -> Estimate:
     work = solving.transforms * solves + sum(cost.transforms for cost in measuring) * loads
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     return Estimate(
-        memory=BASE_BYTES + gathered + bytes_per_point(job) * rows * job.grid.n[1],
+        memory=BASE_BYTES + gathered + peak(largest_shares(job.grid.n, ranks), bytes_per_point(job)),
         files=surfaces * field_count * points * itemsize,
         seconds=-(-surfaces // groups) * work * points * SECONDS_PER_POINT / ranks,
     )
+
+
+def peak(shares: list[int], per_point: float) -> float:
+    """Bytes of rank 0 while the grid is solved or measured, or a coarser one whose share is larger; finer ones wait."""
+    return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
 
 
 def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
@@ -67,7 +73,7 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
 
     def fits(groups: int) -> bool:
         width = -(-ranks // groups)
-        return width <= nx and BASE_BYTES + bytes_per_point(job) * -(-nx // width) * ny <= room
+        return width <= nx and BASE_BYTES + peak(largest_shares((nx, ny), width), bytes_per_point(job)) <= room
 
     most = min(ranks, surfaces)
     return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)

@@ -14,8 +14,9 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.grid import kernels
+from pgfmd.grid.holders import FEW
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import FEW, SubGrid
+from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many per side

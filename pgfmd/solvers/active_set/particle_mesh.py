@@ -20,8 +20,9 @@ from scipy.special import erf
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import ColumnAction
+from pgfmd.grid.holders import FEW
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import FEW, SubGrid
+from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.layout import Piece
 from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.active_set import kernels as set_kernels
