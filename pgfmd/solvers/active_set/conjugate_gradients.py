@@ -35,10 +35,10 @@ class ConjugateGradients:
         self.points, self.residual = residual.points, residual
         self.operator, self.preconditioner = operator, preconditioner
         self.reduction, self.threads = Reduction(self.points.grid.comm), self.points.grid.threads
-        count = self.reduction.sum(self.points.count)
+        _, total, _, count = self._sums(residual.own, residual.own, self.points.count)
         self.inverse_count = 1 / count if neutral and count else 0.0  # sum · inverse_count: the mean to subtract
         self.z, self.mean = SetVector(self.points), 0.0
-        residual.own -= residual.own.dtype.type(self._sums(residual.own, residual.own)[1] * self.inverse_count)
+        residual.own -= residual.own.dtype.type(total * self.inverse_count)
         self.square = self._precondition()
 
     def solve(self, wanted: float, most: int) -> tuple[np.ndarray, int]:
@@ -74,7 +74,7 @@ class ConjugateGradients:
         self.mean = sum_z * self.inverse_count
         return square - self.mean * sum_r
 
-    def _sums(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Σ a b, Σ a, Σ b over all ranks.  Collective."""
+    def _sums(self, a: np.ndarray, b: np.ndarray, *more: float) -> np.ndarray:
+        """Σ a b, Σ a, Σ b and the sums of `more` numbers over all ranks.  Collective."""
         parts = self.threads.collect(lambda i, j: set_kernels.dot_and_sums(a, b, i, j), len(a), PART)
-        return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)))
+        return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)), *more)
