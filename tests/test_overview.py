@@ -158,6 +158,19 @@ def test_a_small_run_is_whole_in_the_page(runs, tmp_path):
         assert (tmp_path / f"overview.{kind}").stat().st_size > 0
 
 
+def test_many_loads_keep_the_page_small(runs, tmp_path, monkeypatch):
+    """Of more loads than curves can be told apart, or fields fit, those evenly spread are shown, and that is said."""
+    monkeypatch.setattr(overview_page, "MOST_CURVES", 1)
+    monkeypatch.setattr(overview_page, "MOST_LOADS", 1)
+    _, data = page_of(runs["all"], tmp_path)
+    assert {curve["load"] for chart in data["charts"][1:] for curve in chart["curves"]} == {0} == set(data["shown"])
+    assert len(data["rows"]) == len(data["charts"][0]["curves"][0]["x"]) == 2
+    assert any("1 of the 2 loads" in note for note in data["notes"])
+    loads = list(range(100))
+    found = overview_page._some(loads, 7)
+    assert len(found) == 7 and (found[0], found[-1]) == (0, 99)
+
+
 def test_what_was_not_kept_is_said(runs, tmp_path):
     """A page of any run: with what there is, and a line for what there is not."""
     _, data = page_of(runs["nothing"], tmp_path / "1")

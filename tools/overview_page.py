@@ -32,6 +32,7 @@ PAGE = Path(__file__).with_name("page")
 FOLDER = "overview_tiles"
 BUDGET = 13e6  # bytes of tiles in the page
 MOST_LOADS = 6  # whose fields are shown, unless they are chosen
+MOST_CURVES = 30  # loads whose distributions and spectra are shown
 COLUMNS = ("target", "mean_pressure", "contact_area", "contact_area_corrected", "kappa", "mean_gap", "displacement",
            "elastic_energy", "certified_error", "iterations", "transforms", "seconds")  # fmt: skip
 
@@ -119,7 +120,12 @@ def _spread(loads: list[Load], chosen: Sequence[int] | None) -> list[Load]:
             if index not in [load.index for load in loads]:
                 raise InputError(f"--loads {index}: the run kept no fields of such a load, counted from 0")
         return [load for load in loads if load.index in chosen]
-    places = np.unique(np.rint(np.linspace(0, len(loads) - 1, MOST_LOADS)).astype(int)) if loads else []
+    return _some(loads, MOST_LOADS)
+
+
+def _some(loads: Sequence[Load], most: int) -> list[Load]:
+    """At most that many loads, evenly spread, the first and the last included."""
+    places = np.unique(np.rint(np.linspace(0, len(loads) - 1, most)).astype(int)) if loads else []
     return [loads[place] for place in places]
 
 
@@ -296,10 +302,12 @@ def _charts(loads: Sequence[Load], notes: list[str]) -> list[dict]:
     """Curves of all loads."""
     charts = [_area_load(loads)] if len(loads) > 1 else []
     for draw, lacking in ((_distributions, "histogram"), (_spectra, "spectra")):
-        chart = draw(loads)
+        chart = draw(_some(loads, MOST_CURVES))
         charts.append(chart)
         if not chart["curves"]:
             notes.append(f'{chart["title"]} is not shown: the run kept no observable "{lacking}"')
+    if len(loads) > MOST_CURVES:
+        notes.append(f"distributions and spectra are those of {MOST_CURVES} of the {len(loads)} loads")
     return [chart for chart in charts if chart["curves"]]
 
 
