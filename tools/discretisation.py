@@ -94,7 +94,7 @@ def area(path: Path, seed: int, across: int, finest: int) -> None:
     print("  H   area   " + "".join(f"{f'raw {points}a':>10s}" for points in grids)
           + "".join(f"{f'line {points}a':>10s}" for points in grids) + "   (per cent)")  # fmt: skip
     for hurst, aim, _ in cases():
-        errors = []
+        errors: list[np.ndarray] = []
         for number in range(seed, seed + 4):
             raw, line = np.array([rows[hurst, aim, number, across, points] for points in grids]).T
             limit = (8 * raw[-1] - 6 * raw[-2] + raw[-3]) / 3  # of c₀ + c₁ a + c₂ a²
