@@ -42,6 +42,7 @@ class Case:
     wall: ContactLaw = HardWall()
     method: str = "auto"
     error: type[Exception] | None = None
+    oblong: float = 1.0  # side of a pixel along x over that along y
 
 
 def rough(n: int | tuple[int, int] = 64, hurst: float = 0.8, lambda_s: float = 4.0, seed: int = 1) -> np.ndarray:
@@ -70,6 +71,16 @@ def cases() -> Iterator[Case]:
     for ratio in (1e-4, 1e-3, 1e-2, 0.1, 1, 10, 100):
         for load in (1e-4, 1e-2, 0.1):
             yield Case(f"ζ = {ratio:g} h_rms, p = {load:g}", base, load, wall=ExponentialWall(zeta=ratio * base.std()))
+    for load, zeta in ((1e-100, 0.1), (1e-40, 0.3), (1e20, 0.1), (1e60, 0.1), (1e100, 1.0)):
+        wall = ExponentialWall(zeta=zeta)
+        yield Case(f"p = {load:g}, ζ = {zeta:g}: rounding hides the energy", base, load, wall=wall, error=SolverError)
+    for oblong in (3.0, 31.0, 300.0):
+        for load in (1e-6, 1e-3):
+            noise = np.random.default_rng(5).standard_normal((24, 16))
+            yield Case(f"pixels {oblong:g}:1, p = {load:g}", noise, load, method="active-set", oblong=oblong)
+    for thickness in (2.0, 8.0):
+        plate = Elasticity(1.0, thickness, "free")
+        yield Case(f"free, d = {thickness:g}, active set", base, 0.01, plate, method="active-set")
     yield from slabs(base)
     yield from shapes()
     yield from surfaces()
@@ -151,7 +162,8 @@ def judge(case: Case, tolerance: float) -> tuple[str, str, int, bool]:
 def attempt(case: Case, tolerance: float) -> tuple[str, float, int]:
     """(verdict, certified error, iterations) of a case."""
     elasticity = case.elasticity if isinstance(case.elasticity, Elasticity) else Elasticity(*case.elasticity)
-    grid = SlabGrid(MPI.COMM_SELF, case.heights.shape)
+    nx, ny = case.heights.shape
+    grid = SlabGrid(MPI.COMM_SELF, (nx, ny), (nx * case.oblong, float(ny)))
     heights = np.ascontiguousarray(case.heights, dtype=np.float64)
     if not np.isfinite(heights).all():
         raise InputError("heights: all must be finite")
