@@ -70,6 +70,10 @@ class Control:
         """The key of the tolerance and its value, for messages."""
         return f"load.gap_tolerance = {self.options.gap_tolerance:g}"
 
+    def coarse(self, found: ContactSolution, target: float) -> bool:
+        """Whether the value is within its tolerance only because that is not below one pixel.  Collective."""
+        return False
+
     def uncertainty(self, found: ContactSolution, target: float) -> float:
         """A bound of the change of the value by the solution's own error, over the tolerance, like `error`."""
         return 0.0
@@ -131,6 +135,10 @@ class ContactArea(Control):
         """
         area = min(max(self.area(found), 0.5 / self.grid.size), 1 - 0.5 / self.grid.size)
         return math.log(erfinv(area) / erfinv(target))
+
+    def coarse(self, found: ContactSolution, target: float) -> bool:
+        """Whether the area misses the target by more than `area_tolerance` of it.  Collective."""
+        return abs(self.area(found) - target) > self.options.area_tolerance * target
 
     def error(self, found: ContactSolution, target: float) -> float:
         """|Area − target| over `area_tolerance` times the target, or over one pixel if that is more.  Collective."""

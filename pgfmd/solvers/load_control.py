@@ -103,6 +103,9 @@ class LoadControl:
             found = self._tried(math.exp(search.at), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
+                if control.coarse(found, target) and self.grid.comm.rank == 0:
+                    text = control.tolerance_text
+                    log.info("load.%s = %g: met to one pixel, which is more than %s", self.name, target, text)
                 return found
             if tolerance <= self.tolerance and error <= best[0]:  # of equal ones the last, next to the jump
                 best = error, found
