@@ -479,6 +479,16 @@ def test_area_of_a_surface_without_waves(comm):
     assert found["area"][1] == pytest.approx(contact.area.fraction, abs=2 / 48)  # the wave itself is there
 
 
+def test_no_contact_has_a_negative_area(comm):
+    """At a load that a single pixel bears, the area inside the line is positive, and not above that of the pixels: a
+    line drawn around one pixel enclosed less than nothing."""
+    grid = SlabGrid(comm, (64, 64))
+    problem = ContactProblem(grid, self_affine(grid, 0.8, 16, 0.1, 1), Elasticity(1.0), HardWall(), 1e-9)
+    solution = solve_hard_wall(problem, 1e-8)
+    area = Observer(problem, [], 2 * np.pi / 16).contact(solution).area
+    assert area.pixels == 1 and 0 < area.corrected <= area.fraction and area.perimeter > 0
+
+
 @pytest.mark.parametrize("failure", [SolverError, InputError])
 def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
     """If a further contact that an observable asks for cannot be certified, its number is NaN, the log says why, and

@@ -33,4 +33,6 @@ def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None)
     fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
     beyond, perimeter = (0.0, edge_length) if line is None else line.total()
     corrected = fraction + beyond / (grid.size * grid.pixel_area)
+    if corrected <= 0:  # of a pixel or two, whose line is none
+        corrected, perimeter = fraction, edge_length
     return Area(pixels, edges_x, edges_y, fraction, edge_length, corrected, perimeter)
