@@ -15,12 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-# The machine of the model: LUMI-C (two 64-core AMD EPYC 7763 per node, one 200 Gb/s HPE Slingshot-11 port per node).
+from pgfmd.grid.holders import largest_shares
+
+# The machine of the model, assumed: LUMI-C (two 64-core AMD EPYC 7763 per node, one 200 Gb/s HPE Slingshot-11 port).
 # Half of the port's bandwidth is what an all-to-all of all nodes gets; a message between two nodes takes 2 µs.
 NETWORK = {"name": "LUMI-C, Slingshot-11", "cores": 128, "bandwidth": 0.5 * 25e9, "latency": 2e-6}
 MODEL_RANKS = [64, 128, 256, 512, 1024, 2048, 4096]
 MODEL_SIZES = [4096, 16384, 65536]
-THIN_ROWS = 16  # `SlabGrid.coarse`: a coarser grid with fewer rows than this per rank is held whole by every rank
+PHASES = ("transforms", "vectors", "coarse grids", "all-to-all", "latency")
 
 
 def measure(path: Path, n: int, exchanged: bool) -> None:
@@ -28,7 +30,9 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.grid.transpose import ExchangedStrips
     from pgfmd.parallel.collectives import Reduction
+    from pgfmd.parallel.layout import RowPlan
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
@@ -43,8 +47,9 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     small = SlabGrid(comm, (64 * comm.size, 64), shared=grid._shared)  # so that nothing is compiled or loaded later
     solve_hard_wall(ContactProblem(small, self_affine(small, 0.8, 8.0, 0.031, 1), solid, HardWall(), 0.0036))
     heights = self_affine(grid, 0.8, n / 64, 0.031, 1)
-    reductions = _Counter(Reduction, ("sum", "sums", "max", "min", "dot"))
-    fetches = _Counter(SlabGrid, ("fetch",))
+    reductions = _Counter(Reduction, ("sum", "sums", "max", "min", "dot", "any"))
+    halos = _Counter(RowPlan, ("start", "start_back"))
+    exchanges = _Counter(ExchangedStrips, ("_alltoall",))
     fine = grid.transforms
     began = time.perf_counter()
     steps = []
@@ -53,10 +58,10 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     found |= {
         "solve": time.perf_counter() - began, "transforms": solution.transforms,
         "fine transforms": grid.transforms - fine, "steps": sum(level is grid for level in steps),
-        "reductions": reductions.count, "reducing": reductions.seconds, "halos": fetches.count,
-        "in halos": fetches.seconds, "area": grid.reduction.sum(solution.pressure > 0) / grid.size,
+        "reductions": reductions.count, "reducing": reductions.seconds, "halos": halos.count,
+        "in halos": halos.seconds, "all-to-alls": exchanges.count, "bytes per solve": exchanges.sent,
+        "area": grid.reduction.sum(solution.pressure > 0) / grid.size,
     }  # fmt: skip
-    found["bytes per solve"] = solution.transforms * found["bytes float64"]
     slowest = {name: comm.allreduce(value, MPI.MAX) for name, value in found.items()}
     if comm.rank == 0:
         with open(path, "a") as file:
@@ -101,20 +106,27 @@ def _transform_parts(grid, kind, repeats: int = 5) -> dict[str, float]:
 
 
 class _Counter:
-    """Counts and times calls of methods, those inside others only once."""
+    """Counts and times calls of methods that communicate with other ranks, those inside others only once.
+
+    sent: bytes that all-to-alls sent to other ranks.
+    """
 
     def __init__(self, kind, names):
-        self.count, self.seconds, self.inside = 0, 0.0, False
+        self.count, self.seconds, self.sent, self.inside = 0, 0.0, 0, False
         for name in names:
             setattr(kind, name, self.wrap(getattr(kind, name)))
 
     def wrap(self, method):
-        def counted(*arguments):
-            if self.inside:
-                return method(*arguments)
+        def counted(*arguments, **options):
+            alone = getattr(arguments[0], "peers", arguments[0].comm).size == 1
+            if self.inside or alone or not getattr(arguments[0], "partners", True):
+                return method(*arguments, **options)
+            if method.__name__ == "_alltoall":
+                _, (counts, _), _, kind = arguments
+                self.sent += int(counts.sum()) * kind.itemsize
             self.inside, began = True, time.perf_counter()
             try:
-                return method(*arguments)
+                return method(*arguments, **options)
             finally:
                 self.inside = False
                 self.count += 1
@@ -129,53 +141,46 @@ def constants(rows: list[dict]) -> dict[str, float]:
     big = max(one, key=lambda row: row["n"])
     points = big["n"] ** 2
     pair = sum(big[f"{part} float64"] for part in ("rows", "columns", "rows back"))
+    sent = [row for row in rows if row["exchanged"] and row["ranks"] > 1]
+    if not sent:
+        raise SystemExit("scaling: needs a run with --exchanged on several ranks, in which messages are counted")
+    most = max(sent, key=lambda row: (row["n"], row["ranks"]))
+    off = most["ranks"] / (most["ranks"] - 1)  # bytes if all went to other ranks, over those that did
     return {
         "n": big["n"],
         "transform": pair / points,
         "transforms": max(row["fine transforms"] for row in one),
         "other": max(0.0, big["solve"] - big["transforms"] * pair) / points,
-        "reductions": max(row["reductions"] for row in one),
-        "halos": max(row["halos"] for row in one),
+        "reductions": most["reductions"],
+        "halos": most["halos"],
+        "all-to-alls": most["all-to-alls"],
+        "bytes": off * most["bytes per solve"] * most["ranks"] / most["n"] ** 2,
     }
 
 
-def model(n: int, ranks: int, known: dict[str, float], collected: bool = False, network: dict = NETWORK) -> dict:
+def model(n: int, ranks: int, known: dict[str, float], network: dict = NETWORK) -> dict:
     """Seconds of the phases of one solve (certified error 1e-6) of n × n points on `ranks` cores.
 
-    Compute: measured seconds per point, over ranks.  All-to-all: two per transform, each rank's 8 n²/P bytes in double
-    precision through its share of its node's port, and P messages one after the other.  Reductions: 2 log₂ P messages.
-    Coarse grids: each a quarter of the one before, the same formulas, until they are thin; those are solved whole
-    by each rank, unless `collected`: then on n / THIN_ROWS ranks.
+    Measured here: seconds per point of transforms and of all else on one core; bytes, all-to-alls, reductions and halos
+    of a whole solve, counted.  Assumed: the network; that contact is spread evenly; that coarser grids are
+    solved in half the transforms, one after the other on as many ranks as `holders` says, of which rank 0 has most.
+    All-to-alls send one message to each other node and share its port; reductions take 2 log₂ P messages, halos two.
     """
-    phases = dict.fromkeys(("transforms", "vectors", "all-to-all", "latency", "coarse grids"), 0.0)
-    level, share = n, ranks
-    while level > 32:
-        thin = level < n and (level < THIN_ROWS * ranks or level <= 256)
-        if thin:
-            share = max(1, min(ranks, level // THIN_ROWS)) if collected else 1
-        # Coarse grids are solved to 1e-2, in half the transforms.
-        count = known["transforms"] * (1.0 if level == n else 0.5)
-        found = _one_level(level, min(share, ranks), count, known, network)
-        for name, seconds in found.items():
-            phases["coarse grids" if level < n else name] += seconds
-        level //= 2
-    return phases
-
-
-def _one_level(n: int, ranks: int, transforms: float, known: dict, network: dict) -> dict[str, float]:
-    points = n * n / ranks
-    fraction = transforms / known["transforms"]
+    phases = dict.fromkeys(PHASES, 0.0)
+    for level, share in enumerate(largest_shares((n, n), ranks)):
+        part = 1.0 if level == 0 else 0.5
+        transforms = part * known["transforms"] * known["transform"] * share
+        vectors = part * known["other"] * share
+        phases["coarse grids" if level else "transforms"] += transforms
+        phases["coarse grids" if level else "vectors"] += vectors
     on_node = min(ranks, network["cores"])
-    off_node = 1 - on_node / ranks  # of the bytes
+    nodes = -(-ranks // network["cores"])
     port = network["bandwidth"] / on_node
+    phases["all-to-all"] = known["bytes"] * n * n / ranks * (1 - on_node / ranks) / port
     steps = 2 * math.log2(ranks) if ranks > 1 else 0
-    return {
-        "transforms": transforms * known["transform"] * points,
-        "vectors": fraction * known["other"] * points,
-        "all-to-all": 2 * transforms * 8 * points * off_node / port,
-        "latency": network["latency"]
-        * (2 * transforms * (ranks - on_node) + fraction * (known["reductions"] * steps + 2 * known["halos"])),
-    }
+    messages = known["all-to-alls"] * (nodes - 1) + known["reductions"] * steps + 2 * known["halos"]
+    phases["latency"] = network["latency"] * messages
+    return phases
 
 
 def draw(rows: list[dict], folder: Path) -> None:
@@ -186,13 +191,10 @@ def draw(rows: list[dict], folder: Path) -> None:
     _write(folder / "scaling-measured.csv", rows)
     known = constants(rows)
     table = [
-        {"n": n, "ranks": ranks, "coarse": how} | model(n, ranks, known, how == "collected")
-        for n in MODEL_SIZES
-        for ranks in MODEL_RANKS
-        for how in ("as it is", "collected")
+        {"n": n, "ranks": ranks} | model(n, ranks, known) for n in MODEL_SIZES for ranks in MODEL_RANKS
     ]
     for row in table:
-        row["total"] = sum(row[name] for name in ("transforms", "vectors", "all-to-all", "latency", "coarse grids"))
+        row["total"] = sum(row[name] for name in PHASES)
     _write(folder / "scaling-model.csv", table)
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.7))
     for colour, n in zip(COLOURS, sorted({row["n"] for row in rows}), strict=False):
@@ -204,14 +206,12 @@ def draw(rows: list[dict], folder: Path) -> None:
                 label = f"{n}²" + ", messages" * exchanged
                 axes[0].loglog(*zip(*mine, strict=True), style, marker="o", color=colour, label=label)
     axes[0].set(xlabel="ranks", ylabel="seconds per solve", title="measured here")
-    names = ("transforms", "vectors", "all-to-all", "latency", "coarse grids")
-    for axis, how in zip(axes[1:], ("as it is", "collected"), strict=True):
-        mine = [row for row in table if row["n"] == MODEL_SIZES[-1] and row["coarse"] == how]
-        for colour, name in zip(COLOURS, names, strict=False):
+    for axis, n in zip(axes[1:], MODEL_SIZES[1:], strict=True):
+        mine = [row for row in table if row["n"] == n]
+        for colour, name in zip(COLOURS, PHASES, strict=False):
             axis.loglog(MODEL_RANKS, [max(row[name], 1e-4) for row in mine], color=colour, label=name)
         axis.loglog(MODEL_RANKS, [row["total"] for row in mine], "k", lw=2, label="total")
-        title = "coarse grids on every rank" if how == "as it is" else "coarse grids on fewer ranks"
-        axis.set(xlabel="ranks", ylabel="seconds per solve", title=f"model, {MODEL_SIZES[-1]}², {title}")
+        axis.set(xlabel="ranks", ylabel="seconds per solve", title=f"model, {n}²")
         axis.set_ylim(1e-2)
     axes[0].set_xticks(counts := sorted({row["ranks"] for row in rows}), counts, minor=False)
     axes[0].set_xticks([], minor=True)
@@ -230,10 +230,10 @@ def _verdict(table: list[dict], known: dict) -> str:
         f"{known['other'] * 1e9:.0f} ns per point for all else, {known['reductions']:.0f} reductions"
     ]
     for row in table:
-        phases = {name: row[name] for name in ("transforms", "vectors", "all-to-all", "latency", "coarse grids")}
+        phases = {name: row[name] for name in PHASES}
         worst = max(phases, key=phases.get)
         lines.append(
-            f"{row['n']:6}²  {row['ranks']:5} ranks, coarse grids {row['coarse']:9}: {row['total']:9.3g} s; "
+            f"{row['n']:6}²  {row['ranks']:5} ranks: {row['total']:9.3g} s; "
             f"{worst} takes {phases[worst] / row['total']:.0%}"
         )
     return "\n".join(lines)

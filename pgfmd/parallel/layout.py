@@ -76,6 +76,11 @@ class RowPlan:
                     self.receives.append((owner, at, at + stop - first))
             self.sends += (piece for piece in _askers(wanted[:, which], layout) if piece[0] != rank)
 
+    @property
+    def partners(self) -> set[int]:
+        """Other ranks with which this one exchanges rows."""
+        return {rank for rank, *_ in self.sends + self.receives}
+
     def fetch(
         self,
         source: np.ndarray,
