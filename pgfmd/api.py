@@ -284,8 +284,8 @@ def run(
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
-    >>> pgfmd.run({"grid": {"n": 32}, "surface": wave, "load": {"contact_area": 0.5}})[0]
-    load 0 of ...: mean_pressure 0.1354, contact_area 0.5312, mean_gap 0.1425
+    >>> pgfmd.run({"grid": {"n": 32}, "surface": wave, "load": {"mean_gap": 0.2}})[0]
+    load 0 of ...: mean_pressure 0.1151, contact_area 0.4688, mean_gap 0.2
     """
     comm = launched() if comm is None else comm
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
