@@ -15,7 +15,7 @@ from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
 WAITING_BYTES = 24.0  # per point of a grid that waits for a coarser one: heights, as given and scaled, and strips
-BASE_BYTES = 2.45e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+BASE_BYTES = 2.17e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / area of Persson's theory − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)

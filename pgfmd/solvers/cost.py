@@ -15,10 +15,12 @@ SCALED = 8.0  # heights about their mean, over their rms value
 # of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
 # for pressures the residual without means of blocks, tensions cut off and the response to that, with their halo (15).
 PER_PRESSURE, PER_GAP = 43.0, 28.0
-MESH = 5.0  # the mesh of half as many points each way (strips, field, influence), means over blocks, their response
-# Newton's pressure as its root, residual, direction, image, change, response (24), targets and their sums (34), rows of
-# the coarse grid (6): single precision where that serves.
-NEWTON = 64.0
+# The mesh of half as many points each way (strips, field, influence), means over blocks, their response (5); the rest
+# as measured.
+MESH = 12.0
+# Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse grid
+# (6): single precision where that serves.
+NEWTON = 55.0
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
 GAPS_FROM = 0.45  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 
