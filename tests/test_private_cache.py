@@ -159,16 +159,17 @@ event.register("numba:compile", Count())
 print("ready", flush=True)
 sys.stdin.readline()
 half, tiles, block = np.arange(32.0).reshape(4, 8), np.zeros((2, 5, 4)), np.zeros((4, 4))
-kernels.rows_to_tiles(half, 0, 8, 0, tiles)
+table = np.array([[0, 8, 0, 4]])
+kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, False)
 kernels.gather_columns(tiles, 4, 0, 4, block)
 kernels.scatter_columns(block, 4, 0, 4, tiles)
-kernels.tiles_to_rows(tiles, 0, half, 0, 8)
+kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
 print(*Count.names)
 """
 
 
-LOOPS = ("rows_to_tiles", "tiles_to_rows", "gather_columns", "scatter_columns", "_from_tile", "_to_tile")
+LOOPS = ("rows_and_tiles", "gather_columns", "scatter_columns", "_from_tile", "_to_tile")
 
 
 @pytest.mark.parametrize("count", [1, 3])
