@@ -18,8 +18,8 @@ PER_PRESSURE, PER_GAP = 43.0, 28.0
 # The mesh of half as many points each way (strips, field, influence), means over blocks, their response (5); the rest
 # as measured.
 MESH = 12.0
-# Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse grid
-# (6): single precision where that serves.
+# Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse
+# grid (6): single precision where that serves.
 NEWTON = 55.0
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
 GAPS_FROM = 0.45  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
