@@ -12,7 +12,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 small=1
 if [ "${1:-}" = --small ]; then small=8; shift; fi
 folder=${1:-results/paper$([ "$small" = 1 ] || echo -small)}
-jobs=${JOBS:-$(nproc)}
+jobs=${JOBS:-$(env -u OMP_NUM_THREADS nproc)} # nproc heeds that variable
 [ -n "${PYTHON:-}" ] || bash tools/setup.sh
 source tools/env.sh
 export OMP_NUM_THREADS=1
