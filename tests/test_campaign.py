@@ -14,7 +14,10 @@ if np.finfo(np.longdouble).eps > 1e-18:
     pytest.skip("the reference needs extended precision", allow_module_level=True)
 sys.path.insert(0, str(ROOT / "tools"))
 
-import campaign  # noqa: E402
+from campaigns import case as cases  # noqa: E402
+from campaigns import running  # noqa: E402
+from campaigns.drawing import draw  # noqa: E402
+from campaigns.shrinking import shrink  # noqa: E402
 
 SEED = 15
 
@@ -23,12 +26,12 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
     """What goes wrong in jobs of SEED on the ranks of comm, and how many end how.  Collective."""
     bad, verdicts = [], Counter()
     for number in numbers:
-        case = campaign.draw(SEED, number)
+        case = draw(SEED, number)
         case.way = "simulate" if case.way == "command" else case.way
-        verdict, detail = comm.bcast(campaign.run(case, folder / str(number), comm))
+        verdict, detail = comm.bcast(running.run(case, folder / str(number), comm))
         verdicts[verdict] += 1
-        if verdict in campaign.BAD:
-            bad.append(campaign.show(case, f"{verdict}: {detail}"))
+        if verdict in cases.BAD:
+            bad.append(cases.show(case, f"{verdict}: {detail}"))
     return bad, verdicts
 
 
@@ -38,14 +41,14 @@ def test_random_jobs(comm, shared_tmp_path):
     count = 300 if SIZE == 1 else 40
     bad, verdicts = bad_ones(comm, shared_tmp_path, range(count))
     assert not bad, f"{verdicts}\n" + "\n".join(bad[:3])
-    assert verdicts[campaign.RIGHT] > count / 2
+    assert verdicts[cases.RIGHT] > count / 2
 
 
 def test_a_job_is_the_same_whatever_was_drawn_before():
     """Its number and the seed make it."""
-    campaign.draw(SEED, 3)
-    one, two = campaign.draw(SEED, 7), campaign.draw(SEED, 7)
-    assert campaign.toml(one.document) == campaign.toml(two.document) != campaign.toml(campaign.draw(1, 7).document)
+    draw(SEED, 3)
+    one, two = draw(SEED, 7), draw(SEED, 7)
+    assert cases.toml(one.document) == cases.toml(two.document) != cases.toml(draw(1, 7).document)
 
 
 SOUND = {
@@ -78,16 +81,16 @@ SOUND = {
 def test_the_judge_sees_what_is_wrong(tmp_path, monkeypatch, spoil, said):
     """An answer that is spoilt on purpose is called wrong; a sound one is not."""
     heights = np.random.default_rng(1).standard_normal((6, 5))
-    case = campaign.Case(0, SOUND | {"solver": {"tolerance": 1e-10}}, heights, "simulate")
-    judge = campaign.judge
+    case = cases.Case(0, SOUND | {"solver": {"tolerance": 1e-10}}, heights, "simulate")
+    judge = running.judge
 
     def spoilt(job, heights, answers):
         spoil(answers[0])
         return judge(job, heights, answers)
 
-    monkeypatch.setattr(campaign, "judge", spoilt)
-    verdict, detail = campaign.run(case, tmp_path / "case")
-    assert verdict == (campaign.WRONG if said else campaign.RIGHT), detail
+    monkeypatch.setattr(running, "judge", spoilt)
+    verdict, detail = running.run(case, tmp_path / "case")
+    assert verdict == (cases.WRONG if said else cases.RIGHT), detail
     assert any(words in detail for words in said.split("|"))
 
 
@@ -102,10 +105,10 @@ def test_a_minimal_job_is_found(tmp_path, monkeypatch):
     }
     heights = np.random.default_rng(1).standard_normal((6, 5))
     monkeypatch.setattr(
-        campaign, "judge", lambda job, *_: ("wrong", "ζ") if job["wall"].get("zeta") == 0.3 else ("right", "")
+        running, "judge", lambda job, *_: ("wrong", "ζ") if job["wall"].get("zeta") == 0.3 else ("right", "")
     )
-    case = campaign.Case(0, document, heights, "simulate")
-    small, said = campaign.shrink(case, *campaign.run(case, tmp_path / "case"), tmp_path)
+    case = cases.Case(0, document, heights, "simulate")
+    small, said = shrink(case, *running.run(case, tmp_path / "case"), tmp_path)
     assert said == "ζ" and small.document["wall"]["zeta"] == 0.3 and "sigma_ref" not in small.document["wall"]
     assert not {"solver", "run", "solid"} & set(small.document) and small.document["load"] == {"pressure": [0.2]}
     assert small.heights.size < heights.size

@@ -1,0 +1,272 @@
+"""Random jobs over all keys, walls, solids, controls and units."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+from campaigns.case import Case
+
+LARGEST_SIDE = 24
+
+
+def draw(seed: int, number: int) -> Case:
+    """The job of that number; the same whatever was drawn before."""
+    chance = np.random.default_rng([seed, number])
+    shape = [_side(chance), _side(chance)]
+    if max(shape) < 2:
+        shape[chance.integers(2)] = 2
+    if chance.random() < 0.4:
+        shape[1] = shape[0] = max(shape)
+    length_unit, modulus = 10.0 ** _exponent(chance), 10.0 ** _exponent(chance)
+    spacing = length_unit * np.ones(2)
+    if chance.random() < 0.3:
+        spacing = spacing * 10 ** chance.uniform(-1, 1, 2)
+    document = {"grid": _grid(chance, shape, spacing), "solid": _solid(chance, modulus, shape, spacing)}
+    steepness = 10 ** (chance.uniform(-3, 1) if chance.random() < 0.9 else chance.uniform(-60, 60))
+    size = float(steepness * min(spacing))  # typical height between neighbours
+    surface, heights = _surface(chance, shape, spacing, size, steepness)
+    document["surface"] = surface
+    if heights is not None and heights.size:
+        with np.errstate(all="ignore"):
+            size = float(np.std(heights) or size)
+    law = _wall(chance, size)
+    if law:
+        document["wall"] = law
+    stress = modulus * size / float(min(spacing))
+    document["load"] = _load(chance, stress, size, shape, law)
+    document["solver"] = _solver(chance, law)
+    document["output"] = _output(chance, shape, spacing)
+    if chance.random() < 0.2:
+        document["run"] = {"checkpoint_interval": [0.0, math.inf, 60.0][chance.integers(3)]}
+    for name in [name for name, table in document.items() if not table]:
+        del document[name]
+    spoilt = bool(chance.random() < 0.12)
+    if spoilt:
+        spoil(chance, document)
+    way = chance.choice(["solve", "simulate", "command"], p=[0.35, 0.645, 0.005])
+    if way == "solve" and not _solvable(document, spoilt):
+        way = "simulate"
+    return Case(number, document, heights, str(way), spoilt)
+
+
+def _side(chance) -> int:
+    return int(chance.integers(*((1, 9), (9, 17), (17, LARGEST_SIDE + 1))[chance.choice(3, p=[0.6, 0.3, 0.1])]))
+
+
+def _exponent(chance) -> float:
+    """Of a unit: often none, often that of SI, at times absurd."""
+    return float(chance.choice([0.0, chance.uniform(-12, 12), chance.uniform(-100, 100)], p=[0.4, 0.4, 0.2]))
+
+
+def _grid(chance, shape, spacing) -> dict:
+    table = {"n": shape[0] if shape[0] == shape[1] and chance.random() < 0.5 else shape}
+    way = chance.integers(2)
+    if way == 0:
+        table["spacing"] = [float(value) for value in spacing]
+    else:
+        table["length"] = [float(n * value) for n, value in zip(shape, spacing, strict=True)]
+    return table
+
+
+def _solid(chance, modulus: float, shape, spacing) -> dict:
+    poisson = float(chance.choice([chance.uniform(-0.9, 0.49), 0.25, 0.0, 0.4999], p=[0.5, 0.3, 0.1, 0.1]))
+    way = chance.integers(4)
+    if way == 0:
+        table = {"contact_modulus": modulus, "poisson": poisson}
+    elif way == 1:
+        table = {"young": modulus * (1 - poisson**2), "poisson": poisson}
+    elif way == 2:
+        mu = modulus * (1 - poisson) / 2
+        table = {"lame_lambda": 2 * mu * poisson / (1 - 2 * poisson), "lame_mu": mu}
+    else:
+        table = {"contact_modulus": modulus}
+    if chance.random() < 0.4:
+        cell = float(max(n * value for n, value in zip(shape, spacing, strict=True)))
+        power = chance.uniform(-3, 1.5) if chance.random() < 0.8 else chance.uniform(-20, 20)
+        table["thickness"] = cell * 10**power
+        table["base"] = str(chance.choice(["bonded", "free", "sliding"]))
+        if "poisson" not in table and way == 3 and chance.random() < 0.8:
+            table["poisson"] = poisson
+    return table
+
+
+def _surface(chance, shape, spacing, size: float, steepness: float) -> tuple[dict, np.ndarray | None]:
+    kind = chance.choice(["file", "self-affine", "sinusoid", "paraboloid"], p=[0.45, 0.3, 0.15, 0.1])
+    if kind == "self-affine":
+        longest = max(n * value for n, value in zip(shape, spacing, strict=True)) / min(spacing)
+        table = {
+            "kind": "self-affine",
+            "hurst": float(chance.uniform(0, 1)),
+            "lambda_s": float(chance.choice([1.0, min(2.0, longest), chance.uniform(0.5, longest)])),
+            "rms_slope": float(steepness),
+        }
+        if chance.random() < 0.5:
+            table["seed"] = int(chance.integers(0, 2**63 - 1))
+        if chance.random() < 0.2:
+            table["lambda_l"] = float(chance.uniform(table["lambda_s"], longest))
+            if chance.random() < 0.5:
+                table["lambda_r"] = float(chance.choice([longest, math.inf]))
+        return table, None
+    if kind == "sinusoid":
+        table = {"kind": "sinusoid", "amplitude": float(size * chance.choice([1, -1]))}
+        if chance.random() < 0.5:
+            table["waves"] = int(chance.integers(1, max(2, min(shape) // 2 + 1)))
+        if chance.random() < 0.5:
+            table["two_dimensional"] = bool(chance.random() < 0.7)
+        return table, None
+    if kind == "paraboloid":
+        return {"kind": "paraboloid", "radius": float(min(spacing) / steepness)}, None
+    table = {"kind": "file", "path": "heights.npy"}
+    heights = draw_heights(chance, shape) * size
+    if chance.random() < 0.15:
+        table["detrend"] = str(chance.choice(["none", "mean", "plane"]))
+    if chance.random() < 0.1:
+        table["periodic"] = str(chance.choice(["as-is", "taper"]))
+    if chance.random() < 0.15:
+        table["height_scale"] = float(chance.choice([-1.0, 2.0, 1e-3]))
+    return table, heights
+
+
+def draw_heights(chance, shape) -> np.ndarray:
+    """An odd surface of heights of order 1."""
+    noise = chance.standard_normal(shape)
+    way = chance.integers(10)
+    if way == 0:  # plateaus
+        return np.round(noise)
+    if way == 1:  # pillars
+        return (noise > 0.7).astype(float)
+    if way == 2:  # spikes that differ in their last digits
+        spikes = np.zeros(shape)
+        for _ in range(int(chance.integers(1, 5))):
+            spikes[chance.integers(shape[0]), chance.integers(shape[1])] = 1 + 10.0 ** -chance.integers(1, 17)
+        return spikes
+    if way == 3:  # far from zero
+        return noise + 10 ** chance.uniform(0, 9)
+    if way == 4:  # heights of all sizes
+        return noise * 10 ** chance.uniform(-8, 0, shape)
+    if way == 5:  # flat, but for a hole or nothing
+        flat = np.zeros(shape)
+        flat[chance.integers(shape[0]), chance.integers(shape[1])] = -chance.integers(2)
+        return flat
+    if way == 6:  # a step
+        return np.repeat(np.sign(chance.standard_normal((shape[0], 1))), shape[1], 1)
+    if way == 7:  # single precision
+        return noise.astype(np.float32).astype(float)
+    return noise
+
+
+def _wall(chance, size: float) -> dict:
+    if chance.random() < 0.65:
+        return {} if chance.random() < 0.8 else {"kind": "hard"}
+    tail = chance.random() < 0.1
+    table = {"kind": "exponential", "zeta": size * 10 ** (chance.uniform(-100, 100) if tail else chance.uniform(-4, 3))}
+    if chance.random() < 0.3:
+        table["sigma_ref"] = 10.0 ** float(chance.uniform(-30, 30))
+    return table
+
+
+def _load(chance, stress: float, size: float, shape, wall: dict) -> dict:
+    control = str(chance.choice(["pressure", "contact_area", "mean_gap", "displacement"], p=[0.55, 0.15, 0.15, 0.15]))
+    count = int(chance.choice([1, 2, 3], p=[0.7, 0.2, 0.1]))
+    targets = []
+    for _ in range(count):
+        way = chance.random()
+        if control == "pressure":
+            powers = ((-3, 0.7), (-14, 3), (-100, 20))[0 if way < 0.6 else 1 if way < 0.85 else 2]
+            value = stress * 10 ** chance.uniform(*powers)
+            if way > 0.97:
+                value = float(chance.choice([0.0, 1e-300, 1e300, 1e-100 * stress]))
+        elif control == "contact_area":
+            value = chance.uniform(0, 1) if way < 0.7 else 10 ** chance.uniform(-6, 0)
+            if way > 0.9:
+                value = chance.integers(1, shape[0] * shape[1] + 1) / (shape[0] * shape[1]) * (1 - 1e-3)
+        else:
+            value = size * (chance.uniform(0.01, 3) if way < 0.7 else 10 ** chance.uniform(-8, 1))
+            if way > 0.9:
+                value *= -1 if chance.random() < 0.5 else 10 ** chance.uniform(0, 40)
+        targets.append(float(value))
+    table = {control: targets[0] if count == 1 and chance.random() < 0.5 else targets}
+    if chance.random() < 0.15:
+        name = "area_tolerance" if control == "contact_area" else "gap_tolerance"
+        table[name] = 10.0 ** float(chance.uniform(-8, -0.5))
+    return table
+
+
+def _solver(chance, wall: dict) -> dict:
+    table = {}
+    way = chance.random()
+    if way > 0.4:
+        table["tolerance"] = 10.0 ** float(chance.uniform(-12, -1) if way < 0.9 else chance.uniform(-17, -12))
+    way = chance.random()
+    if way > 0.7:
+        own = "newton" if wall.get("kind") == "exponential" else "active-set"
+        table["method"] = str(chance.choice(["auto", own, "gfmd"], p=[0.3, 0.4, 0.3]))
+        if table["method"] == "gfmd" and chance.random() < 0.8:
+            table["max_iterations"] = int(10 ** chance.uniform(0, 3.5))
+    return table
+
+
+OBSERVABLES = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
+
+
+def _output(chance, shape, spacing) -> dict:
+    table = {"fields": ["height", "pressure", "gap"] + ["displacement", "labels"] * int(chance.random() < 0.15)}
+    if chance.random() < 0.05:
+        table["precision"] = "float32"
+    if chance.random() < 0.25:
+        table["observables"] = [str(name) for name in chance.permutation(OBSERVABLES)[: chance.integers(0, 7)]]
+        for name in ("spectra", "acf"):
+            if chance.random() < 0.3:
+                table[name] = {"spacing": str(chance.choice(["log", "linear"])), "bins": int(chance.integers(1, 60))}
+        if chance.random() < 0.3:
+            table["histogram"] = {"bins": int(chance.integers(1, 300))}
+        if chance.random() < 0.3:
+            table["patches"] = {"connectivity": int(chance.choice([4, 8]))}
+        if chance.random() < 0.3:
+            cell = max(n * value for n, value in zip(shape, spacing, strict=True))
+            table["lowpass"] = {"q": [float(2 * np.pi / cell * 10 ** chance.uniform(-1, 2))]}
+    return table
+
+
+NASTY = (
+    math.nan, math.inf, -math.inf, -1.0, 0.0, -0.0, 1e-300, 1e300, 5e-324, 1, -1, 0, True, False, "", "x", "\u202e", [],
+    [1.0, 2.0, 3.0], [[1.0]], {}, {"a": 1}, 2**40, -(2**70), 2**64, 1.5, "hard", "exponential", "gfmd", "nan",
+)  # fmt: skip
+
+
+def spoil(chance, document: dict) -> None:
+    """Change a job in place: a value replaced, a key lost, doubled or misspelt."""
+    for _ in range(int(chance.integers(1, 3))):
+        section = str(chance.choice(sorted(document)))
+        table = document[section]
+        if not isinstance(table, dict) or not table:
+            continue
+        name = str(chance.choice(sorted(table)))
+        way = chance.integers(6)
+        if way <= 3:
+            table[name] = copy.deepcopy(NASTY[chance.integers(len(NASTY))])
+        elif way == 4:
+            del table[name]
+        else:
+            table[name + "x"] = table.pop(name)
+    try:  # too large to be tried on a small machine, too small to be refused
+        points = np.prod(np.atleast_1d(document["grid"]["n"]).astype(float))
+        if 1e5 < points < 1e15:
+            document["grid"]["n"] = 4
+    except (KeyError, TypeError, ValueError):
+        pass
+
+
+def _solvable(document: dict, spoilt: bool) -> bool:
+    """Whether `pgfmd.solve` knows all that the job says."""
+    load, wall = document.get("load"), document.get("wall", {})
+    return (
+        not spoilt
+        and document["surface"].get("kind") == "file"
+        and not set(document["surface"]) & {"detrend", "periodic", "height_scale"}
+        and isinstance(load.get("pressure"), float)
+        and "sigma_ref" not in wall
+        and "contact_modulus" in document["solid"]
+    )

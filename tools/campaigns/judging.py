@@ -1,0 +1,165 @@
+"""Whether answers are right, from the slow reference (tests/reference.py)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import reference
+from campaigns.case import RIGHT, UNJUDGED, WRONG
+
+AREA_PIXEL = 1.0  # pixels by which an area may miss, whatever area_tolerance says: README
+JUMP = 1e-4  # relative width of the loads across which an area jumps
+ROUNDING = 1e-12  # of sums over the grid, relative to their largest terms
+FLOOR = 1e-30  # relative energy error of a double's last digit
+
+
+@dataclass
+class Answer:
+    """One load as pgfmd answers it; fields (nx, ny)."""
+
+    mean_pressure: float
+    contact_area: float
+    mean_gap: float
+    elastic_energy: float
+    certified_error: float
+    pressure: np.ndarray
+    gap: np.ndarray
+    target: float | None = None
+
+
+def judge(job: dict, heights: np.ndarray | None, answers: list[Answer]) -> tuple[str, str]:
+    """(verdict, what is wrong) of the answers to an effective job."""
+    control = next(name for name in reference.CONTROLS if name in job["load"])
+    if heights is None or answers[0].pressure is None or job.get("output", {}).get("precision") == "float32":
+        for answer in answers:
+            values = [getattr(answer, name) for name in ("mean_pressure", "mean_gap", "elastic_energy")]
+            if not all(map(math.isfinite, values)) or not 0 <= answer.certified_error <= job["solver"]["tolerance"]:
+                return WRONG, f"numbers {values}, certified {answer.certified_error}"
+        return UNJUDGED, "fields that are needed were not asked for"
+    if wrong := wrong_heights(job, heights):
+        return WRONG, wrong
+    solid = job["solid"]
+    n = job["grid"]["n"]
+    steps = job["grid"].get("spacing") or [a / count for a, count in zip(job["grid"].get("length", n), n, strict=True)]
+    slab = reference.Solid(solid["contact_modulus"], solid["thickness"], solid["base"], solid.get("poisson", 0.25))
+    contact = reference.Contact(heights, tuple(steps), slab)
+    for answer in answers:
+        if wrong := wrong_answer(contact, job, control, answer):
+            return WRONG, f"{control} = {answer.target:g}: {wrong}"
+    return RIGHT, ""
+
+
+def wrong_heights(job: dict, heights: np.ndarray) -> str:
+    """What is wrong with heights of the kinds that have a formula."""
+    surface, n = job["surface"], job["grid"]["n"]
+    x, y = (np.arange(count)[:, None] / count for count in n)
+    if surface["kind"] == "sinusoid":
+        waves = surface.get("waves", 1)
+        expected = surface["amplitude"] * np.cos(2 * np.pi * waves * x) * np.ones(n[1])
+        if surface.get("two_dimensional"):
+            expected = expected * np.cos(2 * np.pi * waves * y.T)
+    elif surface["kind"] == "paraboloid":
+        lengths = job["grid"].get("length") or [
+            a * count for a, count in zip(job["grid"].get("spacing", (1, 1)), n, strict=True)
+        ]
+        expected = -((lengths[0] * (x - 0.5)) ** 2 + (lengths[1] * (y.T - 0.5)) ** 2) / (2 * surface["radius"])
+    else:
+        return ""
+    size = np.abs(expected).max()
+    apart = np.abs(heights - expected).max()
+    return f"heights are {apart / size:.1e} off" if apart > 1e-13 * size else ""
+
+
+def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: Answer) -> str:
+    """What is wrong with one answer; empty if nothing is."""
+    pressure, gap, load = answer.pressure, answer.gap, answer.mean_pressure
+    zeta = job["wall"].get("zeta")
+    numbers = (load, answer.mean_gap, answer.elastic_energy, answer.certified_error)
+    if not (np.isfinite(pressure).all() and np.isfinite(gap).all() and all(map(math.isfinite, numbers))):
+        return f"not finite: {numbers}"
+    if not 0 <= answer.certified_error <= job["solver"]["tolerance"]:
+        return f"certified error {answer.certified_error:.3g} for a tolerance of {job['solver']['tolerance']:.3g}"
+    if pressure.min() < 0 or abs(float(np.mean(pressure.astype(reference.Real)) / (load or 1) - (load > 0))) > ROUNDING:
+        return "the load is not carried, or there is tension"
+    if zeta is None and (gap.min() < 0 or np.any(gap[pressure > 0])):
+        return "a gap in contact, or overlap"
+    if zeta is None and abs(answer.contact_area - np.mean(pressure > 0)) > 1e-14:
+        return f"contact area {answer.contact_area}, of the field {np.mean(pressure > 0)}"
+    if control == "pressure" and abs(load / (answer.target or 1) - (answer.target != 0)) > 1e-15:
+        return f"mean pressure {load!r} instead of {answer.target!r}"
+    if load == 0:
+        wrong = np.abs(gap.ravel() + contact.heights).max() / (np.ptp(contact.heights) or 1)
+        return f"gap without load is {float(wrong):.1e} off" if wrong > 1e-14 else ""
+    try:
+        exact = contact.at(load, zeta, job["wall"].get("sigma_ref"))
+    except reference.Unable:
+        if contact.bound_of(pressure, zeta) > answer.certified_error * (1 + 1e-6) + FLOOR:
+            raise
+        return ""
+    return wrong_energy(exact, answer) or wrong_gap(exact, answer, zeta) or wrong_control(exact, job, control, answer)
+
+
+def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
+    """The true error, and the energy."""
+    error = exact.error_of(answer.pressure)
+    if answer.elastic_energy > 0:  # which it counts in, as reported
+        error *= exact.work / 2 / answer.elastic_energy
+    unsure = exact.bound + 2 * np.sqrt(abs(error) * exact.bound)
+    if error > answer.certified_error + unsure + FLOOR:
+        return f"certified {answer.certified_error:.3g}, true error {float(error):.3g}"
+    room = 2 * np.sqrt(2 * reference.Real(answer.certified_error)) + 2 * answer.certified_error + ROUNDING
+    energy = exact.work / 2
+    if abs(answer.elastic_energy - energy) > room * energy + 1e-323:
+        return f"elastic energy {answer.elastic_energy:.17g} instead of {float(energy):.17g}"
+    return ""
+
+
+def wrong_gap(exact: reference.Solved, answer: Answer, zeta) -> str:
+    """Gap and mean gap: a pressure that is wrong by d moves u = Gp anywhere by at most √(G₀₀) ‖d‖, ‖d‖² ≤ 2D, and the
+    level of contact, ⟨p, g⟩/P, by (D + ‖p‖ ‖d‖ + ‖d‖²)/P."""
+    contact, count = exact.contact, exact.contact.count
+    work = exact.scaled_work
+    bound = work * (reference.Real(answer.certified_error) + exact.bound)
+    apart = np.sqrt(2 * bound)
+    level = (bound + np.sqrt(work) * apart + 2 * bound) / count if zeta is None else apart
+    size = max(np.ptp(contact.heights), np.abs(exact.gap).max() if zeta else 0)
+    room = 1.5 * (apart + level) * exact.unit + 1e-13 * size + 4e-16 * (zeta or 0)  # a digit of p̄ moves gaps by ζ
+    largest = np.abs(answer.gap.ravel() - exact.gap).max()
+    if largest > room + (np.sqrt(2 * bound) * exact.unit if zeta is None else 0):
+        return f"gap off by {float(largest / size):.1e} of the height, allowed {float(room / size):.1e}"
+    if abs(answer.mean_gap - exact.mean_gap) > room:
+        off = abs(answer.mean_gap - exact.mean_gap)
+        return f"mean gap off by {float(off / size):.1e} of the height, allowed {float(room / size):.1e}"
+    if abs(answer.mean_gap - answer.gap.astype(reference.Real).mean()) > room:
+        return f"mean gap {answer.mean_gap!r}, mean of the gap {answer.gap.mean()!r}"
+    return ""
+
+
+def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answer) -> str:
+    """Whether what was imposed was reached, to the tolerance that is stated."""
+    if control == "pressure":
+        return ""
+    contact = exact.contact
+    if control == "contact_area":
+        room = max(job["load"].get("area_tolerance", 0.005) * answer.target, AREA_PIXEL / contact.count) * (1 + 1e-9)
+        if abs(answer.contact_area - answer.target) <= room:
+            return ""
+        sides = [contact.hard(answer.mean_pressure * (1 + sign * 3 * JUMP)) for sign in (-1, 1)]
+        low, high = (contact.measure(control, side) for side in sides)
+        if low <= answer.target <= high:
+            return ""
+        return f"area {answer.contact_area:.6g}; {low:.6g} and {high:.6g} at neighbouring loads"
+    measure = contact.measure(control, exact)
+    # load.gap_tolerance is relative to the approach from first contact or, if less, to the mean gap (or ζ, if more).
+    zeta = job["wall"].get("zeta", 0)
+    approach = abs(-contact.heights.mean() - exact.mean_gap)
+    if control == "displacement":
+        approach = abs(answer.target)
+    bounded = not zeta and (control == "mean_gap" or not contact.solid.mean_compliance)
+    size = max(min(approach, exact.mean_gap) if bounded else approach, zeta)
+    room = job["load"]["gap_tolerance"] * size * (1 + 1e-6) + 1e-13 * np.ptp(contact.heights)
+    if abs(measure - answer.target) > room:
+        return f"reached {float(measure):.9g}, {float((measure - answer.target) / contact.rms):.1e} rms heights off"
+    return ""
