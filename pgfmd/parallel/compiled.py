@@ -16,6 +16,7 @@ from typing import IO, Any
 
 import numba
 from numba.core import caching, event
+from numba.core.runtime.nrt import rtsys
 
 from pgfmd.parallel.private_cache import private_folder
 
@@ -48,14 +49,19 @@ class _SharedCache(caching.FunctionCache):
     _lock: IO | None = None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled code, or None if this process is to compile it."""
-        found = super().load_overload(sig, target_context)
+        """The compiled code, or None if this process is to compile it.
+
+        What numba can translate (`target_context.refresh`) is not read here, as numba does, but when something is to be
+        compiled: a quarter of a second of each start.
+        """
+        rtsys.initialize(target_context)  # the code itself needs it
+        found = self._load_overload(sig, target_context)
         if found is None and self._lock is None:
             with contextlib.suppress(OSError):
                 self._impl.locator.ensure_cache_path()
                 self._lock = open(Path(self.cache_path) / f"{self._impl.filename_base}.lock", "w")
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
-            found = super().load_overload(sig, target_context)
+            found = self._load_overload(sig, target_context)
             if found is not None:
                 self._release()
         return found

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import erfinv
 
 from pgfmd.errors import InputError, Unreachable
 from pgfmd.grid.callbacks import source
@@ -127,14 +127,14 @@ class ContactArea(Control):
 
     def guess(self, target: float) -> float:
         """Persson's theory: area = erf(p̄/√2 s).  Collective."""
-        return math.log(math.sqrt(2) * self.stress * erfinv(target))
+        return math.log(self.stress * _quantile(target))
 
     def distance(self, found: ContactSolution, target: float) -> float:
         """ln of the ratio of Persson's mean pressures for the area found and for the target: his theory is nearly
         right but for a factor on the load.  Collective.
         """
         area = min(max(self.area(found), 0.5 / self.grid.size), 1 - 0.5 / self.grid.size)
-        return math.log(erfinv(area) / erfinv(target))
+        return math.log(_quantile(area) / _quantile(target))
 
     def coarse(self, found: ContactSolution, target: float) -> bool:
         """Whether the area misses the target by more than `area_tolerance` of it.  Collective."""
@@ -260,3 +260,8 @@ CONTROLS: dict[str, type[Control]] = {
     "mean_gap": MeanGap,
     "displacement": Displacement,
 }
+
+
+def _quantile(area: float) -> float:
+    """x with area = erf(x/√2)."""
+    return NormalDist().inv_cdf((1 + area) / 2)

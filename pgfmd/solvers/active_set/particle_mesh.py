@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import erf
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import ColumnAction
@@ -52,7 +51,7 @@ class MeshResponse:
 
         def near(q: np.ndarray) -> np.ndarray:
             q = np.maximum(q, 1e-6 * alpha)  # finite at q = 0
-            return half_space(q) * erf(q / (2 * alpha))
+            return half_space(q) * np.vectorize(math.erf)(q / (2 * alpha))
 
         kernel = lattice_kernel(grid, near)
         self.stencil = Stencil(grid, kernel)
