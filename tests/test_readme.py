@@ -82,6 +82,18 @@ def test_every_key_says_what_it_means():
                 assert about and (example is not None or not needed), f"{kind.where}.{field.name}"
 
 
+def test_every_number_has_a_unit():
+    """A key whose value is a real number names its unit, one of those that the first lines explain; no other has one.
+    """
+    known = {"length", "pressure", "grid spacings", "1", "s", "radians per length"}
+    for kind in (kind for table in SECTIONS.values() for kind in sections(table)):
+        for field in dataclasses.fields(kind):
+            rule = field.metadata["rule"]
+            if isinstance(rule, Rule):
+                assert (field.metadata["unit"] in known) == ("a number" in rule.allowed), f"{kind.where}.{field.name}"
+    assert all(f"[{unit}]" in writer.UNITS for unit in ("length", "pressure", "grid spacings", "1"))
+
+
 def test_scripts_run(tmp_path):
     """The Python blocks run, one after another, on the results of a small run called as in the README."""
     job = tmp_path / "job.toml"

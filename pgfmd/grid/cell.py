@@ -21,8 +21,10 @@ class Cell(Section):
 
     where = "grid"
     n: tuple[int, int] = key(pair(integer(1)), about="points [nx, ny]; one number: both", needed=True, example=512)
-    length: tuple[float, float] | None = key(pair(POSITIVE), about="of the cell, [lx, ly]; or spacing")
-    spacing: tuple[float, float] | None = key(pair(POSITIVE), about="of the grid, [ax, ay]; 1 if neither is given")
+    length: tuple[float, float] | None = key(pair(POSITIVE), about="of the cell, [lx, ly]; or spacing", unit="length")
+    spacing: tuple[float, float] | None = key(
+        pair(POSITIVE), about="of the grid, [ax, ay]; 1 if neither is given", unit="length"
+    )
 
     def check(self) -> None:
         if max(self.n) < 2:

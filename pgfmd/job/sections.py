@@ -25,12 +25,12 @@ class Solid(Section):
     """
 
     where = "solid"
-    lame_lambda: float | None = key(number(), about="λ, with lame_mu")
-    lame_mu: float | None = key(POSITIVE, about="μ")
-    young: float | None = key(POSITIVE, about="E, with poisson")
-    poisson: float | None = key(number(above=-1, below=0.5), about="ν")
-    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)")
-    thickness: float = key(number(above=0, infinite=True), math.inf, "of a slab; inf is a half-space")
+    lame_lambda: float | None = key(number(), about="λ, with lame_mu", unit="pressure")
+    lame_mu: float | None = key(POSITIVE, about="μ", unit="pressure")
+    young: float | None = key(POSITIVE, about="E, with poisson", unit="pressure")
+    poisson: float | None = key(number(above=-1, below=0.5), about="ν", unit="1")
+    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)", unit="pressure")
+    thickness: float = key(number(above=0, infinite=True), math.inf, "of a slab; inf is a half-space", unit="length")
     base: str = key(
         choice("bonded", "free", "sliding"), "bonded", "slab's far face; free: under constant pressure, not held"
     )
@@ -93,6 +93,11 @@ class Run(Section):
 
     where = "run"
     checkpoint_interval: float = key(
-        number(low=0, infinite=True), 1800.0, "between checkpoints of an unfinished load; 0: each step; inf: none"
+        number(low=0, infinite=True),
+        1800.0,
+        "between checkpoints of an unfinished load; 0: each step; inf: none",
+        unit="s",
     )
-    time_limit: float = key(number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted")
+    time_limit: float = key(
+        number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted", unit="s"
+    )

@@ -48,7 +48,10 @@ class Lowpass(Observable):
     }
 
     q: tuple[float, ...] = key(
-        many(POSITIVE), (), "radians per length; empty: doubled from the cell's longest wave to the surface's shortest"
+        many(POSITIVE),
+        (),
+        "cut-offs; empty: doubled from the cell's longest wave to the surface's shortest",
+        unit="radians per length",
     )
 
     def cutoffs(self, cell: Cell, highest: float) -> np.ndarray:

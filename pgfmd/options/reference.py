@@ -12,12 +12,16 @@ from pgfmd.options.section import Kinds, Section
 from pgfmd.options.text import as_toml_value, guess
 
 WIDTH, COLUMN = 118, 34  # of a line; where comments begin
+UNITS = """\
+# The unit of a number stands in brackets. [length] and [pressure] are yours: any consistent set, such as m and Pa.
+# [grid spacings] are the shorter ones, where those along x and y differ; [1] is a pure number.
+"""
 Tables = Iterable[type[Section] | Kinds]
 
 
 def reference(tables: Tables) -> str:
     """A commented job with every table of every kind.  Keys that may be left out are commented out, unless `shown`."""
-    return "\n".join(block for table in tables for block in _blocks(table))
+    return "\n".join([UNITS, *(block for table in tables for block in _blocks(table))])
 
 
 def example(tables: Tables, *kinds: str) -> str:
@@ -30,7 +34,7 @@ def example(tables: Tables, *kinds: str) -> str:
     for kind in kinds:
         if kind not in known:
             raise InputError(f"kind {kind!r} is not known{guess(kind, list(dict.fromkeys(known)))}")
-    return "\n".join(block for table in tables for block in _blocks(_chosen(table, kinds)))
+    return "\n".join([UNITS, *(block for table in tables for block in _blocks(_chosen(table, kinds)))])
 
 
 def _chosen(table: type[Section] | Kinds, kinds: tuple[str, ...]) -> type[Section]:
@@ -50,7 +54,7 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
     for field in dataclasses.fields(table):
         rule = field.metadata["rule"]
         if isinstance(rule, Rule):
-            comment = " | ".join(part for part in (field.metadata["about"], rule.allowed) if part)
+            comment = f"{_in_brackets(field.metadata['unit'])}{field.metadata['about']} | {rule.allowed}"
             lines += _commented(_entry(field, field.name in table.shown), comment)
         else:
             inner += _blocks(rule)
@@ -66,6 +70,10 @@ def _entry(field: dataclasses.Field, shown: bool) -> str:
     if field.metadata["needed"] or shown:
         return f"{field.name} = {as_toml_value(given)}"
     return f"# {field.name} =" + ("" if value is None else f" {as_toml_value(value)}")
+
+
+def _in_brackets(unit: str) -> str:
+    return f"[{unit}] " if unit else ""
 
 
 def _commented(entry: str, comment: str) -> list[str]:

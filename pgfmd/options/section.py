@@ -21,15 +21,17 @@ def key(
     default: Any = None,
     about: str = "",
     *,
+    unit: str = "",
     needed: bool = False,
     example: Any = None,
 ) -> Any:
     """A dataclass field with its rule.
 
-    about: what the key means, for the reference.  needed: the key must be given; the reference shows the example.  Any
-    other key may be left out: it then has the default, and None stands for no value.
+    about: what the key means, for the reference.  unit: of a real number ("1": it has none), "" for other values.
+    needed: the key must be given; the reference shows the example.  Any other key may be left out: it then has the
+    default, and None stands for no value.
     """
-    metadata = {"rule": rule, "needed": needed, "about": about, "example": example}
+    metadata = {"rule": rule, "needed": needed, "about": about, "unit": unit, "example": example}
     if isinstance(rule, type):
         return dataclasses.field(default_factory=rule, metadata=metadata)
     if isinstance(rule, Kinds) and rule.default is not None:

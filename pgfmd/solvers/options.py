@@ -31,6 +31,7 @@ class Solver(Section):
         1e-8,
         "certified error of the energy over 2 E_el at which it stops; of second order, so that 1e-8 leaves an error of "
         "some 1e-3 ... 1e-4 of the pressure's rms value",
+        unit="1",
     )
     max_iterations: int | None = key(integer(1), about='time steps of "gfmd", 10000 if not given; others need no limit')
     transform: str = key(
@@ -55,26 +56,31 @@ class Load(Section):
 
     where: ClassVar[str] = "load"
     shown: ClassVar[tuple[str, ...]] = ("pressure",)
-    pressure: tuple[float, ...] | None = key(many(number(low=0), least=1), about="mean pressure", example=[0.01])
-    contact_area: tuple[float, ...] | None = key(
-        many(number(above=0, below=1), least=1), about="relative contact area", example=[0.01, 0.1]
+    pressure: tuple[float, ...] | None = key(
+        many(number(low=0), least=1), about="mean pressure", unit="pressure", example=[0.01]
     )
-    mean_gap: tuple[float, ...] | None = key(many(number(), least=1), about="mean gap")
+    contact_area: tuple[float, ...] | None = key(
+        many(number(above=0, below=1), least=1), about="relative contact area", unit="1", example=[0.01, 0.1]
+    )
+    mean_gap: tuple[float, ...] | None = key(many(number(), least=1), about="mean gap", unit="length")
     displacement: tuple[float, ...] | None = key(
         many(number(), least=1),
         about="approach of the solid's far side (half-space: of its mean plane) from where the flat solid touches the "
         "highest point",
+        unit="length",
     )
     area_tolerance: float = key(
         number(above=0, below=1),
         0.005,
         "relative, of contact_area: it is met to this or to one pixel; where the area jumps, on the nearer side",
+        unit="1",
     )
     gap_tolerance: float = key(
         number(above=0, below=1),
         1e-4,
         "of mean_gap and displacement, relative to the approach from first contact or to the mean gap, whichever is "
         "less, but at least to zeta",
+        unit="1",
     )
 
     def check(self) -> None:

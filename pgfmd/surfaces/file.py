@@ -57,7 +57,7 @@ class FromFile(Surface):
         choice("none", "mean", "plane", "quadratic"), "none", "subtract the mean, plane or paraboloid that fits best"
     )
     periodic: str = key(choice("as-is", "mirror", "taper"), "as-is", "how the periodic cell closes")
-    height_scale: float = key(number(), 1.0, "factor on the heights; negative turns them over")
+    height_scale: float = key(number(), 1.0, "factor on the heights; negative turns them over", unit="1")
 
     def check(self) -> None:
         if self.height_scale == 0:

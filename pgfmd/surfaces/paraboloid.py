@@ -20,7 +20,7 @@ class Paraboloid(Surface):
     """−r²/(2R) about the centre of the cell."""
 
     kind = "paraboloid"
-    radius: float = key(POSITIVE, about="R", needed=True, example=1000.0)
+    radius: float = key(POSITIVE, about="R", unit="length", needed=True, example=1000.0)
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         return paraboloid(grid, self.radius)

@@ -34,17 +34,24 @@ class SelfAffine(Surface):
     """
 
     kind = "self-affine"
-    hurst: float = key(number(low=0, high=1), None, "H of C ∝ q^(−2(1+H))", needed=True, example=0.8)
+    hurst: float = key(number(low=0, high=1), None, "H of C ∝ q^(−2(1+H))", unit="1", needed=True, example=0.8)
     lambda_s: float = key(
         POSITIVE,
         None,
         "shortest wavelength; not above a pixel's longer side (1): every mode, corners |q| ≤ √2 π/a included",
+        unit="grid spacings",
         needed=True,
         example=16.0,
     )
-    lambda_l: float | None = key(number(above=0, infinite=True), None, "longest wavelength; the cell if not given")
-    lambda_r: float | None = key(POSITIVE, None, "roll-off, from lambda_s to lambda_l; lambda_l if not given")
-    rms_slope: float = key(number(low=0), None, "√⟨|∇h|²⟩ = √Σ q²|h̃|², exact, spectral", needed=True, example=0.1)
+    lambda_l: float | None = key(
+        number(above=0, infinite=True), None, "longest wavelength; the cell if not given", unit="grid spacings"
+    )
+    lambda_r: float | None = key(
+        POSITIVE, None, "roll-off, from lambda_s to lambda_l; lambda_l if not given", unit="grid spacings"
+    )
+    rms_slope: float = key(
+        number(low=0), None, "√⟨|∇h|²⟩ = √Σ q²|h̃|², exact, spectral", unit="1", needed=True, example=0.1
+    )
     seed: int | tuple[int, ...] = key(seeds(), 1, SEED)
 
     def check(self) -> None:

@@ -21,7 +21,7 @@ class Sinusoid(Surface):
     """Δ cos(qx), or Δ cos(qx) cos(qy)."""
 
     kind = "sinusoid"
-    amplitude: float = key(number(), about="Δ", needed=True, example=1.0)
+    amplitude: float = key(number(), about="Δ", unit="length", needed=True, example=1.0)
     waves: int = key(integer(1), 1, "wavelengths in the cell")
     two_dimensional: bool = key(flag(), False, "true: Δ cos(qx) cos(qy)")
 

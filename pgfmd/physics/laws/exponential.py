@@ -36,8 +36,12 @@ class ExponentialWall(ContactLaw):
     methods: ClassVar[tuple[str, ...]] = ("newton", "gfmd")
     releases: ClassVar[bool] = False
 
-    zeta: float = key(POSITIVE, about="ζ, the length over which the pressure decays", needed=True, example=0.25)
-    sigma_ref: float | None = key(POSITIVE, about="pressure at gap 0; the contact modulus if not given")
+    zeta: float = key(
+        POSITIVE, about="ζ, over which the pressure decays", unit="length", needed=True, example=0.25
+    )
+    sigma_ref: float | None = key(
+        POSITIVE, about="pressure at gap 0; the contact modulus if not given", unit="pressure"
+    )
 
     @property
     def range(self) -> float:

@@ -25,7 +25,9 @@ class Hardness(HardWall):
     kind: ClassVar[str] = "hardness"
     methods: ClassVar[tuple[str, ...]] = ("active-set", "gfmd")
 
-    hardness: float = key(POSITIVE, about="σ_Y, the largest pressure that a point bears", needed=True, example=0.1)
+    hardness: float = key(
+        POSITIVE, about="σ_Y, the largest pressure that a point bears", unit="pressure", needed=True, example=0.1
+    )
 
     @property
     def highest(self) -> float:
