@@ -8,7 +8,7 @@ set -uo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cd "$root" || exit 1
-bash tools/setup.sh || exit 1
+bash tools/setup.sh test || exit 1
 source tools/env.sh
 export MPLBACKEND=Agg PYTHONFAULTHANDLER=1
 python=$root/.venv/bin/python

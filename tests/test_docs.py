@@ -7,8 +7,12 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from conftest import ROOT
+
+import pgfmd
+from pgfmd.io.results import Results
 
 PAGES = ROOT / "tools" / "docs" / "pages"
 TASKS = re.split(r"^## ", (PAGES / "tasks.md").read_text(), flags=re.MULTILINE)[1:]
@@ -18,10 +22,16 @@ LINES = 10
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Where the tasks are done, one after another, with the commands `pgfmd` and `python` of this installation."""
+    """Where blocks are done, one after another, with the commands `pgfmd` and `python` of this installation; `sbatch`
+    runs a script at once, on two ranks.
+    """
     folder = tmp_path_factory.mktemp("tasks")
-    for name, options in (("pgfmd", "-m pgfmd"), ("python", "")):
-        (folder / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {options} "$@"\n')
+    slurm = f'PYTHON="{sys.executable}" PGFMD_ROOT="{ROOT}" LAUNCH="mpirun -n 2"'
+    for name, text in (
+        ("pgfmd", f'exec "{sys.executable}" -m pgfmd "$@"'), ("python", f'exec "{sys.executable}" "$@"'),
+        ("sbatch", f'{slurm} exec bash "$@"'),
+    ):  # fmt: skip
+        (folder / name).write_text(f"#!/bin/sh\n{text}\n")
         (folder / name).chmod(0o755)
     return folder
 
@@ -49,9 +59,44 @@ def test_a_task_works_in_ten_lines(task, folder):
         do(language, text, folder)
 
 
+def test_the_tutorial_is_typed_as_it_stands(folder):
+    """Every command works, in its order; every file that is shown is there, and none is copied into the page."""
+    (folder / "jobs").symlink_to(ROOT / "jobs")
+    blocks = BLOCK.findall((PAGES / "tutorial.md").read_text())
+    shown = [found[1] for _, text in blocks if (found := re.fullmatch(r'--8<-- "(.+)"\n', text))]
+    assert len(shown) >= 5 and all((ROOT / name).is_file() for name in shown)
+    commands = [text for language, text in blocks if language == "sh"]
+    assert len(shown) + len(commands) == len(blocks)
+    for text in commands:
+        do("sh", text, folder)
+    assert Results(folder / "results" / "cluster").status == "complete"
+    assert len(Results(folder / "results" / "loads")) == 7
+
+
 def test_there_are_fifteen():
     """No task is lost."""
     assert len(TASKS) == 15
+
+
+def test_the_same_problem_in_three_programs():
+    """Where the other programs are installed, what the page on coming from them shows runs as it stands, and their
+    pressures are ours to what the page says, 3e-4 of their norm.
+    """
+    text = (PAGES / "coming.md").read_text()
+    rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 16.0, "rms_slope": 0.1}
+    heights = pgfmd.surface({"grid": {"n": 256}, "surface": rough})
+    answers = {"pgfmd": "contact.pressure", "tamaas": "model.traction", "ContactMechanics": "system.force"}
+    found = {}
+    for _, code in BLOCK.findall(text):
+        program = re.search(r"^(?:from|import) (\w+)", code, re.MULTILINE)[1]
+        pytest.importorskip(program)
+        names = {"heights": heights.copy()}
+        exec(code, names)
+        found[program] = np.array(eval(answers[program], names))
+    assert found.keys() == answers.keys()
+    ours = found.pop("pgfmd")
+    for program, pressure in found.items():
+        assert np.linalg.norm(pressure - ours) < 3e-4 * np.linalg.norm(ours), program
 
 
 def test_the_site_is_built_without_a_warning(tmp_path):

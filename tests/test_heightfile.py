@@ -393,7 +393,7 @@ def test_masked_heights_of_a_script(comm):
 
 @pytest.fixture
 def package():
-    return pytest.importorskip("SurfaceTopography", reason="tools/setup.sh surfaces")
+    return pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
 
 
 @pytest.mark.parametrize(("unit", "metre"), [("m", 1.0), ("nm", 1e9), ("µm", 1e6)])

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import SIZE
 
+from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="starts mpirun itself")
@@ -121,6 +122,49 @@ def changed(tmp_path, n: int, kills: int):
         assert found < SAME
         shutil.rmtree(folder)
     return seen
+
+
+def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
+    """Killed twice at random moments, restarted on other rank counts, then with seeds added: what was complete is kept
+    as it is (its seconds are those of the first time), and all seeds and their means are those of an undisturbed run.
+    """
+    seed = time.time_ns()
+    print(f"seed {seed}")  # shown if the test fails
+    chance = random.Random(seed)
+    job = launching.write_job(tmp_path / "job.toml", 128, lambda_s=8, pressures=[0.001, 0.002])
+    reference, folder, kept = tmp_path / "reference", tmp_path / "out", {}
+    every = ("--set", "surface.seed=1..8")
+    code, stderr = launching.wait(launching.start(2, "run", job, "--output", reference, *every), 900)
+    assert code == 0, stderr
+
+    def complete() -> dict[str, list[float]]:
+        """The seconds of the loads of each seed that is complete."""
+        runs = [Results(path.parent) for path in folder.glob("seed_*/observables.h5")]
+        return {run.directory.name: run.loads["seconds"].tolist() for run in runs if run.status == "complete"}
+
+    for least in (1, 3):
+        ranks = chance.choice([1, 2, 3])
+        run = launching.start(ranks, "run", job, "--output", folder, "--restart", "--set", "surface.seed=1..6")
+        while len(complete()) < least and run.poll() is None:
+            time.sleep(0.05)
+        time.sleep(chance.uniform(0, 0.5))
+        launching.kill(run, chance.choice(["one", "all"]), chance.choice)
+        code, stderr = launching.wait(run)
+        now = complete()
+        print(f"killed with {len(now)} seeds complete, exit code {code}")
+        assert len(now) >= least and kept.items() <= now.items(), stderr
+        assert code == 0 or Ensemble(folder).status == "interrupted"
+        kept = now
+    ranks = chance.choice([1, 2, 3])
+    code, stderr = launching.wait(launching.start(ranks, "run", job, "--output", folder, "--restart", *every), 900)
+    assert code == 0, stderr
+    found, expected = Ensemble(folder), Ensemble(reference)
+    assert found.status == "complete" and found.seeds == list(range(1, 9)) and kept.items() <= complete().items()
+    for mine, other in zip(found.runs, expected.runs, strict=True):
+        assert launching.distance(mine.directory, other.directory)[1] < SAME
+    for name in ("contact_area", "mean_gap"):
+        np.testing.assert_allclose(found.mean()[name], expected.mean()[name], rtol=1e-9)
+    assert not list(folder.glob("**/.*tmp")) and not list(folder.glob("**/checkpoint.h5"))
 
 
 def test_killed_replacements(tmp_path):

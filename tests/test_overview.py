@@ -208,7 +208,7 @@ def test_large_fields_lie_beside_the_page(runs, tmp_path, monkeypatch, small_til
 @pytest.fixture(scope="module")
 def window(tmp_path_factory):
     if browser.executable() is None:
-        pytest.skip("needs chromium: tools/setup.sh look")
+        pytest.skip("needs chromium: tools/setup.sh test")
     with browser.Browser(tmp_path_factory.mktemp("profile")) as found:
         yield found
     assert not found.complaints

@@ -59,8 +59,8 @@ def visited(file) -> dict[str, h5py.Dataset]:
 @pytest.fixture(params=["h5netcdf", "netcdf4"])
 def xarray(request):
     """xarray with one of its two readers of netCDF-4 as the default."""
-    found = pytest.importorskip("xarray", reason="tools/setup.sh look")
-    pytest.importorskip({"netcdf4": "netCDF4"}.get(request.param, request.param), reason="tools/setup.sh look")
+    found = pytest.importorskip("xarray", reason="tools/setup.sh test")
+    pytest.importorskip({"netcdf4": "netCDF4"}.get(request.param, request.param), reason="tools/setup.sh test")
     with found.set_options(netcdf_engine_order=[request.param]):
         yield found
 
@@ -100,7 +100,7 @@ def test_xarray_opens_every_group(run, xarray):
 
 def test_vtk_reads_images_in_time(run):
     """Points lie where the grid's are, whatever the order in memory; each step has its own fields."""
-    pytest.importorskip("vtkmodules", reason="tools/setup.sh look")
+    pytest.importorskip("vtkmodules", reason="tools/setup.sh test")
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOHDF import vtkHDFReader
 
@@ -139,7 +139,7 @@ def test_h5py_reads_every_dataset(run):
 
 def test_h5web_s_server_reads_every_dataset(run):
     """h5grove, behind h5web in JupyterLab: metadata and numbers of each dataset of fields.h5 and observables.h5."""
-    content = pytest.importorskip("h5grove.content", reason="tools/setup.sh look")
+    content = pytest.importorskip("h5grove.content", reason="tools/setup.sh test")
     for name in ("fields.h5", "observables.h5"):
         with h5py.File(run.directory / name, "r") as file:
             for key, dataset in visited(file).items():

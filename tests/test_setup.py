@@ -27,7 +27,7 @@ def _copy(folder):
     return root
 
 
-@pytest.mark.skipif(not (ROOT / ".venv" / ".ready" / "test").exists(), reason="this checkout was not set up")
+@pytest.mark.skipif(not (ROOT / ".venv" / ".ready" / "run").exists(), reason="this checkout was not set up")
 def test_nothing_to_do_is_quick_and_silent():
     """Where nothing changed, the set-up says nothing and ends within 5 s (0.3 s on an idle machine)."""
     first = _setup(ROOT)  # may have something to do, if a file was edited since

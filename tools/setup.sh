@@ -1,7 +1,11 @@
 #!/usr/bin/env bash
 # Makes .venv/ in this checkout, ready to run pgfmd: the one place of installation.
 #
-#   bash tools/setup.sh [bench] [surfaces] [look]      # with these extras of pyproject.toml; fft, plot, test are always there
+#   bash tools/setup.sh [test] [bench] [EXTRA …]
+#
+# Without a word: what runs jobs and draws figures.  EXTRA: of pyproject.toml, in addition.  test: what the tests need, among it programs that read results (VTK,
+# h5grove, netCDF4, a notebook's kernel) or instruments' files, that solve the same contacts (tamaas, ContactMechanics),
+# that build the documentation, and a browser.  bench: what jobs/benchmark.sh compares with; compiles for some minutes.
 #
 # Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
 # installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
@@ -52,7 +56,7 @@ print(digest.hexdigest())' "$root"
 
 ready() {
     local extra
-    for extra in test "$@"; do
+    for extra in run "$@"; do
         [ "$(cat "$stamps/$extra" 2>/dev/null)" = "$print" ] || return 1
     done
     [ -x "$venv/bin/python" ]
@@ -94,26 +98,34 @@ missing_packages() { # EXTRAS…
     fi
     case " $* " in *" bench "*) has_header Eigen/Core "${EIGEN3_INCLUDE_DIR:-/usr/include/eigen3}" c++ ||
         echo g++ libeigen3-dev ;; esac # aspher
-    case " $* " in *" look "*) # the page of `pgfmd plot overview` is tested in a browser
-        command -v chromium >/dev/null || command -v google-chrome >/dev/null || echo chromium ;; esac
+}
+
+debian_install() { # PACKAGES…: as root or by sudo without a password; fails where neither may be, or a package is not there
+    local sudo=""
+    [ "$(id -u)" = 0 ] || sudo="sudo -n"
+    command -v apt-get >/dev/null && { [ -z "$sudo" ] || $sudo true 2>/dev/null; } || return 1
+    say "installing Debian packages: $* (under a minute)"
+    $sudo apt-get -qq update >>"$log" 2>&1 </dev/null || true
+    $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends "$@" >>"$log" 2>&1 </dev/null
+}
+
+# The page of `pgfmd plot overview` is tested in a browser.
+browser() {
+    local name
+    for name in chromium chromium-browser google-chrome google-chrome-stable; do
+        command -v $name >/dev/null && return
+    done
+    debian_install chromium || say "no browser here: the tests of the overview page in one are skipped"
 }
 
 system_packages() { # EXTRAS…
-    local missing sudo=""
+    local missing
     missing=$(missing_packages "$@" | tr '\n' ' ')
     [ -n "$missing" ] || return 0
-    [ "$(id -u)" = 0 ] || sudo="sudo -n"
-    if command -v apt-get >/dev/null && { [ -z "$sudo" ] || $sudo true 2>/dev/null; }; then
-        say "installing Debian packages: $missing(under a minute)"
-        $sudo apt-get -qq update >>"$log" 2>&1 </dev/null || true
-        # shellcheck disable=SC2086  # a list of words
-        $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq install -y --no-install-recommends $missing \
-            >>"$log" 2>&1 </dev/null || tail -n 5 "$log" >&2
-        hash -r
-        missing=$(missing_packages "$@" | tr '\n' ' ')
-    fi
-    case "$missing" in *chromium*) say "no browser here: the test of the overview page is left out" ;; esac
-    missing=${missing/chromium /}
+    # shellcheck disable=SC2086  # a list of words
+    debian_install $missing || tail -n 5 "$log" >&2
+    hash -r
+    missing=$(missing_packages "$@" | tr '\n' ' ')
     case "$missing" in
         "" | libhdf5-*-dev\ ) ;;
         *) fail "missing on this system; install them, or load modules that bring the same (an MPI with mpicc, FFTW 3," \
@@ -151,22 +163,22 @@ wheel_folder() {
 
 newest() { compgen -G "$folder/$1-*.whl" | sort -V | tail -n 1; }
 
-# Into the wheel cache: all that pyproject.toml asks for, but what is compiled here.
-download() {
-    local names mark
+# Into the wheel cache: what pyproject.toml asks for with these extras, but what is compiled here.
+download() { # EXTRAS…
+    local names mark staging
     mapfile -t names < <("$python" -c '
 import sys, tomllib
 project = tomllib.load(open(sys.argv[1], "rb"))["project"]
 compiled = ("mpi4py-fft", "h5py") if sys.argv[2] else ("mpi4py-fft",)
-extras = project["optional-dependencies"]
-names = project["dependencies"] + extras["fft"] + extras["plot"] + extras["test"] + ["setuptools>=77"]
-print(*(name for name in names if not name.startswith(compiled)), sep="\n")' "$root/pyproject.toml" "$hdf5")
+names = project["dependencies"] + ["setuptools>=77"]
+names += [name for extra in sys.argv[3:] for name in project["optional-dependencies"][extra]]
+print(*(name for name in names if not name.startswith(compiled)), sep="\n")' "$root/pyproject.toml" "$hdf5" "$@")
     mark=$folder/complete-$(printf '%s\n' "${names[@]}" | sha256sum | cut -c 1-16)
     [ -e "$mark" ] && return
     say "downloading Python packages (under a minute, once on this machine)"
     rm -rf "$folder"/downloading.*
     staging=$(mktemp -d "$folder/downloading.XXXXXX")
-    quietly pip download -q --no-cache-dir --only-binary :all: --dest "$staging" "${names[@]}"
+    pip download -q --no-cache-dir --only-binary :all: --dest "$staging" "${names[@]}" >>"$log" 2>&1 </dev/null || return
     mv -f "$staging"/*.whl "$folder/"
     rmdir "$staging"
     touch "$mark"
@@ -195,10 +207,16 @@ compiled() {
 }
 
 python_packages() {
-    local fft h5py="" extra offline
+    local fft h5py="" extra offline extras=(fft plot) more=(docs look surfaces peers)
     folder=$(wheel_folder)
     mkdir -p "$folder"
-    download
+    case " $* " in *" test "*) extras+=(test) ;; *) more=() ;; esac
+    if [ ${#more[@]} != 0 ] && download "${extras[@]}" "${more[@]}"; then
+        extras+=("${more[@]}")
+    else
+        [ ${#more[@]} = 0 ] || say "some packages for tests are not to be had for this Python ($log): their tests are skipped"
+        download "${extras[@]}" || { tail -n 15 "$log" >&2; fail "packages could not be downloaded ($log)"; }
+    fi
     fft=$(compiled mpi4py-fft mpi4py_fft cc "under a minute") ||
         { tail -n 15 "$log" >&2; fail "mpi4py-fft did not compile ($log)"; }
     if [ -n "$hdf5" ]; then
@@ -211,7 +229,7 @@ python_packages() {
     # The compiled ones first and by force: pip would keep a serial h5py of the same version.
     offline=(pip install -q --no-compile --no-index --find-links "$folder" --find-links "$folder/serial")
     quietly "${offline[@]}" --force-reinstall --no-deps "$fft" ${h5py:+"$h5py"}
-    quietly "${offline[@]}" -e "${root}[fft,plot,test]"
+    quietly "${offline[@]}" -e "${root}[$(IFS=,; echo "${extras[*]}")]"
     for extra in "$@"; do
         [ "$extra" = test ] && continue
         say "installing the extra packages of '$extra' (bench compiles for some minutes)"
@@ -224,7 +242,7 @@ python_packages() {
 check_mpi() {
     local seen
     quietly env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c '
-import h5py, hypothesis, matplotlib.pyplot, mpi4py_fft, numba, pyfftw, pytest, scipy.optimize, scipy.special, tqdm'
+import h5py, matplotlib.pyplot, mpi4py_fft, numba, pyfftw, scipy.optimize, scipy.special, tqdm'
     seen=$(cd "$venv" && timeout 120 mpirun -n 2 "$venv/bin/python" -c '
 from mpi4py import MPI
 import mpi4py_fft, h5py
@@ -249,12 +267,13 @@ ready "$@" && exit 0
 mkdir -p "$venv" && : >"$log"
 rm -rf "$stamps"
 system_packages "$@"
+case " $* " in *" test "*) browser ;; esac
 hdf5=$(parallel_hdf5)
 make_venv
 python_packages "$@"
 check_mpi
 mkdir -p "$stamps"
-for extra in test "$@"; do
+for extra in run "$@"; do
     fingerprint >"$stamps/$extra"
 done
 say "ready: $venv ($("$venv/bin/python" -c 'import h5py; print("h5py " + h5py.__version__, "with MPI" if h5py.get_config().mpi else "without MPI")'))"

@@ -13,13 +13,23 @@ from pathlib import Path
 
 import h5py
 
+from pgfmd import __version__
 from pgfmd.errors import InputError
 from pgfmd.io import atomic, checksum
-from pgfmd.io.schema import CHECKPOINT_FILE, FIELDS_FILE, FIELDS_FOLDER, OBSERVABLES_FILE, VTK_FILE, load_name
+from pgfmd.io.schema import (
+    CHECKPOINT_FILE,
+    FIELDS_FILE,
+    FIELDS_FOLDER,
+    FORMAT_VERSION,
+    OBSERVABLES_FILE,
+    VTK_FILE,
+    load_name,
+)
 
 log = logging.getLogger("pgfmd")
 
 FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results that replace others use the one that those do not
+THIS_VERSION = f"{__version__}, format {FORMAT_VERSION}"
 _FIELD_FILE = re.compile(r"(height|load_\d{4,})\.h5")
 
 

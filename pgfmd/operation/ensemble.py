@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
-from pgfmd.io import ensemble, provenance
+from pgfmd.io import ensemble, provenance, restart
 from pgfmd.io.atomic import OutputFolder, sync_files
 from pgfmd.io.results import Results
-from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, member_name
+from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
 from pgfmd.job.job import Job, as_toml, differences, parse
 from pgfmd.operation import machine
 from pgfmd.operation.estimate import estimate, rank_groups
@@ -134,9 +134,12 @@ def _run_seeds(
             try:
                 interruptions.between_steps()
                 member, folder = job.of_seed(seed), path / member_name(seed)
-                anew = mode == "overwrite" or mode == "restart" and from_root(group, _is_stale, folder, member)
-                restart = mode == "restart" and not anew
-                simulate(member, group, folder, overwrite=anew, restart=restart, interruptions=interruptions)
+                found = from_root(group, _found, folder, member) if mode == "restart" else None
+                if found == "complete":
+                    continue
+                anew = mode == "overwrite" or found == "stale"
+                goes_on = mode == "restart" and not anew
+                simulate(member, group, folder, overwrite=anew, restart=goes_on, interruptions=interruptions)
                 written.append(folder)
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
@@ -160,11 +163,21 @@ def _run_seeds(
     return dict(sorted(everywhere.items())), next((reason for _, reason in found if reason), None)
 
 
-def _is_stale(folder: Path, job: Job) -> bool:
-    """Whether a folder holds results of another job: `--overwrite` was broken off before it came to them."""
+def _found(folder: Path, job: Job) -> str:
+    """What a folder holds for a job: "stale", results of another one (`--overwrite` was broken off before it came to
+    them); "complete", all that the job asks for, undamaged and by this version; or "", which `simulate` judges.
+    """
     with suppress(InputError):
-        return bool(differences(parse(Results(folder).provenance["effective_toml"], "results"), job))
-    return False
+        results = Results(folder)
+        if differences(parse(results.provenance["effective_toml"], "results"), job):
+            return "stale"
+        if results.status != "complete" or job.surface.files:  # files may have changed since
+            return ""
+        earlier, loads = restart.read(folder), map(load_name, range(len(job.load.targets)))
+        needed = {"height", *loads} if "height" in job.output.fields else set(loads)
+        whole = needed - {"height"} <= earlier.fields.keys() and not needed & earlier.damaged
+        return "complete" if whole and earlier.version == restart.THIS_VERSION else ""
+    return ""
 
 
 @contextmanager

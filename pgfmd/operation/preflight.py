@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from pgfmd import __version__
 from pgfmd.errors import InputError
 from pgfmd.io.provenance import Origin
-from pgfmd.io.restart import EarlierResults
-from pgfmd.io.schema import FORMAT_VERSION
+from pgfmd.io.restart import THIS_VERSION, EarlierResults
 from pgfmd.job.job import Job, differences, parse
 from pgfmd.options.text import printable
 
@@ -21,9 +19,8 @@ def refuse_changes(job: Job, origin: Origin, earlier: EarlierResults, directory:
     if earlier.job is None:
         return
     cannot = f"{directory}: cannot be continued"
-    this = f"{__version__}, format {FORMAT_VERSION}"
-    if earlier.version != this:
-        raise InputError(f"{cannot}: it was written by pgfmd {earlier.version}; this is {this}")
+    if earlier.version != THIS_VERSION:
+        raise InputError(f"{cannot}: it was written by pgfmd {earlier.version}; this is {THIS_VERSION}")
     before = parse(earlier.job, "results")
     if before.load.control == job.load.control and before.load.targets == job.load.targets[: len(before.load.targets)]:
         before = dataclasses.replace(before, load=before.load.imposing(job.load.targets))
