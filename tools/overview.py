@@ -21,7 +21,6 @@ from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet
 from reading import NEEDS as TESTS
 from reading import Load
 
-from pgfmd.options.text import printable
 from pgfmd.theory import persson
 
 CAPTION = """The rigid surface, lit from the side, and the pressure where it touches; the gap, on a scale that spreads
@@ -97,17 +96,15 @@ def _thinned(load: Load, blocks) -> np.ndarray:
 
 
 def _unit(load: Load, name: str) -> str:
-    """Unit of lengths or pressures; "" if the job does not name it."""
-    unit = printable(str(load.job.get("output", {}).get(f"{name}_unit", name)), 20).replace("$", "?")
-    return "" if unit == name else unit
+    """Unit of lengths or pressures, as text that is no formula; "" if it is not known."""
+    return load.unit(name).replace("$", "?")
 
 
 def _show(sheet: Sheet, panel: int, load: Load, values: np.ndarray, label: str | None = None, **style):
     """A field in a panel, x to the right and y upwards, with a bar of its colours if it has a label."""
     axes, (lx, ly), unit = sheet.panels[panel], load.results.lengths, _unit(load, "length")
     image = axes.imshow(values.T, origin="lower", extent=(0, lx, 0, ly), interpolation="nearest", **style)
-    name = unit or ("grid spacings" if max(load.steps) == 1 else "length")
-    axes.set(xlabel=f"x / {name}", ylabel=f"y / {name}")
+    axes.set(xlabel=f"x / {unit or 'length'}", ylabel=f"y / {unit or 'length'}")
     if label is not None:
         bar = axes.figure.colorbar(image, ax=axes, label=label, orientation="horizontal", pad=0.02, shrink=0.9)
         bar.ax.tick_params(which="both", top=False)
@@ -147,7 +144,7 @@ def draw_patches(sheet: Sheet, panel: int, load: Load):
     area = _thinned(load, ((slice(start, None), rows) for start, rows in zip(starts, areas(load, count), strict=True)))
     unit, point = _unit(load, "length"), float(np.prod(load.steps))
     norm = LogNorm(point, max(float(area.max()), 10 * point))
-    label = "area of the patch" + (f" / {unit}²" if unit else "")
+    label = "area of the patch" + (" / points" if unit == "grid spacings" else f" / {unit}²" if unit else "")
     _show(sheet, panel, load, np.ma.masked_where(area <= 0, area), label, cmap="cividis", norm=norm)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -90,7 +91,7 @@ def write_page(loads: Sequence[Load], output: Path, chosen: Sequence[int] | None
     point = math.prod(first.steps)
     data = {
         "title": first.folder, "subtitle": _subtitle(first), "shape": first.results.shape,
-        "lengths": first.results.lengths, "length_unit": _unit(first, "length"), "tile": pyramid.TILE,
+        "lengths": first.results.lengths, "length_unit": first.unit("length"), "tile": pyramid.TILE,
         "levels": pyramid.level_count(first.results.shape), "folder": FOLDER if outside and tiles else None,
         "maps": {view.colours: _colours(view.colours) for view in views}, "peak": peak,
         "fields": [{"key": view.key, "title": view.title, "unit": view.unit, "map": view.colours, "scale": view.scale,
@@ -131,9 +132,9 @@ def _some(loads: Sequence[Load], most: int) -> list[Load]:
 
 def _views(first: Load, shown: list[Load], folder: Path, notes: list[str]) -> Iterator[View]:
     """What there is to show, with its tiles written; notes: what is not shown, and why."""
-    length, pressure = _unit(first, "length"), _unit(first, "pressure")
+    length, pressure = first.unit("length"), first.unit("pressure")
     touching = first.law != "exponential"  # there, no point is free of pressure
-    square = f"{length}²" if length else ""
+    square = "points" if length == "grid spacings" else f"{length}²" if length else ""
     contact = "no contact" if touching else None
     views = (
         View("height", "Surface: height", length, "gray", each=False),
@@ -226,12 +227,6 @@ def _where(embedded: dict[str, list], outside: bool, tiles: bool) -> dict[str, s
     }  # fmt: skip
 
 
-def _unit(load: Load, name: str) -> str:
-    """Unit of lengths or pressures as the job names it; "" if it does not."""
-    unit = str(load.job.get("output", {}).get(f"{name}_unit", name))
-    return "" if unit == name else printable(unit, 20)
-
-
 def _colours(name: str) -> str:
     """256 colours, six hexadecimal digits each; ends that cannot be told from the paper or from black are cut off."""
     ends = {"gray": (0.12, 0.98), "inferno": (0.12, 0.97), "viridis": (0.0, 0.97), "cividis": (0.0, 1.0)}
@@ -240,7 +235,7 @@ def _colours(name: str) -> str:
 
 
 def _subtitle(load: Load) -> str:
-    (nx, ny), (lx, ly), unit = load.results.shape, load.results.lengths, _unit(load, "length")
+    (nx, ny), (lx, ly), unit = load.results.shape, load.results.lengths, load.unit("length")
     surface, wall = load.job["surface"], load.law
     size = f"{lx:g} × {ly:g} {unit}".strip()
     rough = ", ".join(f"{symbol} = {surface[key]:g}" for key, symbol in
@@ -252,7 +247,7 @@ def _subtitle(load: Load) -> str:
 
 def _name(load: Load) -> str:
     """A load in the list to choose from."""
-    unit = _unit(load, "pressure")
+    unit = load.unit("pressure")
     area = f", area {load.area:.3g}" if math.isfinite(load.area) else ""
     return f"{load.index}: p̄ = {load.mean_pressure:.3g}{f' {unit}' if unit else ''}{area}"
 
@@ -262,7 +257,7 @@ def _table(loads: Sequence[Load]) -> dict[str, list]:
     results = loads[0].results
     names = [name for name in COLUMNS if name in results.loads]
     columns = [{"name": "load", "unit": "", "about": "number of the load"}]
-    columns += [{"name": NAMES.get(name, name.replace("_", " ")), "unit": _plain(results.units[name]),
+    columns += [{"name": NAMES.get(name, name.replace("_", " ")), "unit": _plain(results.units[name], loads[0]),
                  "about": LOADS[name][1]} for name in names]  # fmt: skip
     rows = []
     for load in loads:
@@ -276,10 +271,14 @@ def _table(loads: Sequence[Load]) -> dict[str, list]:
     return {"columns": columns, "rows": rows}
 
 
-def _plain(unit: object) -> str:
-    """A unit as text; none where it is 1 or only the name of what is measured."""
+def _plain(unit: object, load: Load) -> str:
+    """A unit as text, with those of the job in place of "length" and "pressure"; none where it is 1 or not known."""
     text = printable(str(unit), 40)
-    return "" if text in ("1", "as asked") or {"length", "pressure"} & set(text.replace("*", " ").split()) else text
+    for name in ("length", "pressure"):
+        if re.search(rf"\b{name}\b", text) and not load.unit(name):
+            return ""
+        text = re.sub(rf"\b{name}\b", lambda _, name=name: load.unit(name), text)
+    return "" if text in ("1", "as asked") else text
 
 
 def _facts(load: Load) -> list[list[str]]:
@@ -322,7 +321,7 @@ def _curve(x: np.ndarray, y: np.ndarray, name: str, **style: object) -> dict:
 def _area_load(loads: Sequence[Load]) -> dict:
     """Contact area, or without a contact the mean gap, against the mean pressure."""
     x, area = (np.array([getattr(load, name) for load in loads]) for name in ("mean_pressure", "corrected_area"))
-    unit = _unit(loads[0], "pressure")
+    unit = loads[0].unit("pressure")
     label = "mean pressure" + (f" / {unit}" if unit else "")
     touched = (x > 0) & (area > 0)
     if not np.any(touched):

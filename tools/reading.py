@@ -55,6 +55,18 @@ class Load:
         """Names of the fields that were written, of the run and of this load."""
         return frozenset([*self.results.fields(), *self.results.fields(self.index)])
 
+    def unit(self, name: str) -> str:
+        """Unit of "length" or "pressure" as the job names it; else the grid spacing, or a modulus, that is 1 in the job;
+        "" if none is.
+        """
+        named = str(self.job.get("output", {}).get(f"{name}_unit", name))
+        if named != name:
+            return printable(named, 20)
+        if name == "length":
+            return "grid spacings" if set(self.steps) == {1.0} else ""
+        symbols = {"contact_modulus": "E′", "lame_mu": "μ", "young": "E"}
+        return next((symbol for key, symbol in symbols.items() if self.job["solid"].get(key) == 1.0), "")
+
     @property
     def folder(self) -> str:
         """Name of the result folder."""

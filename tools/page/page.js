@@ -357,7 +357,7 @@ class Panel {
       g.textAlign = "center";
     }
     const marks = field.scale === "log" ? logTicks(low, high, clamp(long / (60 * c), 2, 7))
-      : ticks(low, high, clamp(long / ((field.scale === "sqrt" ? 110 : 70) * c), 2, 6));
+      : ticks(low, high, clamp(long / ((field.scale === "sqrt" ? 60 : 45) * c), 2, 6));
     let free = left + (blank ? 66 * c : -1e9);
     g.beginPath();
     for (const v of marks.values) {
