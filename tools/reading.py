@@ -56,8 +56,8 @@ class Load:
         return frozenset([*self.results.fields(), *self.results.fields(self.index)])
 
     def unit(self, name: str) -> str:
-        """Unit of "length" or "pressure" as the job names it; else the grid spacing, or a modulus, that is 1 in the job;
-        "" if none is.
+        """Unit of "length" or "pressure" as the job names it; else the grid spacing, or a modulus, that is 1 in the
+        job; "" if none is.
         """
         named = str(self.job.get("output", {}).get(f"{name}_unit", name))
         if named != name:
