@@ -40,6 +40,20 @@ def test_jobs_are_valid(text):
         parse(text)
 
 
+def test_links_lead_somewhere():
+    """Every link to a file of this repository, or to a heading; tutorial and tasks on the first screen."""
+    links = re.findall(r"\]\(([^)\s]+)\)", README)
+    titles = re.findall(r"^#+ (.*)", README, re.MULTILINE)
+    headings = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+    for link in links:
+        if link.startswith("#"):
+            assert link[1:] in headings, link
+        elif not link.startswith("http"):
+            assert (ROOT / link.partition("#")[0]).exists(), link
+    first_screen = "\n".join(README.split("\n")[:24])
+    assert all(f"tools/docs/pages/{page}.md" in first_screen for page in ("tutorial", "tasks"))
+
+
 def test_there_are_jobs_and_commands():
     """The blocks are found."""
     assert len(blocks("toml")) >= 3 and len(commands()) >= 6 and len(blocks("python")) >= 2
