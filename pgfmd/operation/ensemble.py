@@ -134,10 +134,10 @@ def _run_seeds(
             try:
                 interruptions.between_steps()
                 member, folder = job.of_seed(seed), path / member_name(seed)
-                found = from_root(group, _found, folder, member) if mode == "restart" else None
-                if found == "complete":
+                there = from_root(group, _found, folder, member) if mode == "restart" else ""
+                if there == "complete":
                     continue
-                anew = mode == "overwrite" or found == "stale"
+                anew = mode == "overwrite" or there == "stale"
                 goes_on = mode == "restart" and not anew
                 simulate(member, group, folder, overwrite=anew, restart=goes_on, interruptions=interruptions)
                 written.append(folder)
