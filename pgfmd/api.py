@@ -18,7 +18,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results
-from pgfmd.job.job import Job, load, parse, toml_of
+from pgfmd.job.job import Job, load, parse, tables_as_toml
 from pgfmd.observables.contact import Contact
 from pgfmd.operation.progress import Progress, is_notebook
 from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
@@ -36,7 +36,7 @@ from pgfmd.simulate import run_job
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
-from pgfmd.solvers.solution import ContactSolution, State
+from pgfmd.solvers.solution import ContactSolution, SolverState
 
 Tables = Mapping[str, Mapping[str, Any]]
 """A job as nested tables: {"grid": {"n": 512}, …}."""
@@ -236,7 +236,7 @@ def _solve(
     bar = Progress(grid.comm.rank, 1, grid.shape, tolerance)
     bar.begin(label)
 
-    def see(level: SlabGrid, state: State) -> None:
+    def see(level: SlabGrid, state: SolverState) -> None:
         bar.step(level.shape, state.error, state.contact / level.size, grid.transforms - before)
 
     try:
@@ -299,7 +299,7 @@ def run(
 
 def _job(source: Tables | str | os.PathLike) -> Job:
     """The job in a file, or in tables, where relative paths count from the working directory.  Raises InputError."""
-    return parse(toml_of(source), folder=os.getcwd()) if isinstance(source, Mapping) else load(source)
+    return parse(tables_as_toml(source), folder=os.getcwd()) if isinstance(source, Mapping) else load(source)
 
 
 SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow

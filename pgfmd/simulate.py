@@ -28,12 +28,13 @@ from pgfmd.operation.estimate import estimate
 from pgfmd.operation.log_file import LogFile
 from pgfmd.operation.progress import Progress
 from pgfmd.operation.stop import Interruptions
+from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
-from pgfmd.solvers.solution import ContactSolution, State
+from pgfmd.solvers.solution import ContactSolution, SolverState
 
 log = logging.getLogger("pgfmd")
 PATIENCE = 5.0  # seconds whose loads one of many runs may lose if it is killed
@@ -66,7 +67,7 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases = _Phases()
-    memory = estimate(job, comm.size).memory
+    memory = from_root(comm, estimate, job, comm.size).memory  # may read the surface's table
     machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     output = job.output
@@ -88,7 +89,8 @@ def simulate(
             heights = job.surface.heights(grid, job.output.length_unit)
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
-        observer = Observer(problem, job.output.asked, job.surface.cutoff(job.grid))
+        cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
+        observer = Observer(problem, job.output.asked, cutoff)
         control = LoadControl(job.load, problem, job.solver.tolerance)
         control.check_targets(job.load.targets)
         checkpoints = Checkpoints(
@@ -183,7 +185,7 @@ class _Steps:
         finally:
             self.progress.hide()
 
-    def see(self, mean_pressure: float, grid: SlabGrid, state: State) -> None:
+    def see(self, mean_pressure: float, grid: SlabGrid, state: SolverState) -> None:
         """Monitors a solver's steps at that load, on the job's grid or a coarser one.  Collective over the ranks that
         hold `grid`.
         """
@@ -198,7 +200,7 @@ class _Steps:
         """The load is solved, not yet written.  Collective."""
         self.interruptions.between_steps(partial(self._save, solution.mean_pressure, solution))
 
-    def _save(self, mean_pressure: float, found: State | ContactSolution) -> None:
+    def _save(self, mean_pressure: float, found: SolverState | ContactSolution) -> None:
         """A checkpoint of a state's or solution's pressure, from the solver's units to the job's.  Collective."""
         pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)

@@ -1,14 +1,17 @@
 """Active-set steps that lower the energy each time: right where the larger steps go round in circles, and anywhere."""
 
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from reference import Contact, Solid
 
-from pgfmd.errors import Uncertifiable
+from pgfmd.errors import SolverError, Uncertifiable
+from pgfmd.grid import transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -17,6 +20,7 @@ from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
+from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
 
@@ -82,3 +86,31 @@ def test_what_rounding_forbids_is_not_tried_again(comm, monkeypatch):
     problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), 0.1)
     with pytest.raises(Uncertifiable, match="rounding in double precision"):
         solve_contact(problem, Solver(tolerance=1e-33))
+
+
+def test_a_solver_that_fails_gives_its_memory_back(comm, monkeypatch):
+    """What the mesh, the blocks and the coarser grids allocated is freed, whether or not the tolerance is met: after a
+    failure only the grid itself still has memory.
+    """
+    alive, allocate, free = {}, transpose.Strips._allocate, transpose.Strips.free
+
+    def counted(self, *arguments):
+        alive[id(self)] = self
+        allocate(self, *arguments)
+
+    def freed(self):
+        alive.pop(id(self), None)
+        free(self)
+
+    monkeypatch.setattr(transpose.Strips, "_allocate", counted)
+    monkeypatch.setattr(transpose.Strips, "free", freed)
+    grid = SlabGrid(comm, (256, 256))
+    heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
+    for law in (HardWall(), ExponentialWall(zeta=0.01)):
+        for tolerance in (1e-6, 1e-33):
+            problem = ContactProblem(grid, heights, Elasticity(1.0), law, 0.005)
+            with pytest.raises(SolverError) if tolerance < 1e-30 else nullcontext():
+                solve_contact(problem, Solver(tolerance=tolerance, method=law.methods[0]))
+            assert len(alive) == 1
+    grid.free()
+    assert not alive

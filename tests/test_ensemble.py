@@ -13,7 +13,7 @@ from pgfmd import simulate as runner
 from pgfmd.errors import InputError, SolverError, Stopped
 from pgfmd.io.ensemble import Column, folders, summary
 from pgfmd.io.results import Results
-from pgfmd.job.job import parse, toml_of
+from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.operation.estimate import rank_groups
 
 pytestmark = pytest.mark.mpi
@@ -38,7 +38,7 @@ def test_seeds_of_an_ensemble(written, seeds):
     """A list or "first..last"; one number is one surface.  The effective job gives the same seeds again."""
     from pgfmd.job.job import as_toml
 
-    job = parse(toml_of(with_seeds(written)))
+    job = parse(tables_as_toml(with_seeds(written)))
     assert job.surface.seeds == seeds and parse(as_toml(job)) == job
     assert all(job.of_seed(seed).surface.seed == seed for seed in seeds)
 
@@ -47,7 +47,7 @@ def test_seeds_of_an_ensemble(written, seeds):
 def test_wrong_seeds_are_refused(written):
     """In one line that names the key."""
     with pytest.raises(InputError, match="surface.seed = ") as caught:
-        parse(toml_of(with_seeds(written)))
+        parse(tables_as_toml(with_seeds(written)))
     assert "\n" not in str(caught.value)
 
 
@@ -198,12 +198,12 @@ def test_an_ensemble_is_no_surface(comm):
 )
 def test_ranks_are_shared_out_by_size(n, seeds, ranks, groups):
     """Surfaces are solved side by side; a surface is shared where that is faster, by the speed that slabs have."""
-    assert rank_groups(parse(toml_of(with_seeds(seeds, grid={"n": n}))), ranks) == groups
+    assert rank_groups(parse(tables_as_toml(with_seeds(seeds, grid={"n": n}))), ranks) == groups
 
 
 def test_ranks_share_what_one_cannot_hold():
     """Where one rank has not the memory for a whole surface, as many share it as are needed."""
-    job = parse(toml_of(with_seeds("1..64", grid={"n": 4096})))
+    job = parse(tables_as_toml(with_seeds("1..64", grid={"n": 4096})))
     alone = 4096**2 * 40 + 2.5e8
     assert rank_groups(job, 8, alone * 3) == 8 and rank_groups(job, 8, alone * 0.6) < 8
 

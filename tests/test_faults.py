@@ -28,14 +28,14 @@ sys.exit(cli.main())
 FAULTS = {
     # where a rank fails alone: inside a thread in the middle of a transform, between transforms, in the observables
     "in a thread": """
-from pgfmd.solvers.active_set import kernels as set_kernels
-original, calls = set_kernels.contact_sums, []
+from pgfmd.solvers.active_set import active_set
+original, calls = active_set.contact_sums, []
 def failing(*arguments):
     calls.append(1)
     if MPI.COMM_WORLD.rank == 1 and len(calls) == 9:
         raise ArithmeticError("the last straw")
     return original(*arguments)
-set_kernels.contact_sums = failing
+active_set.contact_sums = failing
 """,
     "in a transform": """
 from pgfmd.grid import transpose as strips

@@ -14,6 +14,7 @@ from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.controls import MeanGap
 from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.surfaces.self_affine import self_affine
 
@@ -148,3 +149,21 @@ def test_imposed_gaps_are_met_to_their_bound(comm, seed):
         found = solve_contact(problem, Solver(tolerance=tolerance))
         bound = control.uncertainty(found, exact.mean_gap) * control.allowed(exact.mean_gap)
         assert abs(found.mean_gap - exact.mean_gap) <= bound + 1e-9
+
+
+@pytest.mark.parametrize("part", [0.2, 0.7, 0.97])
+def test_imposed_areas_and_gaps_are_found_below_the_hardness(comm, part):
+    """The area, the mean gap and the displacement of a load are met, though the stress of full contact, with which the
+    search begins, is ten times what the wall bears: no load on the way is above that."""
+    grid = SlabGrid(comm, (32, 32))
+    law, heights = Hardness(hardness=0.05), self_affine(grid, 0.8, 8.0, 0.5, 1)
+    problem = ContactProblem(grid, heights, Elasticity(MODULUS), law, part * law.hardness)
+    found = solve_contact(problem, Solver(tolerance=1e-10))
+    area = grid.reduction.sum(found.pressure > 0) / grid.size
+    again = LoadControl(Load(contact_area=(area,)), problem).solution(area)
+    pixel = 1 / grid.size
+    assert abs(grid.reduction.sum(again.pressure > 0) / grid.size - area) <= max(0.005 * area, pixel) * (1 + 1e-9)
+    again = LoadControl(Load(mean_gap=(found.mean_gap,)), problem).solution(found.mean_gap)
+    assert abs(again.mean_gap - found.mean_gap) <= 1e-4 * found.approach
+    again = LoadControl(Load(displacement=(found.approach,)), problem).solution(found.approach)
+    assert abs(again.approach - found.approach) <= 1e-4 * found.approach

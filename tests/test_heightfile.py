@@ -23,6 +23,7 @@ from pgfmd.job import job
 from pgfmd.simulate import simulate
 from pgfmd.surfaces import measurement
 from pgfmd.surfaces.file import FromFile
+from pgfmd.surfaces.missing import fill_missing
 from pgfmd.surfaces.sinusoid import Sinusoid
 
 pytestmark = pytest.mark.mpi
@@ -245,6 +246,18 @@ def test_missing_points(comm, shared_tmp_path, suffix, seed):
     turned = SlabGrid(comm, SHAPE[::-1], lengths[::-1])
     found = whole(turned, read_heights(turned, path, missing="interpolate", first_axis="y"))
     assert np.allclose(found, expected.T, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("exponent", [-600, 600])
+def test_holes_are_filled_in_any_unit(comm, exponent):
+    """Heights times a power of two are filled with those times that power, bit by bit, though their squares are 0 or
+    infinite."""
+    grid, chance = SlabGrid(comm, SHAPE), np.random.default_rng(1)
+    heights = np.where(chance.random(SHAPE) < 0.3, np.nan, chance.normal(size=SHAPE))[grid.rows]
+    other = np.ldexp(heights, exponent)
+    fill_missing(grid, heights)
+    fill_missing(grid, other)
+    assert np.isfinite(heights).all() and np.array_equal(other, np.ldexp(heights, exponent))
 
 
 def test_nothing_measured_or_not_finite(comm, shared_tmp_path):

@@ -48,6 +48,31 @@ def everywhere(grid: SlabGrid, points: Unknowns, values: np.ndarray) -> np.ndarr
     return np.concatenate(comm.allgather(field))
 
 
+@pytest.mark.parametrize("shape", [(64, 16), (9, 5)])
+def test_unknowns(shape):
+    """Points between the bounds, or at one of them with a gap that drives away from it.  Fields are read and changed
+    there and nowhere else, exactly; level − field stays within 1e25; a transform and back gives values to 2⁻²⁴ · 10."""
+    grid, rng = SlabGrid(comm, shape), np.random.default_rng(7)
+    p = rng.choice([-0.5, 0.0, 0.3, 0.6, 1.0, 1.4], shape)[grid.rows]
+    gap = rng.choice([-0.4, 0.0, 0.2, 0.5], shape)[grid.rows]
+    mask = (p > 0) & (p < 1) | (p <= 0) & (gap < 0.1) | (p >= 1) & (gap > 0.1)
+    points = Unknowns(grid, (p, gap), 0.1, 1.0)
+    assert np.array_equal(points.columns, np.nonzero(mask)[1])
+    assert np.array_equal(np.diff(points.offsets), mask.sum(axis=1)) and points.count == mask.sum()
+    assert np.array_equal(points.below(0.1, gap).own, (0.1 - gap[mask]).astype(np.float32))
+    assert set(points.below(0.1, gap * 1e30).own) <= {np.float32(0.1), np.float32(1e25), np.float32(-1e25)}
+    values, field = rng.random(points.count).astype(np.float32), p.copy()
+    points.add(field, values)
+    assert np.array_equal(field[mask], p[mask] + values) and np.array_equal(field[~mask], p[~mask])
+
+    def unchanged(block, first, stop):
+        block *= np.float32(1 / grid.size)
+
+    out = np.empty_like(values)
+    points.convolve(values, unchanged, out)
+    assert np.allclose(out, values, rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("shape", [(64, 16), (61, 7), (9, 5), (4, 3)])
 def test_halo_of_a_set(shape):
     """The rows before and after a slab, around the ring, also where slabs are thinner than the halo."""

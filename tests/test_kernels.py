@@ -5,7 +5,15 @@ import pytest
 
 from pgfmd.grid import kernels
 from pgfmd.physics.laws.hard import finish_rows
-from pgfmd.solvers.active_set import kernels as set_kernels
+from pgfmd.solvers.active_set import (
+    active_set,
+    conjugate_gradients,
+    feasible,
+    nested_iteration,
+    particle_mesh,
+    preconditioner,
+    stencil,
+)
 from pgfmd.solvers.second_order import spectral_dots
 
 
@@ -67,23 +75,11 @@ def test_multiply_by_q(dtype, close, rng):
     assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
 
 
-def test_fill_and_drain_rows(points, rng):
-    """rows[mask] = values, and values = rows[mask]."""
-    mask, offsets, columns = points
-    values, rows = rng.random(len(columns)), np.full((9, 7), np.nan)
-    set_kernels.fill_rows(values, (columns, offsets), 0, rows)
-    assert np.array_equal(rows[mask], values)
-    assert not rows[~mask].any()
-    back = np.zeros_like(values)
-    set_kernels.drain_rows(rows[2:], (columns, offsets), 2, back)
-    assert np.array_equal(back[offsets[2] :], values[offsets[2] :])
-
-
 def test_fill_wrapped(points, rng):
     """The values on the set, zero elsewhere, and two columns from the other side on each side."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((6, 11), np.nan)
-    set_kernels.fill_wrapped(values, (columns, offsets), 2, 5, 2, rows)
+    stencil.fill_wrapped(values, (columns, offsets), 2, 5, 2, rows)
     dense = np.zeros((9, 7))
     dense[mask] = values
     assert np.array_equal(rows[:5], np.pad(dense, ((0, 0), (2, 2)), mode="wrap")[2:7])
@@ -95,12 +91,12 @@ def test_apply_stencil(density, rng):
     mask, field = rng.random((9, 70)) < density, rng.random((13, 74))
     weights = rng.random(6)
     a, b, c, d, e, f = weights
-    stencil = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
+    disc = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
     offsets = np.concatenate([[0], np.cumsum(mask.sum(axis=1))])
     out = np.zeros(offsets[-1])
-    set_kernels.apply_stencil(field, weights, (np.nonzero(mask)[1].astype(np.int32), offsets), 0, 9, out)
+    stencil.apply_stencil(field, weights, (np.nonzero(mask)[1].astype(np.int32), offsets), 0, 9, out)
     windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
-    assert np.allclose(out, np.einsum("ijst,st->ij", windows, stencil)[mask], rtol=1e-13)
+    assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[mask], rtol=1e-13)
 
 
 @pytest.mark.parametrize("room", [5, 7, 40])
@@ -115,9 +111,9 @@ def test_correlate(room, rng):
     out, whole = (np.zeros(target.sum()) for _ in range(2))
     vector = field[source], (lists[0][0], lists[0][1][halo - 2 :])
     for rows in ((0, 5), (5, 14)):
-        set_kernels.correlate(vector, weights, np.empty((room, 44)), lists[1], rows, out)
+        stencil.correlate(vector, weights, np.empty((room, 44)), lists[1], rows, out)
     padded = np.pad(field, ((0, 0), (2, 2)), mode="wrap")[halo - 2 : halo + 16]
-    set_kernels.apply_stencil(padded, weights, lists[1], 0, 14, whole)
+    stencil.apply_stencil(padded, weights, lists[1], 0, 14, whole)
     assert np.array_equal(out, whole)
 
 
@@ -133,10 +129,10 @@ def test_spread_and_interpolate(points, rng):
                 matrix[k, x_first[i] + s + 1, (y_first[j] + t) % 5] += x_weights[i, s] * y_weights[j, t]
     splines = x_first, x_weights, y_first, y_weights
     values, nodes = rng.random(len(columns)), np.zeros((5, 5))
-    set_kernels.spread_points(values, (columns, offsets), (0, 9), splines, 0, nodes)
+    particle_mesh.spread_points(values, (columns, offsets), (0, 9), splines, 0, nodes)
     assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13)
     nodes, out = rng.random((7, 5)), np.ones(len(columns))
-    set_kernels.add_interpolated(nodes, -1, (columns, offsets), (0, 9), splines, out)
+    particle_mesh.add_interpolated(nodes, -1, (columns, offsets), (0, 9), splines, out)
     assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13)
 
 
@@ -154,14 +150,14 @@ def test_blocks(points, rng):
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
     row_block, column_block = np.arange(9) // 3, np.arange(7) // 3
     sums, expected = np.zeros((3, 3)), np.zeros((3, 3))
-    set_kernels.block_sums(values, (columns, offsets), (0, 9), 3, column_block, sums)
+    preconditioner.block_sums(values, (columns, offsets), (0, 9), 3, column_block, sums)
     np.add.at(expected, (rows // 3, columns // 3), values)
     assert np.allclose(sums, expected, rtol=1e-14)
     beyond = np.zeros((5, 3))
-    set_kernels.block_sums(values, (columns, offsets), (-3, 12), 3, column_block, beyond)
+    preconditioner.block_sums(values, (columns, offsets), (-3, 12), 3, column_block, beyond)
     assert np.array_equal(beyond[1:4], sums) and not beyond[[0, 4]].any()
     out = np.zeros_like(values)
-    set_kernels.subtract_blocks(values, sums, (columns, offsets), (0, 9), (row_block, column_block), out)
+    preconditioner.subtract_blocks(values, sums, (columns, offsets), (0, 9), (row_block, column_block), out)
     assert np.allclose(out, values - sums[rows // 3, columns // 3], rtol=1e-14, atol=1e-15)
 
 
@@ -215,18 +211,6 @@ def fields(rng):
     return p, rng.choice([-0.4, 0.0, 0.2, 0.5], (9, 7)), rng.standard_normal((9, 7))
 
 
-def test_unknowns_are_listed(fields):
-    """Between the bounds, or at one of them with a gap that drives away from it."""
-    p, gap, _ = fields
-    mask = ((p > 0) | (gap < 0.1)) & ((p < 1) | (gap > 0.1))
-    counts = np.zeros(9, np.int64)
-    set_kernels.count_unknowns((p, gap), 0.1, 1.0, (0, 9), counts)
-    assert np.array_equal(counts, mask.sum(axis=1))
-    offsets, columns = np.concatenate([[0], np.cumsum(counts)]), np.empty(mask.sum(), np.int32)
-    set_kernels.list_unknowns((p, gap), 0.1, 1.0, (0, 9), (columns, offsets))
-    assert np.array_equal(columns, np.nonzero(mask)[1])
-
-
 @pytest.mark.parametrize("change", [(0.7, 0.0, 0.0), (1.6, 0.0, 0.0), (0.0, 0.5, 0.3)])
 def test_changed_pressures(fields, change):
     """A factor of those below the top, or p + stiffness · (level − gap), cut at 0 and the top; their sum, and its
@@ -235,10 +219,10 @@ def test_changed_pressures(fields, change):
     p = np.maximum(p, 0)
     new = p + change[1] * (change[2] - gap) if change[1] else np.where(p < 1, change[0] * p, p)
     slope = np.where((new > 0) & (new < 1), change[1] or p, 0)[2:8].sum()
-    found = set_kernels.changed_sums((p, gap), change, 1.0, 2, 8)
+    found = feasible.changed_sums((p, gap), change, 1.0, 2, 8)
     assert np.allclose(found, (np.clip(new, 0, 1)[2:8].sum(), slope), rtol=1e-13)
     out = p.copy()
-    set_kernels.change_rows((out, gap), change, 1.0, 2, 8)
+    feasible.change_rows((out, gap), change, 1.0, 2, 8)
     assert np.allclose(out[2:8], np.clip(new, 0, 1)[2:8], rtol=1e-14)
     assert np.array_equal(out[:2], p[:2])
 
@@ -249,7 +233,7 @@ def test_sums_of_a_state(fields):
     on, free = p > 0, (p > 0) & (p < 1)
     expected = (p * gap)[free].sum(), p[free].sum(), free.sum(), (p * (gap + heights))[on].sum()
     expected += (p**2)[on].sum(), (heights**2)[on].sum(), on.sum()
-    sums, highest, lowest = set_kernels.contact_sums(p, gap, heights, 1.0, 0, 9)
+    sums, highest, lowest = active_set.contact_sums(p, gap, heights, 1.0, 0, 9)
     assert np.allclose(sums, expected, rtol=1e-12, atol=1e-12)
     assert (highest, lowest) == (gap[p >= 1].max(), gap[p <= 0].min())
 
@@ -265,7 +249,7 @@ def test_field_of_the_certificate(fields, cut):
     around = sum(np.roll(uneven, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 8
     expected = np.where(free, away, np.where(p <= 0, np.minimum(around, away), np.maximum(around, away)))
     edges, out = np.stack([uneven[-1], uneven[0]]), np.empty((cut[1] - cut[0], 7))
-    set_kernels.residual_rows((p, gap), 0.1, 1.0, edges, cut[0], out)
+    active_set.residual_rows((p, gap), 0.1, 1.0, edges, cut[0], out)
     assert np.allclose(out, expected[cut[0] : cut[1]], rtol=0, atol=1e-15)
 
 
@@ -282,31 +266,10 @@ def test_start_rows(rng):
     a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
-    set_kernels.start_rows((p, g, coarse), h, 0.3, pressure, gap)
-    flattened, contact = set_kernels.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
+    nested_iteration.start_rows((p, g, coarse), h, 0.3, pressure, gap)
+    flattened, contact = nested_iteration.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
     assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
     assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-300), 0), rtol=1e-14)
-
-
-def test_listed_points_are_cut(points, rng):
-    """level − f; sums by blocks of columns of p and of p cut at 0 and at the top; the cut pressures times a factor of
-    the block, at most the top: at the points of some rows, nothing elsewhere."""
-    mask, offsets, columns = points
-    field, part, top = rng.standard_normal(mask.shape), slice(offsets[2], offsets[8]), 0.8
-    old, values = field.copy(), np.zeros(offsets[-1], np.float32)
-    set_kernels.take_below(field, (columns, offsets), (2, 8), 0.3, values)
-    assert np.array_equal(values[part], (0.3 - old[2:8][mask[2:8]]).astype(np.float32))
-    sums, masked = np.ones((2, 4)), np.where(mask, field, 0)[2:8]
-    set_kernels.sums_in_blocks(field, (columns, offsets), (2, 8), 1, top, sums)
-    for row, each in zip(sums, (masked, np.clip(masked, 0, top)), strict=True):
-        assert np.allclose(row - 1, np.add.reduceat(each.sum(axis=0), (0, 2, 4, 6)), rtol=1e-13)
-    chosen = mask & (np.arange(9) >= 2)[:, None] & (np.arange(9) < 8)[:, None]
-    factors = np.array([1.5, 0.5, 2.0, 0.0])
-    set_kernels.cut_and_scale(field, (columns, offsets), (2, 8), 1, top, factors)
-    expected = np.minimum(np.repeat(factors, 2)[:7] * np.maximum(old, 0), top)
-    assert np.array_equal(field, np.where(chosen, expected, old))
-    set_kernels.add_to_rows(field, (columns, offsets), (2, 8), values)
-    assert np.allclose(field[chosen], expected[chosen] + values[part], rtol=1e-14)
 
 
 def test_interpolate_rows(rng):
@@ -327,13 +290,13 @@ def test_vectors_of_conjugate_gradients(rng):
     part, real = slice(10, 900), np.float32
     double = a.astype(float), b.astype(float)
     expected = double[0][part] @ double[1][part], double[0][part].sum(), double[1][part].sum()
-    assert np.allclose(set_kernels.dot_and_sums(a, b, 10, 900), expected, rtol=1e-12, atol=1e-12)
+    assert np.allclose(conjugate_gradients.dot_and_sums(a, b, 10, 900), expected, rtol=1e-12, atol=1e-12)
     expected = direction.copy()
     expected[part] = (0.3 * direction + (z - 0.1))[part]
-    set_kernels.turn(direction, z, real(0.3), real(0.1), 10, 900)
+    conjugate_gradients.next_direction(direction, z, real(0.3), real(0.1), 10, 900)
     assert np.allclose(direction, expected, rtol=0, atol=1e-6)
     expected = x.copy(), a.copy()
     expected[0][part] += 0.2 * direction[part]
     expected[1][part] -= 0.2 * (b[part] - 0.4)
-    set_kernels.advance(x, a, (direction, b), real(0.2), real(0.4), (10, 900))
+    conjugate_gradients.advance(x, a, (direction, b), real(0.2), real(0.4), (10, 900))
     assert np.allclose([x, a], expected, rtol=0, atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 
 import pgfmd
 from pgfmd.errors import InputError
-from pgfmd.job.job import parse, toml_of
+from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -162,10 +162,10 @@ def test_a_picture_shows_the_contact():
 
 def test_tables_are_jobs():
     """A job in tables is the job in TOML; what TOML cannot say is refused in one line."""
-    job = parse(toml_of(JOB | {"output": {"observables": ["spectra"], "spectra": {"bins": 7}}}))
+    job = parse(tables_as_toml(JOB | {"output": {"observables": ["spectra"], "spectra": {"bins": 7}}}))
     assert job.output.spectra.bins == 7 and job.surface.seed == 3 and job.load.pressure == (0.004, 0.02)
     with pytest.raises(InputError, match="load"):
-        toml_of({"load": {"pressure": None}})
+        tables_as_toml({"load": {"pressure": None}})
 
 
 def test_temporary_results_are_removed(comm):

@@ -171,3 +171,26 @@ def test_files_that_are_no_table(comm, shared_tmp_path):
         with pytest.raises(InputError) as caught:
             FromSpectrum(path=str(shared_tmp_path / name)).heights(SlabGrid(comm, (8, 8)))
         assert "\n" not in str(caught.value) and str(shared_tmp_path) in str(caught.value)
+
+
+def test_rank_0_alone_reads_the_table(comm, shared_tmp_path, monkeypatch):
+    """A run ends alike on all ranks, whatever the others can read: it succeeds if rank 0 can read the table."""
+    path = saved(comm, shared_tmp_path / "c.txt", BENT)
+
+    def refuse(self):
+        raise InputError("this rank cannot read the table")
+
+    if comm.rank > 0:
+        monkeypatch.setattr(FromSpectrum, "table", refuse)
+    text = f"[grid]\nn = 32\n[surface]\nkind = 'spectrum'\npath = '{path}'\n[load]\npressure = 0.1\n"
+    simulate(job.parse(text + "[output]\nobservables = ['lowpass']\n"), comm, shared_tmp_path / "out")
+    assert len(Results(shared_tmp_path / "out")) == 1
+
+
+def test_a_csv_may_begin_with_words(comm, shared_tmp_path):
+    """Names of the columns, as spreadsheets write them, are passed over."""
+    path = shared_tmp_path / "c.csv"
+    if comm.rank == 0:
+        path.write_text("wave number,C\nrad/m,m4\n" + "\n".join(f"{q},{c}" for q, c in BENT))
+    comm.Barrier()
+    assert np.array_equal(np.stack(FromSpectrum(path=str(path)).table(), axis=1), BENT)

@@ -172,8 +172,8 @@ def as_toml(job: Job) -> str:
     return "\n".join(tables.as_toml(section, getattr(job, section)) for section in SECTIONS)
 
 
-def toml_of(job: Mapping[str, Any]) -> str:
-    """A job in nested tables as TOML; raises InputError for what TOML cannot express."""
+def tables_as_toml(job: Mapping[str, Any]) -> str:
+    """The TOML text of a job given as nested tables, for `parse`; raises InputError for what TOML cannot express."""
     lines: list[str] = []
     try:
         for section, table in job.items():

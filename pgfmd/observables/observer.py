@@ -16,14 +16,14 @@ from pgfmd.observables.acf import Acf
 from pgfmd.observables.lowpass import TOLERANCE
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.observables.solved_contact import Solve, SolvedContact
+from pgfmd.observables.solved_contact import SolvedContact
 from pgfmd.observables.spectra import Spectra
 from pgfmd.observables.statistics.correlations import lag_rings, mode_rings
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, Solve
 
 log = logging.getLogger("pgfmd")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,12 +19,7 @@ from pgfmd.observables.statistics.correlations import Correlations, correlate, i
 from pgfmd.observables.statistics.staircase import Area, contact_area
 from pgfmd.options.section import Section
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import ContactSolution
-
-Solve = Callable[..., ContactSolution | None]
-"""solve(problem, start=pressure to start from, or None): returns the contact, or None if it cannot be had; may
-overwrite the heights of `problem`.
-"""
+from pgfmd.solvers.solution import ContactSolution, Solve
 
 
 @dataclass(frozen=True)

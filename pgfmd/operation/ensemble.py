@@ -40,8 +40,8 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     at the end if some seeds failed, and the first error if all did.
     """
     seeds = job.surface.seeds
-    groups = rank_groups(job, comm.size, machine.room_per_rank(comm))
-    memory = estimate(job, comm.size).memory
+    groups = from_root(comm, rank_groups, job, comm.size, machine.room_per_rank(comm))  # may read the surface's table
+    memory = from_root(comm, estimate, job, comm.size).memory
     machine.refuse_too_large(comm, memory)
     with _Folder(job, comm, path, mode) as folder:
         machine.report(comm, memory)

@@ -16,7 +16,7 @@ from pgfmd.solvers.solution import ContactSolution
 
 EQUAL = 4 * np.finfo(float).eps  # of the largest height: points that differ by less from the highest are as high
 TINY = 1e-300  # lower limit of what a logarithm is taken of
-FINEST = 1e-24  # certified error below which the level's error is rounding, a few 1e-12, and not √error
+LEAST_ERROR = 1e-24  # certified error below which the level's error is rounding, a few 1e-12, and not √error
 
 
 class Control:
@@ -70,12 +70,14 @@ class Control:
         """The key of the tolerance and its value, for messages."""
         return f"load.gap_tolerance = {self.options.gap_tolerance:g}"
 
-    def coarse(self, found: ContactSolution, target: float) -> bool:
-        """Whether the value is within its tolerance only because that is not below one pixel.  Collective."""
+    def met_to_a_pixel(self, found: ContactSolution, target: float) -> bool:
+        """Whether a value that `error` accepts is so only because one pixel is more than the tolerance.  Collective."""
         return False
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """A bound of the change of the value by the solution's own error, over the tolerance, like `error`."""
+        """A bound of the change of the value by the solution's own error, over the tolerance, like `error`; 0 where
+        none is known.
+        """
         return 0.0
 
     def displacement(self, found: ContactSolution) -> float:
@@ -136,7 +138,7 @@ class ContactArea(Control):
         area = min(max(self.area(found), 0.5 / self.grid.size), 1 - 0.5 / self.grid.size)
         return math.log(_quantile(area) / _quantile(target))
 
-    def coarse(self, found: ContactSolution, target: float) -> bool:
+    def met_to_a_pixel(self, found: ContactSolution, target: float) -> bool:
         """Whether the area misses the target by more than `area_tolerance` of it.  Collective."""
         return abs(self.area(found) - target) > self.options.area_tolerance * target
 
@@ -215,7 +217,7 @@ class MeanGap(Control):
         most 2s√(AB): the bound is (4√(AB) + B)/Σ w.
         """
         energy, change, highest = found.elastic_energy, found.mean_pressure, self.problem.law.highest
-        bound, roots = 2 * energy * max(found.certified_error, FINEST), 2
+        bound, roots = 2 * energy * max(found.certified_error, LEAST_ERROR), 2
         if highest < math.inf:
             energy, change = self._energy(np.minimum(found.pressure, highest - found.pressure))
             roots = 4

@@ -22,8 +22,8 @@ SOLVERS: dict[str, Callable[..., ContactSolution]] = {
     "gfmd": solve_gfmd,
 }
 SMALLEST = 1e-290  # least sum of a start: the load over it does not overflow
-LEFT = 1e-12, 1e-9, 0.0  # parts of p̄ that are taken for pressure left on points that cannot touch
-RESCUE = 4000  # steps of dynamics after another method has failed
+LEFT = 1e-12, 1e-9  # parts of p̄: pressures below them are taken off points in turn, until the rest is certified
+RESCUE = 4000  # steps of dynamics after another method has failed; most contacts take 150 (`cost`)
 log = logging.getLogger("pgfmd")
 
 
@@ -39,8 +39,9 @@ def solve_contact(
     start: a pressure (nx_local, ny) to begin with instead of coarse grids; it is ignored if its sum is 0 or not finite.
     If the method fails, it is tried once more without the start; if that fails and the method is "auto", dynamics are
     tried (neither if rounding alone keeps the error above the tolerance).  monitor(grid, state): called after outer
-    steps.  overwrite_heights: their memory is used, and they are lost; then nothing is tried again.  Raises InputError
-    for a method that the law does not take and for values out of range, SolverError if the tolerance cannot be reached.
+    steps.  overwrite_heights: their memory may be used, and they are lost; a method that fails is then not followed by
+    another.  Raises InputError for a method that the law does not take and for values out of range, SolverError if the
+    tolerance cannot be reached.
     """
     options.check_law(problem.law)
     start = _usable(problem, start)
@@ -62,14 +63,19 @@ def solve_contact(
 
 
 def _certified(solver: Callable[..., ContactSolution], tolerance: float, start: np.ndarray | None) -> ContactSolution:
-    """The solver's answer; if its error is above the tolerance by pressure that is left on points far below all that
-    can touch, which solvers see higher up, the solver goes on without that pressure.  Collective.
+    """The solver's answer, certified.  Collective.
+
+    Solvers see points that cannot touch higher up than they are (`Dimensionless`; their heights are then intact).  A
+    trace of pressure left there may bring the error above the tolerance; the solver then goes on without it.
     """
+    found = solver(tolerance=tolerance, start=start)
     for part in LEFT:
-        found = solver(tolerance=tolerance, start=start)
         if found.certified_error <= tolerance:
-            return found
+            break
         start = np.where(found.pressure > part * found.mean_pressure, found.pressure, 0.0)
+        found = solver(tolerance=tolerance, start=start)
+    if found.certified_error <= tolerance:
+        return found
     raise SolverError(
         f"the certified error stays at {found.certified_error:.1e}, above the tolerance {tolerance:.1e}, by pressure "
         "on points that cannot touch; allow a larger tolerance"

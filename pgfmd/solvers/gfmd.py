@@ -21,6 +21,7 @@ import math
 import numpy as np
 
 from pgfmd.errors import SolverError
+from pgfmd.grid.callbacks import source
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor
@@ -43,14 +44,14 @@ def solve_gfmd(
     start: a pressure (nx_local, ny) to begin with.  overwrite_heights: their memory is used, and they are lost.  Raises
     InputError for what is out of range, SolverError if `max_steps` do not reach the tolerance.
     """
-    units = Dimensionless(problem, overwrite_heights=overwrite_heights)
-    if units.uniform is not None:
-        return units.uniform
-    dynamics, grid = Dynamics(units.problem), problem.grid
+    scaled = Dimensionless(problem, overwrite_heights)
+    if scaled.uniform is not None:
+        return scaled.uniform
+    dynamics, grid = Dynamics(scaled.problem), problem.grid
     if start is not None:
         dynamics.force[...] = start * (grid.size / grid.reduction.sum(start))
     state = dynamics.run(tolerance, max_steps, monitor)
-    return units.solution(state, state.work / 2, tolerance)
+    return scaled.solution(state, state.work / 2, tolerance)
 
 
 class Dynamics:
@@ -74,7 +75,7 @@ class Dynamics:
         state = WallState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
         level, best = 0.0, math.inf
         for step in range(1, max_steps + 1):
-            state.level = level
+            state.level = level  # where the last step left it: a certificate has a level of its own
             self.step(state)
             level = state.level
             if step % INTERVAL and step < max_steps:
@@ -96,9 +97,6 @@ class Dynamics:
         """One time step; `state.pressure` becomes the new force of the wall.  Collective."""
         displacement, force, target = self.displacement, self.force, state.gap
 
-        def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            rows[...] = force[first:stop]
-
         def move(block: np.ndarray, first: int, stop: int) -> None:
             modes = self.modes[first:stop]
             block += self.spring * modes
@@ -112,6 +110,6 @@ class Dynamics:
             target[first:stop] = force[first:stop] / self.spring + self.heights[first:stop] - rows - change
             part += INERTIA * change
 
-        self.grid.convolve(fill, move, drain)
+        self.grid.convolve(source(force), move, drain)
         self.certifier.respond(state, target, 1 / self.spring)
         force += INERTIA * (state.pressure - force)

@@ -16,12 +16,12 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.controls import CONTROLS, FINEST
+from pgfmd.solvers.controls import CONTROLS, LEAST_ERROR
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution
 
-Solve = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
+SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 """(problem, pressure to start from or None, tolerance) → solution."""
 
 NEAR = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
@@ -42,7 +42,7 @@ class LoadControl:
     solver: solves at a given mean pressure; `solve_contact` if not given.
     """
 
-    def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: Solve | None = None):
+    def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: SolveAt | None = None):
         load.check_law(problem.law)
         self.control, self.name = CONTROLS[load.control](problem, load), load.control
         self.problem, self.grid, self.tolerance = problem, problem.grid, tolerance
@@ -97,13 +97,13 @@ class LoadControl:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
         control, tolerance = self.control, max(LOOSE, self.tolerance)
         sharpest = min(self.tolerance, SHARP) if control.jumps else self.tolerance
-        search = _Search(self._first_guess(target))
+        search = _Search(self._first_guess(target), math.log(self.problem.law.highest))
         best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
             found = self._tried(math.exp(search.at), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
-                if control.coarse(found, target) and self.grid.comm.rank == 0:
+                if control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
                     text = control.tolerance_text
                     log.info("load.%s = %g: met to one pixel, which is more than %s", self.name, target, text)
                 return found
@@ -112,7 +112,7 @@ class LoadControl:
             narrow = search.width <= (JUMP if control.jumps else ROUNDING)  # at a jump, or no p̄ left in between
             if narrow and tolerance <= sharpest:
                 break
-            known = max(found.certified_error, FINEST)
+            known = max(found.certified_error, LEAST_ERROR)
             wanted = sharpest if narrow else self.tolerance
             finer = min(wanted, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
             if finer < tolerance and (error <= max(1.0, unsure) or narrow):
@@ -153,11 +153,11 @@ class LoadControl:
 class _Search:
     """Finds the zero of an increasing function of ln p̄: the caller adds the function's value at `at`, again and again.
 
-    at: ln p̄ where the value is wanted next.  slope: last estimate of the derivative.
+    at: ln p̄ where the value is wanted next, below `limit`.  slope: last estimate of the derivative.
     """
 
-    def __init__(self, at: float):
-        self.at = at
+    def __init__(self, at: float, limit: float = math.inf):
+        self.limit, self.at = limit, at if at < limit else limit - 1
         self.restart(1.0)
 
     def restart(self, slope: float) -> None:
@@ -190,5 +190,6 @@ class _Search:
             inside = self.low[0] < trial < self.high[0] and len(self.points) % (4 if len(self.points) < 10 else 2)
             self.at = trial if inside else (self.low[0] + self.high[0]) / 2
         else:
-            self.at += max(-self.step, min(self.step, trial - self.at))
+            trial = self.at + max(-self.step, min(self.step, trial - self.at))
+            self.at = trial if trial < self.limit else (self.at + self.limit) / 2
             self.step *= 2

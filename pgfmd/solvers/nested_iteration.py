@@ -8,17 +8,18 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import Monitor, State
+from pgfmd.solvers.nondimensional import Dimensionless
+from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
 
 COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
 FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
 
-Own = TypeVar("Own", bound=State)
-"""What a solver knows of one grid."""
+StateType = TypeVar("StateType", bound=SolverState)
 
 
 class Coarse(NamedTuple):
@@ -28,13 +29,40 @@ class Coarse(NamedTuple):
     heights: np.ndarray
 
 
-class NestedIteration(Generic[Own]):
-    """Solves dimensionless problems to a tolerance, each grid from the next coarser one."""
+class NestedIteration(Generic[StateType]):
+    """Solves problems to a tolerance, each grid from the next coarser one.  Only `contact` takes a problem that is not
+    dimensionless.
+    """
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:
         self.tolerance, self.monitor = tolerance, monitor
 
-    def solve(self, problem: ContactProblem, exact: bool = True) -> tuple[Own, float]:
+    @classmethod
+    def contact(
+        cls,
+        problem: ContactProblem,
+        tolerance: float = 1e-8,
+        start: np.ndarray | None = None,
+        monitor: Monitor | None = None,
+        overwrite_heights: bool = False,
+    ) -> ContactSolution:
+        """The contact, to a certified relative energy error.  Collective.
+
+        start: a pressure (nx_local, ny) ≥ 0 from a neighbouring load to begin with, instead of coarse grids.  monitor:
+        called after each outer step.  overwrite_heights: their memory is used, and they are lost.  Raises InputError
+        for what is out of range, SolverError if the tolerance cannot be reached.
+        """
+        nested = cls(tolerance, monitor)
+        scaled = Dimensionless(problem, overwrite_heights)
+        if scaled.uniform is not None:
+            return scaled.uniform
+        if start is None:
+            state, transforms = nested.solve(scaled.problem)
+        else:
+            state, transforms = nested.resume(scaled.problem, start), 0.0
+        return scaled.solution(state, nested.energy(state, problem.grid.size), tolerance, transforms)
+
+    def solve(self, problem: ContactProblem, exact: bool = True) -> tuple[StateType, float]:
         """The solution, and the transforms spent on coarser grids, weighted by size.  Collective.
 
         exact: the error is certified to the tolerance; otherwise the grid only starts a finer one.
@@ -44,7 +72,11 @@ class NestedIteration(Generic[Own]):
         coarse = self.coarser(problem)
         if coarse is None:
             return self.coarsest(problem, exact), 0.0
-        found, transforms = self._solve_coarse(problem, coarse)
+        try:
+            found, transforms = self._solve_coarse(problem, coarse)
+        except SolverError:  # on all ranks
+            coarse.place.free()
+            raise
         iterations = found.iterations
         state, is_solution = self.prolong(coarse, found, problem)
         transforms *= coarse.place.size / problem.grid.size
@@ -55,16 +87,16 @@ class NestedIteration(Generic[Own]):
         state.iterations += iterations
         return state, transforms
 
-    def _solve_coarse(self, problem: ContactProblem, coarse: Coarse) -> tuple[Own, float]:
+    def _solve_coarse(self, problem: ContactProblem, coarse: Coarse) -> tuple[StateType, float]:
         """The solution on the coarser grid, without rows on ranks that hold none, and transforms in units of that grid.
         Collective.
         """
 
-        def solve(grid: SlabGrid) -> tuple[Own, float]:
+        def solve(grid: SlabGrid) -> tuple[StateType, float]:
             found, transforms = self.solve(problem.on(grid, coarse.heights), False)
             return found, transforms + grid.transforms
 
-        def numbers(solved: tuple[Own, float]) -> tuple[Own, float]:
+        def numbers(solved: tuple[StateType, float]) -> tuple[StateType, float]:
             own: Any = solved[0]
             return dataclasses.replace(own, pressure=coarse.place.empty(), gap=coarse.place.empty()), solved[1]
 
@@ -79,23 +111,31 @@ class NestedIteration(Generic[Own]):
         flat = problem.grid.reduction.dot(heights, heights) < FLAT**2 * place.size
         return None if flat else Coarse(place, heights)
 
-    def at_once(self, problem: ContactProblem) -> Own | None:
+    def at_once(self, problem: ContactProblem) -> StateType | None:
         """The solution, if it needs no iteration.  Collective."""
         return None
 
-    def coarsest(self, problem: ContactProblem, exact: bool) -> Own:
+    def resume(self, problem: ContactProblem, start: np.ndarray) -> StateType:
+        """The solution from a given pressure, which need not be feasible.  Collective."""
+        raise NotImplementedError
+
+    def energy(self, state: StateType, size: int) -> float:
+        """½⟨p, Gp⟩ per point, on a grid of `size` points."""
+        raise NotImplementedError
+
+    def coarsest(self, problem: ContactProblem, exact: bool) -> StateType:
         """The solution without a coarser grid.  Collective."""
         raise NotImplementedError
 
-    def prolong(self, coarse: Coarse, found: Own, problem: ContactProblem) -> tuple[Own, bool]:
+    def prolong(self, coarse: Coarse, found: StateType, problem: ContactProblem) -> tuple[StateType, bool]:
         """The state with which the finer grid starts, and whether that is its solution.  Collective."""
         raise NotImplementedError
 
-    def relax(self, problem: ContactProblem, state: Own, exact: bool = True) -> Own:
+    def relax(self, problem: ContactProblem, state: StateType, exact: bool = True) -> StateType:
         """Iterates from that state, which is overwritten.  Collective.  Raises SolverError."""
         raise NotImplementedError
 
-    def watch(self, problem: ContactProblem) -> Callable[[Own], None] | None:
+    def watch(self, problem: ContactProblem) -> Callable[[StateType], None] | None:
         """The monitor of one grid."""
         monitor = self.monitor
         return None if monitor is None else lambda state: monitor(problem.grid, state)

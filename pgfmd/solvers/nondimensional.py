@@ -14,7 +14,7 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.second_order import last_digits
-from pgfmd.solvers.solution import ContactSolution, State
+from pgfmd.solvers.solution import ContactSolution, SolverState
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
@@ -44,33 +44,35 @@ class Dimensionless:
         grid, solid, law = physical.grid, physical.solid, physical.law
         self._transforms = grid.transforms
         self._heights = made = dimensionless_heights(physical, overwrite_heights)
-        heights, height = made.field, made.unit
         self.uniform: ContactSolution | None = None
         if physical.mean_pressure == 0 or made.rms * UNIFORM <= law.range:
-            self.uniform = self._uniform(heights, height)
+            self.uniform = self._uniform(made.field)
             return
-        if 0 < law.range < SHORTEST * height:
+        if 0 < law.range < SHORTEST * made.unit:
             raise InputError(
                 f"wall.zeta = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can touch, here "
-                f'{height:g}; shorter walls are hard: wall.kind = "hard"'
+                f'{made.unit:g}; shorter walls are hard: wall.kind = "hard"'
             )
-        unit = physical.mean_pressure
-        self.units = Units(height, unit, law.gap(unit, solid))
+        mean = physical.mean_pressure
+        self.units = Units(made.unit, mean, law.gap(mean, solid))
         self.problem = ContactProblem(
-            grid, heights, solid.in_units(height, unit), law.in_units(self.units), physical.mean_pressure / unit
+            grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0
         )
-        if law.range > 0 and hidden(self.problem):
+        if law.range > 0 and elastic_energy_is_lost(self.problem):
             raise Uncertifiable(
-                f"mean pressure = {unit:g}: beside the energy of the wall, the elastic one is lost in the last digits "
+                f"mean pressure = {mean:g}: beside the energy of the wall, the elastic one is lost in the last digits "
                 "of the pressure"
             )
 
-    def _uniform(self, heights: np.ndarray, height: float) -> ContactSolution:
-        """A pressure that is the same everywhere; without a load the highest point touches.  Collective."""
+    def _uniform(self, heights: np.ndarray) -> ContactSolution:
+        """A pressure that is the same everywhere; without a load the highest point touches.  Collective.
+
+        heights: the dimensionless ones, overwritten.
+        """
         mean, law = float(self.physical.mean_pressure), self.physical.law
-        summit = self._heights.top * height
+        summit = self._heights.top * self._heights.unit
         mean_gap = law.gap(mean, self.physical.solid) if mean > 0 else summit
-        heights *= height
+        heights *= self._heights.unit
         gap = np.subtract(mean_gap, heights, out=heights)
         return ContactSolution(
             pressure=np.full(gap.shape, mean),
@@ -88,9 +90,10 @@ class Dimensionless:
         )
 
     def solution(
-        self, state: State, energy: float, tolerance: float, coarse_transforms: float = 0.0
+        self, state: SolverState, energy: float, tolerance: float, coarse_transforms: float = 0.0
     ) -> ContactSolution:
-        """The physical solution of a dimensionless state, whose fields become its own.  Collective.
+        """The physical solution of a dimensionless state, whose fields are changed in place and become those of the
+        solution.  Collective.
 
         energy: ½⟨p̂ û⟩ per point.  Raises Uncertifiable if the rounding of the pressure's last digits, which the
         certificate does not contain, brings the error above the tolerance.
@@ -110,21 +113,21 @@ class Dimensionless:
                 "energy is lost in the last digits of the pressure; allow a larger tolerance"
             )
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
-        lowered, wrong = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
+        lowered, work = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
         return ContactSolution(
             pressure=pressure,
             gap=gap,
             mean_pressure=self.physical.mean_pressure,
             mean_gap=units.offset - level * units.height + lowered,
             elastic_energy=energy * units.pressure * units.height,
-            certified_error=error + (wrong / (2 * energy * units.pressure * units.height) if wrong else 0.0),
+            certified_error=error + (work / (2 * energy * units.pressure * units.height) if work else 0.0),
             max_violation=violation * (units.height / self._heights.rms),
             iterations=state.iterations,
             transforms=grid.transforms - self._transforms + coarse_transforms,
             seconds=time.perf_counter() - self._began,
             threshold=self.physical.law.contact_above(mean, square) * units.pressure,
             approach=(level + self._heights.top) * units.height - units.offset,
-            pressure_error=getattr(state, "pressure_error", math.nan),
+            pressure_error=state.pressure_error,
         )
 
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:
@@ -140,13 +143,13 @@ class Dimensionless:
             return math.fsum(below.ravel()), float(np.vdot(pressure[rows], below))
 
         parts = grid.threads.collect(lower, len(gap), grid.band)
-        lowered, lost = (grid.reduction.sum(part) / grid.size for part in zip(*parts, strict=True))
-        return lowered, lost
+        lowered, work = (grid.reduction.sum(part) / grid.size for part in zip(*parts, strict=True))
+        return lowered, work
 
 
-def hidden(problem: ContactProblem) -> bool:
-    """Whether the last digits of the pressure change the energy by more than the elastic one, however the contact is:
-    with heights h of rms 1 and pressures p of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩ and the largest compliance times ⟨p²⟩.
+def elastic_energy_is_lost(problem: ContactProblem) -> bool:
+    """Whether errors in the last digits of the pressure have more energy than the elastic one can be.  With heights h
+    of rms 1 and pressures p of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance times ⟨p²⟩.
     """
     grid, solid = problem.grid, problem.solid
     shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)

@@ -13,8 +13,9 @@ from pgfmd.options.text import show
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
 
-_LAWS = (law for law in LAWS.choices if issubclass(law, ContactLaw))
-METHODS = tuple(dict.fromkeys(method for law in _LAWS for method in law.methods))
+METHODS = tuple(
+    dict.fromkeys(method for law in LAWS.choices if issubclass(law, ContactLaw) for method in law.methods)
+)
 
 
 @dataclass(frozen=True, kw_only=True)

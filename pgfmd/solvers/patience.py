@@ -11,7 +11,7 @@ STEPS = 12  # without halving the least error, before giving up
 
 
 class Patience:
-    """Steps that are left, and the least error so far."""
+    """Decides when to give up: after so many steps none of which has halved the least error so far."""
 
     def __init__(self, steps: int = STEPS) -> None:
         self.steps = self.left = steps
@@ -31,7 +31,7 @@ class Patience:
         return self.left > 0
 
     def failure(self, law: str, grid: SlabGrid, iterations: int, tolerance: float) -> SolverError:
-        """What to raise when it is at an end."""
+        """What to raise when no step is left."""
         return SolverError(
             f"{law} wall: the certified error stays at {self.best:.1e}, above the tolerance {tolerance:.1e}, after "
             f"{iterations} iterations on {grid.shape[0]} x {grid.shape[1]} points; allow a larger tolerance"

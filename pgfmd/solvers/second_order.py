@@ -25,9 +25,9 @@ from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 
 DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
-SINGLE = 1e-3  # relative error of ‖ρ‖_K, which is summed in single precision
-ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ N, without and with primes above 13 in
-# N: measured at most .7 and 1.3
+SINGLE = 1e-3  # relative error of ‖ρ‖_K, from a transform in single precision
+ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13
+# in N: measured at most .7 and 1.3
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 

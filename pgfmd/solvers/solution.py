@@ -12,9 +12,9 @@ import numpy as np
 from pgfmd.grid.slab_grid import SlabGrid
 
 
-class State(Protocol):
+class SolverState(Protocol):
     """What every solver knows while it is at work: pressure and gap (nx_local, ny) in units of its own, the level that
-    gaps count from, the certified error, the points in contact, iterations.
+    gaps count from, the certified error, the points in contact, iterations, an estimate of ‖p − p*‖/‖p‖.
     """
 
     pressure: np.ndarray
@@ -23,9 +23,10 @@ class State(Protocol):
     error: float
     contact: int
     iterations: int
+    pressure_error: float
 
 
-Monitor = Callable[[SlabGrid, State], None]
+Monitor = Callable[[SlabGrid, SolverState], None]
 """(grid, state): called after each outer step."""
 
 
@@ -59,3 +60,8 @@ class ContactSolution:
     def pressure_in_contact(self) -> np.ndarray:
         """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none."""
         return np.where(self.pressure > self.threshold, self.pressure, 0.0) if self.threshold > 0 else self.pressure
+
+
+Solve = Callable[..., ContactSolution | None]
+"""solve(problem, start=pressure to start from, or None, …): the contact, or None if it cannot be had.  Collective; may
+overwrite the heights of `problem`."""

@@ -47,7 +47,7 @@ class WallOperations:
     def __init__(self, problem: ContactProblem) -> None:
         self.problem, self.grid, self.heights, self.law = problem, problem.grid, problem.heights, problem.law
         scale, solid = 1 / self.grid.size, problem.solid
-        self.compliance = {kind: solid.apply_compliance(self.grid, kind, scale) for kind in (np.float32, np.float64)}
+        self.compliance = {real: solid.apply_compliance(self.grid, real, scale) for real in (np.float32, np.float64)}
         self.stiffness, self.rounding = solid.apply_stiffness(self.grid, np.float32, scale), Rounding(self.grid, solid)
         self.squares = np.zeros(2)
 
@@ -106,10 +106,10 @@ class WallOperations:
 
     @staticmethod
     def arrived(state: WallState, tolerance: float) -> bool:
-        """Whether the certified error is at most the tolerance.  Raises Uncertifiable if only rounding is left of it,
-        and that is more.
+        """Whether the certified error is at most the tolerance.  Raises Uncertifiable if rounding is more than that,
+        and most of the error.
         """
-        if tolerance < state.rounding and state.error < 4 * state.rounding:
+        if tolerance < state.rounding and state.error < 4 * state.rounding:  # as long as more is left, the error falls
             raise uncertifiable(state.rounding, tolerance)
         return state.error <= tolerance
 

@@ -110,7 +110,7 @@ class FromFile(Surface):
             log.info("surface: %s: %s%s", printable(self.path, 400), said, filled)
         _log_range(grid, heights, length_unit)
         if self.detrend != "none":
-            _subtract(grid, heights, ORDERS[self.detrend], [folded(count, self._copies) for count in grid.shape])
+            _subtract_trend(grid, heights, ORDERS[self.detrend], [folded(count, self._copies) for count in grid.shape])
         if self.periodic == "as-is":
             _warn_of_cliffs(grid, heights)
         if self.periodic == "taper":
@@ -181,7 +181,7 @@ def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> 
         )  # fmt: skip
 
 
-def _subtract(grid: SlabGrid, heights: np.ndarray, order: int, folds: list[np.ndarray]) -> None:
+def _subtract_trend(grid: SlabGrid, heights: np.ndarray, order: int, folds: list[np.ndarray]) -> None:
     """Subtract the polynomial of that order that fits the file's heights best, in place.  Collective.
 
     Least squares in products of polynomials of x and of y that are orthogonal over the points, so that each coefficient
@@ -214,14 +214,15 @@ def _warn_of_cliffs(grid: SlabGrid, heights: np.ndarray) -> None:
     below = grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1) / unit
     steps_x, steps_y = np.diff(heights / unit, axis=0, append=below), np.diff(heights / unit, axis=1)
     at_edge = grid.rows.stop == grid.shape[0]
-    jumps = grid.reduction.sums(
+    squares = grid.reduction.sums(  # of jumps across x and y, then of steps along them
         np.sum(steps_x[-1] ** 2) if at_edge else 0.0,
         np.sum((heights[:, 0] / unit - heights[:, -1] / unit) ** 2),
         np.sum(steps_x[: len(steps_x) - at_edge] ** 2),
         np.sum(steps_y**2),
     )
-    for name, count, others, jump, steps in zip("xy", grid.shape, grid.shape[::-1], jumps[:2], jumps[2:], strict=True):
-        jump, step = math.sqrt(jump / others), math.sqrt(steps / max((count - 1) * others, 1))
+    for axis, name in enumerate("xy"):
+        count, across = grid.shape[axis], grid.shape[1 - axis]
+        jump, step = math.sqrt(squares[axis] / across), math.sqrt(squares[2 + axis] / max((count - 1) * across, 1))
         if jump > CLIFF * step and grid.comm.rank == 0:
             log.warning(
                 "surface: the edges across %s do not match: they differ by %.3g (rms), neighbours by %.3g; the cell is "

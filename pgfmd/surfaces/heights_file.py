@@ -50,6 +50,7 @@ def read_heights(
 
 
 def _fitting(found: Measurement, grid: SlabGrid, turned: bool, copies: int, length_unit: str | None) -> Measurement:
+    """The measurement as the grid needs it; raises InputError if it does not fit.  See `read_heights`."""
     found = (found.turned() if turned else found).converted(length_unit)
     found.check(grid.shape, grid.lengths, copies)
     return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pgfmd.errors import InputError
@@ -23,6 +25,9 @@ def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:
     with that plane.  Conjugate gradients over the missing points alone.  Raises InputError if no point was measured.
     """
     missing = np.isnan(heights)
+    largest = grid.reduction.max(np.max(np.abs(heights), where=~missing, initial=0.0))
+    exponent = math.frexp(largest)[1]
+    np.ldexp(heights, -exponent, out=heights)  # so that squares neither overflow nor underflow
     known, count = grid.reduction.sums(np.sum(heights, where=~missing), missing.sum())
     if count == grid.size:
         raise InputError("no point was measured")
@@ -42,6 +47,7 @@ def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:
         before, squares = squares, grid.reduction.dot(residual, residual)
         direction = residual + squares / before * direction
     heights[missing] += change
+    np.ldexp(heights, exponent, out=heights)
 
 
 class _Holes:

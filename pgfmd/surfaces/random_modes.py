@@ -57,7 +57,7 @@ class RandomModes:
             own_mirror = ky == 0 or 2 * ky == ny
             for part in _slices_within(nx, kx_max, own_mirror):
                 modes = squares_x[part] + square_y
-                power = _fill(self.seed, kx[part], ky, self.variance(modes), column[part])
+                power = _random(self.seed, kx[part], ky, self.variance(modes), column[part])
                 moment += 0.0 if own_mirror else 2 * float(np.dot(modes, power))
             if own_mirror:
                 _mirror(column)
@@ -93,7 +93,7 @@ def _slices_within(nx: int, kx_max: float, own_mirror: bool) -> list[slice]:
     return [slice(0, nx)] if 2 * count > nx else [slice(0, count), slice(nx - count + 1, nx)]
 
 
-def _fill(seed: int, kx: np.ndarray, ky: int, variance: np.ndarray, out: np.ndarray) -> np.ndarray:
+def _random(seed: int, kx: np.ndarray, ky: int, variance: np.ndarray, out: np.ndarray) -> np.ndarray:
     """Random modes of that variance into `out`, all of shape (count,); returns |h̃|² of each."""
     power, cosine, sine = np.empty((3, len(kx)))
     _uniform(seed, kx, ky, power, cosine, sine)

@@ -15,14 +15,12 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import POSITIVE, number, seeds
 from pgfmd.options.section import key, wrong
 from pgfmd.options.text import show
-from pgfmd.surfaces.surface import SEED, Surface, single
+from pgfmd.surfaces.surface import SEED, SLACK, Surface, single
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
 log = logging.getLogger("pgfmd")
-
-SLACK = 1e-9  # relative: a mode that lies on a cut-off belongs to the band on every grid
 
 
 @dataclass(frozen=True, kw_only=True)

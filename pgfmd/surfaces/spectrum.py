@@ -13,14 +13,12 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key
-from pgfmd.surfaces.surface import SEED, Surface, path_key, single
+from pgfmd.surfaces.surface import SEED, SLACK, Surface, path_key, single
 from pgfmd.surfaces.text import read_table
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.parallel.mpi import MPI
-
-SLACK = 1e-9  # relative: a mode that lies on an end of the table belongs to it on every grid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +45,7 @@ class FromSpectrum(Surface):
         """q and C, each (m,).  Raises InputError if the file holds no such table."""
         try:
             is_array = self.path.endswith(".npy")
-            table = np.load(self.path, allow_pickle=False) if is_array else read_table(self.path)
+            table = np.load(self.path, allow_pickle=False) if is_array else read_table(self.path, 2)
         except (OSError, ValueError, EOFError) as error:
             raise InputError(f"{self.path}: cannot be read as a table: {' '.join(str(error).split())}") from None
         if table is None or table.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != 2 or len(table) < 2:

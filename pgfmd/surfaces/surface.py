@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pgfmd.parallel.mpi import MPI
 
 
+SLACK = 1e-9  # relative: a mode that lies on an end of a spectrum belongs to it on every grid
 SEED = "one seed is one surface, on any grid; several are an ensemble, with results for each and their mean"
 
 

@@ -16,7 +16,8 @@ STYLES = ((",", "."), ("\t", "."), (None, "."), (";", "."), (";", ","), ("\t", "
 NOTHING = {"", "nan", "bad", "na", "n/a", "null", "none", "---", "--", "***"}  # fields of points not measured
 UNIT = re.compile(r"(Lateral|Value) units:\s*(\S+)")  # of coordinates and heights, as Gwyddion exports points
 FOREIGN = re.compile(r"(?i)\bunit|[:=]\s*\S*\d")  # in comments that give sizes or units: SurfaceTopography reads these
-HEADER, MOST_COMMENTS = 200, 10**6  # lines in which the first numbers of a .csv, of another text are looked for
+HEADER = 200  # lines of a .csv in which the first line of numbers is looked for
+MOST_COMMENTS = 10**6  # lines of another text before its first line of numbers
 LATTICE = 0.05  # distance from the lattice, over its spacing, at which a point still belongs to it
 SAME = 1e-6  # coordinates closer than that, over their range, are equal
 
@@ -29,7 +30,7 @@ def read(path: str) -> Measurement | None:
     `numpy.savetxt` writes it.  Three columns are x, y and height, in any order of lines; lattice points without a line
     are NaN.  Raises InputError, without the path: fewer columns, lines of different length, points off a lattice.
     """
-    comments, _, passed = _opening(path)
+    comments, _, passed = _opening(path, 3)
     after = f", after {passed} lines of words, which are not read" * (passed > 0)
     units = {match[1]: match[2] for match in map(UNIT.search, comments) if match}
     if any(FOREIGN.search(line) for line in comments if not UNIT.search(line)):
@@ -43,15 +44,15 @@ def read(path: str) -> Measurement | None:
     return replace(found, format=found.format + after)
 
 
-def read_table(path: str) -> np.ndarray | None:
+def read_table(path: str, least: int = 3) -> np.ndarray | None:
     """The numbers of a text file (lines, columns) in float64, NaN where a field says that there is none; None if its
     first line does not consist of numbers.
 
     Columns are separated by blanks, tabs, commas or semicolons.  The decimal mark is a point, or a comma if commas do
-    not separate columns.  # begins a comment.  A .csv may begin with lines of words, which are passed over.  Raises
-    InputError, without the path, if lines differ in length.
+    not separate columns.  # begins a comment.  A .csv may begin with lines of words, which are passed over up to the
+    first line of `least` numbers.  Raises InputError, without the path, if lines differ in length.
     """
-    _, first, passed = _opening(path)
+    _, first, passed = _opening(path, least)
     style = _style(first)
     if style is None:
         return None
@@ -75,10 +76,10 @@ def read_table(path: str) -> np.ndarray | None:
     return table[:, :-1] if np.isnan(table[:, -1]).all() else table  # each line ends in a separator
 
 
-def _opening(path: str) -> tuple[list[str], str, int]:
-    """The comments at the beginning of the file; the first line after them that is not blank; in a .csv, the first one
-    with three numbers, if one of the first HEADER lines has them.  Last, the number of lines before it, 0 if these are
-    comments only.
+def _opening(path: str, least: int) -> tuple[list[str], str, int]:
+    """(comments, first, passed): the comments at the beginning of the file, and the first line that is neither comment
+    nor blank.  If a .csv has a line of `least` numbers among the first HEADER ones, `first` is that line, and `passed`
+    the number of lines before it; passed = 0 where no line of words comes before `first`.
     """
     comments: list[str] = []
     first, words, table = "", 0, os.fspath(path).lower().endswith(".csv")
@@ -92,7 +93,7 @@ def _opening(path: str) -> tuple[list[str], str, int]:
             elif line.strip():
                 first = first or line
                 style = _style(line)
-                if not table or style and len(_fields(line, style) or []) > 2:
+                if not table or style and len(_fields(line, style) or []) >= least:
                     return comments, line, passed if words else 0
                 words += 1
     return comments, first, 0

@@ -12,8 +12,6 @@ surfaces (H = .3, .5, .8; f_c from .02 to .6; 16 and 32 λ_s across; λ_s = 4a �
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
@@ -22,11 +20,8 @@ from pgfmd.grid.transfer import restrict
 from pgfmd.observables.contact_line.line import ContactLine, contact_line
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import ContactSolution, Solve
 
-Solve = Callable[..., ContactSolution | None]
-"""solve(problem, start=None, options=…) → the contact, or None if it cannot be had; its heights may be overwritten.
-Collective."""
 MODES = 4
 FACTORS = {"area": 0.4, "perimeter": 0.6, "mean_gap": 0.52, "elastic_energy": 0.3, "mean_square_pressure": 0.6}
 """c of each number."""

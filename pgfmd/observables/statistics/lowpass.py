@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -14,11 +13,7 @@ from pgfmd.grid.transfer import restrict
 from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import ContactSolution
-
-Solve = Callable[..., ContactSolution | None]
-"""solve(problem, start=pressure to start from or None) → the contact, or None if it cannot be had; its heights may be
-overwritten.  Collective."""
+from pgfmd.solvers.solution import Solve
 
 
 def lowpass_areas(

@@ -7,20 +7,13 @@ points are, the gaps of the others (`dual`).  Each step computes the response to
 chooses the unknowns, solves for them by conjugate gradients in single precision with a particle–mesh response, and
 makes the state feasible again.
 
-The stop is a certificate.  For a feasible p with gap g = Gp − h, any level λ, and any field ρ with
+The stop is a certificate, ½⟨ρ, Kρ⟩, of second order in the error of the gap, for any field ρ with
 
-    ρ = g − λ  where 0 < p < σ_Y,        ρ ≤ g − λ  where p = 0,        ρ ≥ g − λ  where p = σ_Y,
+    ρ = g − λ  where 0 < p < σ_Y,        ρ ≤ g − λ  where p = 0,        ρ ≥ g − λ  where p = σ_Y
 
-the energy error is bounded by
-
-    ½‖p − p*‖²_G ≤ J(p) − J(p*) ≤ ½⟨ρ, Kρ⟩,
-
-where p* is the solution and K = G⁻¹ the stiffness (without the mode q = 0).  Proof: d = p* − p has sum 0, so that
-J(p*) − J(p) = ⟨g − λ, d⟩ + ½⟨d, Gd⟩ ≥ ⟨ρ, d⟩ + ½⟨d, Gd⟩ ≥ −½⟨ρ, Kρ⟩.  The bound is of second order in the error of the
-gap, like the energy error itself, and costs half a transform.  Where p is at a bound, ρ may be chosen, and smooth
-fields give the lowest bound: next to the unknowns, the mean of their ρ over the eight neighbours halves it on rough
-surfaces (from 5.7 to 2.7 times the error for H = .3, λ_s = a, half in contact; at best 1).  An error e of the computed
-gap adds ‖e‖_K to ‖ρ‖_K (`Relaxation.rounding`).
+(proof in NUMERICS.md).  Where p is at a bound, ρ may be chosen, and smooth fields give the lowest bound: next to the
+unknowns, the mean of their ρ over the eight neighbours halves it on rough surfaces (from 5.7 to 2.7 times the error for
+H = .3, λ_s = a, half in contact; at best 1).
 
 Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights over their rms value.
 """
@@ -35,9 +28,11 @@ from functools import cached_property
 import numpy as np
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import source
+from pgfmd.grid.kernels import jit, u
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
@@ -47,8 +42,7 @@ LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
 MARGIN = 0.4  # the last step aims at this part of the tolerance
 WITHIN = 0.3  # a step aims at the tolerance if the factor for that is at least this part of the one that seems useful
-MOST_INNER = 300
-MOST_LOW = 100.0  # by which one certificate may raise later estimates
+MOST_RAISED = 100.0  # factor by which one certificate may raise later estimates
 STUCK = 3  # steps without halving the least error, before double precision is taken
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
@@ -57,16 +51,16 @@ UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 class State:
     """Pressure and gap (nx_local, ny) on one grid.
 
-    level: λ, the gap Gp − h of points in contact.  opened: false if `gap` is Gp − h; true if it is measured from λ and
-    set to 0 wherever the pressure lies between its bounds.  energy: ½⟨p, Gp⟩.  error: of the energy over 2 · energy,
-    certified or estimated.  contact: number of points with p > 0; between: of those with 0 < p < σ_Y.  iterations: of
-    conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, set by a certificate.  estimated: true if `gap` is interpolated from
-    a coarser grid.
+    level: λ, the gap Gp − h of points in contact.  clipped: false if `gap` is Gp − h; true if it is measured from λ, at
+    least 0, and 0 wherever the pressure lies between its bounds.  energy: ½⟨p, Gp⟩.  error: of the energy over
+    2 · energy, certified or estimated.  contact: number of points with p > 0; between: of those with 0 < p < σ_Y.
+    iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, set by a certificate.  estimated: true if `gap` is
+    interpolated from a coarser grid.
     """
 
     pressure: np.ndarray
     gap: np.ndarray
-    opened: bool = False
+    clipped: bool = False
     level: float = 0.0
     energy: float = 0.0
     error: float = math.inf
@@ -93,9 +87,9 @@ class Relaxation:
         grid, solid = problem.grid, problem.solid
         self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
         self.top, self.solid, self.kind = problem.law.highest, solid, problem.law.kind
-        kinds: tuple[Precision, Precision] = (np.float32, np.float64)
-        self.compliance = {kind: solid.apply_compliance(grid, kind, 1 / grid.size) for kind in kinds}
-        self.stiffness = {kind: solid.apply_stiffness(grid, kind, 1 / grid.size) for kind in kinds}
+        precisions: tuple[Precision, Precision] = (np.float32, np.float64)
+        self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.size) for real in precisions}
+        self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.size) for real in precisions}
         self.squares, self.heights_squared = np.zeros(2), 0.0
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
@@ -104,20 +98,20 @@ class Relaxation:
         `state.pressure` must be feasible.  Raises SolverError if the error stops falling above the tolerance, and
         Uncertifiable if that is due to rounding in double precision.
         """
-        precision = self.precision
-        before, patience, low = math.inf, Patience(self.patience), 1.0  # low: by how much estimates were too low
+        precision, patience = self.precision, Patience(self.patience)
+        before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
-            system = self.look(state, precision)
+            system = self.linearise(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            estimate = low * system.square / (2 * state.energy) if state.energy > 0 else math.inf
+            estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
-            rounding = self.rounding(precision) / (2 * state.energy) if self.exact and state.energy > 0 else 0.0
+            rounding = self.rounding_bound(precision) / (2 * state.energy) if self.exact and state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
-                low *= min(max(1.0, state.error / max(estimate, MARGIN * tolerance)), MOST_LOW)
+                raised *= min(max(1.0, state.error / max(estimate, MARGIN * tolerance)), MOST_RAISED)
             self.settle(state)
             if monitor is not None:
                 monitor(state)
@@ -127,11 +121,13 @@ class Relaxation:
                 raise uncertifiable(rounding, tolerance)
             if not patience.take(estimate, state.error):
                 break
-            stay_single = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK
-            if precision is np.float32 and not stay_single:
+            # The next steps lower the estimate by some 100 each, down to the tolerance.
+            single_serves = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK
+            if precision is np.float32 and not single_serves:
                 precision = np.float64
                 if estimate <= tolerance:
                     continue  # certify in double precision before another step
+            # The longer the error has not been halved, the more exactly the system is solved.
             wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (patience.lost / STEPS)
             before = estimate
             self.improve(state, system, wanted)
@@ -159,14 +155,14 @@ class Relaxation:
     def begin(self, state: State) -> None:
         """Improves a start of estimated gap without full transforms.  Collective."""
 
-    def look(self, state: State, precision: Precision) -> ConjugateGradients:
+    def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state, and chooses the unknowns.  Returns the system whose solution
         improves them.  Collective.
         """
         raise NotImplementedError
 
     def settle(self, state: State) -> None:
-        """Makes the pressure that `look` computed feasible, if it is not.  Collective."""
+        """Makes the pressure that `linearise` computed feasible, if it is not.  Collective."""
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
         """Reduce the residual of the system by the factor `wanted`, and make the state feasible.  Collective."""
@@ -180,30 +176,27 @@ class Relaxation:
         """Sets the state's level, energy and counts from a pressure and its gap Gp − h, and Σ p².  Collective."""
         pressure, gap, heights, top = state.pressure, state.gap, self.heights, self.top
         parts = self.grid.threads.collect(
-            lambda a, b: set_kernels.contact_sums(pressure, gap, heights, top, a, b), len(gap)
+            lambda a, b: contact_sums(pressure, gap, heights, top, a, b), len(gap)
         )
-        sums, highest, lowest = zip(*parts, strict=True)
+        sums, most, least = zip(*parts, strict=True)
         totals = self.grid.reduction.sums(*map(math.fsum, zip(*sums, strict=True)))
         work, load, between, energy, self.squares[0], self.heights_squared, count = totals
         state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
         if between:
             state.level = float(work / load)
         else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 will do
-            state.level = (self.grid.reduction.max(highest) + self.grid.reduction.min(lowest)) / 2
+            state.level = (self.grid.reduction.max(most) + self.grid.reduction.min(least)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap to Gp − h, which may have either sign.  Collective."""
-        squares: list[tuple[int, float]] = []
-
-        def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            rows[...] = state.pressure[first:stop]
+        squares: dict[int, tuple[float, ...]] = {}
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            squares.append((first, float(np.vdot(rows, rows))))
+            squares[first] = (float(np.vdot(rows, rows)),)
             kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
 
-        self.grid.convolve(fill, self.compliance[precision], drain, precision)
-        self.squares[1] = self.grid.reduction.sum([square for _, square in sorted(squares)])
+        self.grid.convolve(source(state.pressure), self.compliance[precision], drain, precision)
+        (self.squares[1],) = self.grid.reduction.sums_of_blocks(squares, 1)
 
     def certify(self, state: State, precision: Precision) -> float:
         """A bound of the energy error over 2 · energy, rounding included.  Collective.
@@ -216,17 +209,82 @@ class Relaxation:
         edges = np.where((pressure > 0) & (pressure < top), gap - level, 0.0)
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            set_kernels.residual_rows(fields, level, top, edges, first, rows)
+            residual_rows(fields, level, top, edges, first, rows)
 
         square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
-        return certified(square, self.rounding(precision)) / (2 * state.energy)
+        return certified(square, self.rounding_bound(precision)) / (2 * state.energy)
 
-    def rounding(self, precision: Precision) -> float:
+    def rounding_bound(self, precision: Precision) -> float:
         """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective on first use."""
-        return self.roundings.bound(self.squares, self.heights_squared, precision)
+        return self._rounding.bound(self.squares, self.heights_squared, precision)
 
     @cached_property
-    def roundings(self) -> Rounding:
-        """The bounds of rounding errors on this grid for this solid.  Collective on first use."""
+    def _rounding(self) -> Rounding:
+        """Rounding on this grid.  Collective on first use; coarse grids do not need it."""
         return Rounding(self.grid, self.solid)
+
+
+@jit
+def contact_sums(
+    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, top: float, first: int, stop: int
+) -> tuple[tuple[float, float, float, float, float, float, int], float, float]:
+    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ h² and number of points where p > 0),
+    and the largest gap where p = top and the least where p = 0, over rows first … stop−1.
+    """
+    work = load = energy = squares = heights_squared = 0.0
+    between = count = 0
+    most, least = -np.inf, np.inf
+    for i in range(first, stop):
+        row = pressure[i]
+        for j in range(row.size):
+            p = row[u(j)]
+            g = gap[i, u(j)]
+            if p > 0:
+                h = heights[i, u(j)]
+                energy += p * (g + h)
+                squares += p * p
+                heights_squared += h * h
+                count += 1
+                if p < top:
+                    work += p * g
+                    load += p
+                    between += 1
+                else:
+                    most = max(most, g)
+            else:
+                least = min(least, g)
+    return (work, load, between, energy, squares, heights_squared, count), most, least
+
+
+@jit
+def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, first: int, out: np.ndarray) -> None:
+    """ρ of the certificate for rows first … of pressure and gap: gap − level where 0 < p < top.  Elsewhere the mean of
+    that over the eight neighbours, of which the others count as 0, but at most gap − level where p = 0, and at least
+    that where p = top.  edges: the same, or 0, of the rows before and after those of this rank.
+    """
+    pressure, gap = fields
+    rows, ny = pressure.shape
+    lines = np.empty((3, ny))
+    for i in range(first - 1, first + out.shape[0] + 1):
+        line = lines[(i + 1) % 3]
+        if i < 0 or i == rows:
+            for j in range(ny):  # an assignment of arrays takes seconds to compile, for its messages
+                line[j] = edges[0 if i < 0 else 1, j]
+        else:
+            for j in range(ny):
+                line[j] = gap[i, j] - level if 0 < pressure[i, j] < top else 0.0
+        if i <= first:
+            continue
+        p, g, target = pressure[i - 1], gap[i - 1], out[i - 1 - first]
+        here = lines[i % 3]
+        for j in range(ny):
+            if 0 < p[j] < top:
+                target[j] = here[j]
+                continue
+            left, right = j - 1 if j > 0 else ny - 1, j + 1 if j + 1 < ny else 0
+            around = 0.0
+            for other in range(3):
+                around += lines[other, left] + lines[other, j] + lines[other, right]
+            around /= 8
+            target[j] = min(around, g[j] - level) if p[j] <= 0 else max(around, g[j] - level)

@@ -33,11 +33,13 @@ def larger(shape: tuple[int, int]) -> tuple[int, int]:
 
 
 class Blocks:
-    """Blocks of points of a grid, which may be blocks themselves: residuals are split into what is smooth on their
-    scale and the rest, and answers to both are joined.  Collective to make.
+    """Blocks of points of a grid, which may be blocks themselves.  Collective to make.
 
-    Attributes: window, of the blocks that have points of this rank: what is to be subtracted from these points; low:
-    first row of blocks in it.  size: points that one application transforms, over all larger blocks.
+    A residual is split: its means over blocks are answered by the stiffness between blocks, the rest by the caller.
+    Then the sum of the caller's answer over each block is replaced by the load of the block.  Both times `window`
+    receives what the caller is to subtract from each point: an entry for each block that has points of this rank.
+
+    Attributes: low, first row of blocks in the window.  transformed: points of the transforms in one application.
     """
 
     def __init__(self, grid: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
@@ -51,9 +53,9 @@ class Blocks:
         self.stiffness = None
         if self.place.grid is not None:
             self.stiffness = BlockStiffness(self.place.grid, side, stiffness, pixel)
-        self.size = 0
-        while not self.size or min(shape) >= FEWEST:
-            self.size, shape = self.size + math.prod(shape), larger(shape)
+        self.transformed = 0
+        while not self.transformed or min(shape) >= FEWEST:
+            self.transformed, shape = self.transformed + math.prod(shape), larger(shape)
 
     def begin(self, counts: Sums) -> None:
         """Prepares for a new set, from the number of its points in each block.  Collective."""
@@ -62,7 +64,7 @@ class Blocks:
             self.stiffness.begin(self.window.own.copy())
 
     def split(self, residuals: Sums, unanswered: bool = False) -> None:
-        """Leaves in the window the means of the residuals; keeps the loads that answer them, or 0, for `join`.
+        """Sets the window to the means of the residuals; keeps the loads that answer them, or 0, for `join`.
         Collective.
         """
         self._sum(residuals)
@@ -71,18 +73,15 @@ class Blocks:
                 self.loads[...] = 0
             else:
                 self.stiffness.respond(self.window.own, self.loads)
-            self._on_own(lambda own, loads, share: np.multiply(own, share, out=own))
+            self.window.own *= self.stiffness.inverse_counts
         self.window.fetch()
 
     def join(self, answers: Sums) -> None:
-        """Leaves in the window what the answers to the rest have too much of, to sum to the kept loads.  Collective."""
+        """Sets the window to the excess per point of the answers' sums over the kept loads.  Collective."""
         self._sum(answers)
-
-        def excess(own: np.ndarray, loads: np.ndarray, share: np.ndarray) -> None:
-            own -= loads
-            own *= share
-
-        self._on_own(excess)
+        if self.stiffness is not None:
+            self.window.own -= self.loads
+            self.window.own *= self.stiffness.inverse_counts
         self.window.fetch()
 
     def free(self) -> None:
@@ -102,12 +101,6 @@ class Blocks:
         self.threads.deal(part, len(rows), 256 // FACTOR)
         self.window.add()
 
-    def _on_own(self, work: Callable[[np.ndarray, np.ndarray, np.ndarray], object]) -> None:
-        """`work(own, loads, 1/counts)` on parts of this rank's blocks."""
-        if self.stiffness is not None:
-            fields = self.window.own, self.loads, self.stiffness.inverse_counts
-            self.threads.deal(lambda a, b: work(*(field[a:b] for field in fields)), len(self.loads))  # type: ignore[arg-type]
-
 
 class BlockStiffness:
     """The map from residuals of blocks to their loads: symmetric, positive, accurate for waves of any length."""
@@ -124,7 +117,7 @@ class BlockStiffness:
         self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
         coarser = min(larger(blocks.shape)) >= FEWEST
         self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel) if coarser else None
-        self._nothing = np.zeros((1, 1), np.float32)
+        self._no_means = np.zeros((1, 1), np.float32)  # of one block, where there are no larger ones
 
     def free(self) -> None:
         """Frees the transforms.  Collective."""
@@ -143,7 +136,7 @@ class BlockStiffness:
     def respond(self, residuals: np.ndarray, loads: np.ndarray) -> None:
         """loads of the blocks = K_blocks · residuals, which are sums over the points of each block.  Collective."""
         threads, coarser = self.blocks.threads, self.coarser
-        size, start, smooth = max(self.blocks.shape), 0, self._nothing
+        size, start, smooth = max(self.blocks.shape), 0, self._no_means
         if coarser is not None:
             coarser.split(self._sums(residuals))
             size, start, smooth = FACTOR, self.blocks.rows.start - coarser.low * FACTOR, coarser.window.rows

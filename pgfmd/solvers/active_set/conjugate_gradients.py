@@ -7,11 +7,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pgfmd.grid.kernels import jit
 from pgfmd.parallel.collectives import Reduction
-from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
+from pgfmd.solvers.active_set.unknowns import Part, SetVector, Unknowns
 
-PART = 1 << 16  # entries that a thread takes at a time: fewer cost more to hand out than to compute
+ENTRIES = 1 << 16  # that a thread takes at a time: fewer cost more to hand out than to compute
+MOST_ITERATIONS = 300
 
 
 class Operator(Protocol):
@@ -41,34 +42,39 @@ class ConjugateGradients:
         residual.own -= residual.own.dtype.type(total * self.inverse_count)
         self.square = self._precondition()
 
-    def solve(self, wanted: float, most: int) -> tuple[np.ndarray, int]:
-        """Iterates until √`square` is at most `wanted` times its first value, at most `most` times.  Returns x (count,)
-        and the number of iterations; each applies A once.  Collective.
+    def solve(self, wanted: float) -> tuple[np.ndarray, int]:
+        """Iterates until √`square` is at most `wanted` times its first value, `MOST_ITERATIONS` times at most.  Returns
+        x (count,) and the number of iterations; each applies A once.  Collective.
         """
         residual, z, direction = self.residual.own, self.z.own, SetVector(self.points)
         real, d = residual.dtype.type, direction.own
         x, product = np.zeros_like(residual), np.empty_like(residual)
         d[:] = 0
         before, goal = math.inf, wanted**2 * self.square
-        for iteration in range(most):
+
+        def next_d(_: int, i: int, j: int) -> None:
+            next_direction(d, z, *turn, i, j)
+
+        def next_x(_: int, i: int, j: int) -> None:
+            advance(x, residual, (d, product), *step, (i, j))
+
+        for iteration in range(MOST_ITERATIONS):
             if self.square <= goal or self.square <= 0:
                 return x, iteration
             turn = real(self.square / before), real(self.mean)
-            self.threads.share(lambda _, i, j: set_kernels.turn(d, z, *turn, i, j), len(d), PART)  # noqa: B023 (at once)
+            self.threads.share(next_d, len(d), ENTRIES)
             before = self.square
             self.operator.apply(self.points, direction, product)
             curvature, _, total = self._sums(d, product)
             if not curvature > 0:
                 return x, iteration
             step = real(before / curvature), real(total * self.inverse_count)
-            self.threads.share(
-                lambda _, i, j: set_kernels.advance(x, residual, (d, product), *step, (i, j)), len(d), PART  # noqa: B023
-            )  # fmt: skip
+            self.threads.share(next_x, len(d), ENTRIES)
             self.square = self._precondition()
-        return x, most
+        return x, MOST_ITERATIONS
 
     def _precondition(self) -> float:
-        """z = M · residual, and its mean, which `turn` subtracts.  Returns ⟨residual, z − mean⟩.  Collective."""
+        """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""
         self.preconditioner.apply(self.points, self.residual, self.z)
         square, sum_r, sum_z = self._sums(self.residual.own, self.z.own)
         self.mean = sum_z * self.inverse_count
@@ -76,5 +82,38 @@ class ConjugateGradients:
 
     def _sums(self, a: np.ndarray, b: np.ndarray, *more: float) -> np.ndarray:
         """Σ a b, Σ a, Σ b and the sums of `more` numbers over all ranks.  Collective."""
-        parts = self.threads.collect(lambda i, j: set_kernels.dot_and_sums(a, b, i, j), len(a), PART)
+        parts = self.threads.collect(lambda i, j: dot_and_sums(a, b, i, j), len(a), ENTRIES)
         return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)), *more)
+
+
+@jit
+def dot_and_sums(a: np.ndarray, b: np.ndarray, first: int, stop: int) -> tuple[float, float, float]:
+    """(Σ a b, Σ a, Σ b) over the entries first … stop−1, in double precision."""
+    dot = sum_a = sum_b = 0.0
+    for k in range(first, stop):
+        x, y = np.float64(a[k]), np.float64(b[k])
+        dot += x * y
+        sum_a += x
+        sum_b += y
+    return dot, sum_a, sum_b
+
+
+@jit
+def next_direction(direction: np.ndarray, z: np.ndarray, factor: float, mean: float, first: int, stop: int) -> None:
+    """direction = factor · direction + z − mean in the entries first … stop−1."""
+    for k in range(first, stop):
+        direction[k] = factor * direction[k] + (z[k] - mean)
+
+
+@jit
+def advance(
+    x: np.ndarray, residual: np.ndarray, along: tuple[np.ndarray, np.ndarray], step: float, mean: float, part: Part
+) -> None:
+    """x += step · direction and residual −= step · (product − mean) in the entries first … stop−1; along: direction and
+    product.
+    """
+    direction, product = along
+    first, stop = part
+    for k in range(first, stop):
+        x[k] += step * direction[k]
+        residual[k] -= step * (product[k] - mean)

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from pgfmd.solvers.active_set.active_set import MOST_INNER, State
+from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.active_set.unknowns import Unknowns
@@ -28,26 +28,26 @@ TRIALS = 4  # lengths that are tried before a step ends where the first point me
 class Descent(PressureSteps):
     """Relaxation in double precision by steps none of which raises the energy.
 
-    It takes more transforms than the others, and three more fields (nx_local, ny).
+    It takes more transforms than the others, and several more fields (nx_local, ny).
     """
 
     precision = np.float64
     patience, most_steps = 60, 2000
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
-        """A step towards the solution for the unknowns that leave their bounds, as long as it lowers the energy enough.
-        Collective.
+        """A step towards the solution for the unknowns that leave their bounds, as long as it lowers the energy enough;
+        `wanted` does not matter.  Collective.
         """
         reduction, pressure, gap = self.grid.reduction, state.pressure.copy(), state.gap - state.level
         points, direction = self._direction(state)
         with np.errstate(divide="ignore", invalid="ignore"):
-            bounds = np.where(direction < 0, pressure / -direction, (self.top - pressure) / direction)
-        bounds[direction == 0] = np.inf
-        furthest, promised = reduction.min(bounds), -reduction.dot(gap, direction) / 2
+            room = np.where(direction < 0, pressure / -direction, (self.top - pressure) / direction)
+        room[direction == 0] = np.inf  # the step at which each point meets a bound
+        furthest, promised = reduction.min(room), -reduction.dot(gap, direction) / 2
         step = 1.0
         for trial in range(TRIALS + 1):
             np.add(pressure, step * direction, out=state.pressure)
-            state.pressure[bounds <= step] = np.where(direction < 0, 0.0, self.top)[bounds <= step]
+            state.pressure[room <= step] = np.where(direction < 0, 0.0, self.top)[room <= step]
             self.feasible.make(points, (state.pressure, state.gap), self.load)
             if step <= furthest:
                 return
@@ -68,7 +68,7 @@ class Descent(PressureSteps):
         while True:
             points = Unknowns(self.grid, (pressure, shown), level, self.top)
             system = ConjugateGradients(points.below(level, gap), self.inner, self.preconditioner)
-            change, steps = system.solve(CUT, MOST_INNER)
+            change, steps = system.solve(CUT)
             state.iterations += steps
             direction = np.zeros_like(pressure)
             points.add(direction, change)

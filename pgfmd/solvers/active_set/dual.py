@@ -15,7 +15,7 @@ import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import MOST_INNER, Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
@@ -44,14 +44,14 @@ class GapSteps(Relaxation):
 
     def begin(self, state: State) -> None:
         """The gap of the coarser grid is a start.  Collective."""
-        self.open_gap(state)
+        self.clip_gap(state)
 
-    def look(self, state: State, precision: Precision) -> ConjugateGradients:
+    def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """The pressure of the gap; the system makes it vanish where there is a gap.  Collective."""
-        if not state.opened:
+        if not state.clipped:
             self.compute_gap(state, precision)
             self.measure(state)
-            self.open_gap(state)
+            self.clip_gap(state)
         self.compute_pressure(state, precision)
         self.scale, sums = 1.0, []
 
@@ -73,15 +73,15 @@ class GapSteps(Relaxation):
         """Rows of the pressure without tensions, 0 where there is a gap, and scaled."""
         return np.where(state.gap[first:stop] > 0, 0.0, self.scale * np.maximum(state.pressure[first:stop], 0.0))
 
-    def open_gap(self, state: State) -> None:
-        """From the gap Gp − h to one that is ≥ 0, and 0 in contact."""
+    def clip_gap(self, state: State) -> None:
+        """Clips the gap Gp − h (`State.clipped`)."""
 
         def part(_: int, first: int, stop: int) -> None:
             gap = state.gap[first:stop]
             gap[...] = np.where(state.pressure[first:stop] > 0, 0.0, np.maximum(gap - state.level, 0.0))
 
         self.grid.threads.share(part, len(state.gap), self.grid.band)
-        state.opened = True
+        state.clipped = True
 
     def compute_pressure(self, state: State, precision: Precision) -> None:
         """p = p̄ + K(h + g) for the state's gap, with either sign.  Collective."""
@@ -100,12 +100,12 @@ class GapSteps(Relaxation):
         self.mean = float(total) / self.grid.size
 
     def settle(self, state: State) -> None:
-        """Settles the pressure, unless a certificate has done so."""
+        """Settles the pressure, unless `certify` has done so, which leaves the gap unclipped."""
 
         def part(_: int, first: int, stop: int) -> None:
             state.pressure[first:stop] = self.settled(state, first, stop)
 
-        if state.opened:
+        if state.clipped:
             self.grid.threads.share(part, len(state.gap), self.grid.band)
 
     def certify(self, state: State, precision: Precision) -> float:
@@ -121,15 +121,15 @@ class GapSteps(Relaxation):
 
         self.grid.convolve(fill, self.compliance[np.float32], drain, np.float32)
         self.measure(state)
-        state.opened = False
+        state.clipped = False
         return super().certify(state, precision)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
         """Reduce the pressure on the open set by the factor `wanted`, and make the gap feasible.  Collective."""
-        if not state.opened:  # a certificate has changed the gap
-            self.open_gap(state)
+        if not state.clipped:  # a certificate has settled the pressure: the system is out of date
+            self.clip_gap(state)
             return
-        change, steps = system.solve(wanted, MOST_INNER)
+        change, steps = system.solve(wanted)
         system.points.add(state.gap, change)
         state.iterations += steps
         self.grid.threads.deal(lambda a, b: np.maximum(state.gap[a:b], 0.0, out=state.gap[a:b]), len(state.gap))

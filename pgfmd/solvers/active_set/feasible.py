@@ -13,15 +13,17 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, RowWindow
-from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.kernels import Change, Fields
-from pgfmd.solvers.active_set.unknowns import Unknowns
+from pgfmd.solvers.active_set.unknowns import Fields, Unknowns
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
 CANCELLED = 1e-6  # if pressures and tensions cancel but for this part, the rest is rounding: blocks keep no load then
+
+Change = tuple[float, float, float]
+"""Of a pressure: factor, stiffness, level (`_changed`)."""
 
 
 class Feasible:
@@ -40,43 +42,48 @@ class Feasible:
         """Brings the pressure on the set between its bounds, and its sum over all points to `load`.  Collective.
 
         The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
-        (`carry`).
+        (`scale_to_load`).
         """
         pressure, top, threads = fields[0], self.top, self.grid.threads
-        start, stop = self.grid.rows.start, self.grid.rows.stop
+        start, end = self.grid.rows.start, self.grid.rows.stop
+        # Of each block: its load, and that of its pressures cut to their bounds; then the factor on these.
         blocks = self.window.rows.reshape(-1, 2, self.width)
 
-        def rows(block: int) -> tuple[int, int]:
-            """First and last + 1 of the slab's rows in a row of blocks."""
-            block += self.window.low
-            return max(block << SHIFT, start) - start, min(block + 1 << SHIFT, stop) - start
+        def part(block: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+            """Of a row of blocks: the pressure, where in it the points of the set are, and the block of each."""
+            low = self.window.low + block << SHIFT
+            first, stop = max(low, start) - start, min(low + (1 << SHIFT), end) - start
+            at = points.places(first, stop)[1]
+            return pressure[first:stop], at, at[1] >> SHIFT
 
         def measure(_: int, first: int, last: int) -> None:
             for block in range(first, last):
-                blocks[block] = 0
-                set_kernels.sums_in_blocks(pressure, points.lists, rows(block), SHIFT, top, blocks[block])
+                field, at, column = part(block)
+                for which, p in enumerate((field[at], np.clip(field[at], 0.0, top))):
+                    blocks[block, which] = np.bincount(column, p, self.width)
 
         def cut(_: int, first: int, last: int) -> None:
             for block in range(first, last):
-                set_kernels.cut_and_scale(pressure, points.lists, rows(block), SHIFT, top, blocks[block, 0])
+                field, at, column = part(block)
+                field[at] = np.minimum(blocks[block, 0, column] * np.maximum(field[at], 0.0), top)
 
         threads.share(measure, len(blocks), 1)
         self.window.add()
         own = self.window.own.reshape(-1, 2, self.width)
-        kept, bounded = np.maximum(own[:, 0], 0), own[:, 1]
-        sums = self.grid.reduction.sums(kept.sum(), bounded.sum())
+        loads, bounded = np.maximum(own[:, 0], 0), own[:, 1]
+        sums = self.grid.reduction.sums(loads.sum(), bounded.sum())
         if sums[0] <= CANCELLED * sums[1]:
-            kept, sums[0] = bounded, sums[1]
-        own[:, 0] = kept / np.where(bounded > 0, bounded, 1)
+            loads, sums[0] = bounded, sums[1]
+        own[:, 0] = loads / np.where(bounded > 0, bounded, 1)
         if math.isinf(top):
             own[:, 0] *= load / sums[0]
         self.window.fetch()
         threads.share(cut, len(blocks), 1)
         if math.isfinite(top):
-            carry(self.grid, fields, load, top, self.stiffness)
+            scale_to_load(self.grid, fields, load, top, self.stiffness)
 
 
-def carry(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:
+def scale_to_load(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:
     """Multiplies the pressures below `top`, and limits them to that, so that all sum to `load`.  Collective.
 
     If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and `top`,
@@ -86,7 +93,7 @@ def carry(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: fl
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
 
     def excess(change: Change) -> tuple[float, float]:
-        parts = threads.collect(lambda a, b: set_kernels.changed_sums(fields, change, top, a, b), len(gap))
+        parts = threads.collect(lambda a, b: changed_sums(fields, change, top, a, b), len(gap))
         total, slope = reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         return float(total) - load, float(slope)
 
@@ -96,7 +103,7 @@ def carry(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: fl
         high = reduction.max(gap) + load / grid.size / stiffness
         bracket = low, (low + high) / 2, high
         change = 0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)
-    threads.deal(lambda a, b: set_kernels.change_rows(fields, change, top, a, b), len(gap))
+    threads.deal(lambda a, b: change_rows(fields, change, top, a, b), len(gap))
 
 
 def _root(
@@ -116,3 +123,39 @@ def _root(
         trial = at - value / slope if slope > 0 else high
         at = trial if low < trial < high else (low + high) / 2
     return at
+
+
+@jit
+def _changed(p: float, g: float, change: Change, top: float) -> float:
+    """factor · p where p < top, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `top`."""
+    factor, stiffness, level = change
+    if stiffness > 0:
+        p += stiffness * (level - g)
+    elif p < top:
+        p *= factor
+    return min(max(p, 0.0), top)
+
+
+@jit
+def changed_sums(fields: Fields, change: Change, top: float, first: int, stop: int) -> tuple[float, float]:
+    """Σ p after the change, over rows first … stop−1, and its derivative by the level, or by the factor if there is no
+    stiffness.
+    """
+    pressure, gap = fields
+    total = slope = 0.0
+    for i in range(first, stop):
+        for j in range(pressure.shape[1]):
+            p = _changed(pressure[i, j], gap[i, j], change, top)
+            total += p
+            if 0 < p < top:
+                slope += change[1] if change[1] > 0 else pressure[i, j]
+    return total, slope
+
+
+@jit
+def change_rows(fields: Fields, change: Change, top: float, first: int, stop: int) -> None:
+    """Changes the pressure of rows first … stop−1."""
+    pressure, gap = fields
+    for i in range(first, stop):
+        for j in range(pressure.shape[1]):
+            pressure[i, j] = _changed(pressure[i, j], gap[i, j], change, top)

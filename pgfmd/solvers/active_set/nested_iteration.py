@@ -11,56 +11,20 @@ import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import sink, source
+from pgfmd.grid.kernels import jit
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.active_set import State
+from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
-from pgfmd.solvers.active_set.feasible import carry
+from pgfmd.solvers.active_set.feasible import scale_to_load
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
-from pgfmd.solvers.nondimensional import Dimensionless
-from pgfmd.solvers.solution import ContactSolution, Monitor
 
+ROUGHER = 0.3  # of the heights that only the finer grid resolves, the start on it flattens this part
 PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
-
-
-def solve_hard_wall(
-    problem: ContactProblem,
-    tolerance: float = 1e-8,
-    start: np.ndarray | None = None,
-    monitor: Monitor | None = None,
-    overwrite_heights: bool = False,
-) -> ContactSolution:
-    """Pressure and gap of a frictionless contact with a hard wall, or one of limited hardness, at the imposed mean
-    pressure, to a certified relative energy error.  Collective.
-
-    start: a pressure (nx_local, ny) ≥ 0 from a neighbouring load to begin with, instead of coarse grids.  monitor:
-    called after each outer step.  overwrite_heights: their memory is used, and they are lost.
-    Raises InputError for what is out of range, SolverError if the tolerance cannot be reached.
-    """
-    nested, grid = ActiveSetIteration(tolerance, monitor), problem.grid
-    units = Dimensionless(problem, overwrite_heights=overwrite_heights)
-    if units.uniform is not None:
-        return units.uniform
-    scaled = units.problem
-    if start is None:
-        state, extra = nested.solve(scaled)
-    else:
-        state, extra = _full_contact(scaled) or nested.relax(scaled, _begin(scaled, start)), 0.0
-    return units.solution(state, state.energy / grid.size, tolerance, extra)
-
-
-def _begin(problem: ContactProblem, start: np.ndarray) -> State:
-    """The state of a given pressure, made feasible.  Collective."""
-    grid, top = problem.grid, problem.law.highest
-    state = State(np.minimum(start * (problem.load / grid.reduction.sum(start)), top), -problem.heights)
-    fields = state.pressure, state.gap
-    carry(grid, fields, problem.load, top, problem.solid.contact_modulus / max(grid.spacing))
-    state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < top)))
-    return state
 
 
 def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
@@ -72,20 +36,14 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     if mean_pressure < margin * _least_deviation(problem):
         return None
     pressure = np.empty(grid.local_shape)
-
-    def fill(first: int, stop: int, rows: np.ndarray) -> None:
-        rows[...] = heights[first:stop]
-
-    def drain(first: int, stop: int, rows: np.ndarray) -> None:
-        pressure[first:stop] = rows
-
-    grid.convolve(fill, problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size), drain)
+    stiffness = problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size)
+    grid.convolve(source(heights), stiffness, sink(pressure))
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
     pressure += mean_pressure
     if grid.reduction.min(pressure) < 0 or grid.reduction.max(pressure) > problem.law.highest:
         return None
     gap = np.zeros(grid.local_shape)
-    return State(pressure, gap, True, 0.0, energy, 0.0, contact=grid.size, between=grid.size)
+    return State(pressure, gap, clipped=True, energy=energy, error=0.0, contact=grid.size, between=grid.size)
 
 
 def _least_deviation(problem: ContactProblem) -> float:
@@ -104,6 +62,21 @@ class ActiveSetIteration(NestedIteration[State]):
         """Full contact, where the load may well bring it about."""
         return _full_contact(problem, PRESSED)
 
+    def resume(self, problem: ContactProblem, start: np.ndarray) -> State:
+        """Full contact, or else from the pressure made feasible."""
+        if (state := _full_contact(problem)) is not None:
+            return state
+        grid, top = problem.grid, problem.law.highest
+        state = State(np.minimum(start * (problem.load / grid.reduction.sum(start)), top), -problem.heights)
+        fields = state.pressure, state.gap
+        scale_to_load(grid, fields, problem.load, top, problem.solid.contact_modulus / max(grid.spacing))
+        state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < top)))
+        return self.relax(problem, state)
+
+    def energy(self, state: State, size: int) -> float:
+        """The state's energy is that of all points."""
+        return state.energy / size
+
     def coarsest(self, problem: ContactProblem, exact: bool) -> State:
         """From a uniform pressure."""
         if (state := _full_contact(problem)) is not None:
@@ -121,20 +94,24 @@ class ActiveSetIteration(NestedIteration[State]):
         falling, by steps that lower the energy each time.  Collective.
         """
         by_gaps = problem.law.highest == np.inf and state.between > GAPS_FROM * problem.grid.size
-        steps = GapSteps if by_gaps else PressureSteps
-        solver = steps(problem, exact)
+        solver: Relaxation = GapSteps(problem, exact) if by_gaps else PressureSteps(problem, exact)
         if state.estimated:
             solver.begin(state)
-        try:
-            state = solver.relax(state, self.tolerance, self.watch(problem))
-        except Uncertifiable:
-            raise
-        except SolverError:
-            solver.free()
-            solver, state.opened = Descent(problem, exact), False
-            state = solver.relax(state, self.tolerance, self.watch(problem))
-        solver.free()
-        return state
+        while True:
+            try:
+                state = solver.relax(state, self.tolerance, self.watch(problem))
+            except SolverError as failure:  # on all ranks
+                solver.free()
+                if isinstance(failure, Uncertifiable) or isinstance(solver, Descent):
+                    raise
+                solver, state.clipped = Descent(problem, exact), False
+            else:
+                solver.free()
+                return state
+
+
+solve_hard_wall = ActiveSetIteration.contact
+"""The contact with a hard wall, or one of limited hardness: see `NestedIteration.contact`.  Collective."""
 
 
 def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
@@ -142,7 +119,7 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
 
     A point is in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap
     to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
-    (`set_kernels.start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
+    (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
     """
     grid, top = problem.grid, problem.law.highest
     found.gap -= found.level
@@ -150,11 +127,33 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
     compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
 
-    def begin(thread: int, first: int, stop: int) -> None:
+    def part(thread: int, first: int, stop: int) -> None:
         rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
         fields = read(0), read(1), read(2)
-        set_kernels.start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
+        start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
 
-    grid.threads.share(begin, grid.local_shape[0], grid.band)
-    carry(grid, (pressure, gap), problem.load, top, 1 / compliance)
+    grid.threads.share(part, grid.local_shape[0], grid.band)
+    scale_to_load(grid, (pressure, gap), problem.load, top, 1 / compliance)
     return State(pressure, gap, estimated=True, between=round(found.between / coarse.place.size * grid.size))
+
+
+@jit
+def start_rows(
+    coarse: tuple[np.ndarray, np.ndarray, np.ndarray],
+    heights: np.ndarray,
+    compliance: float,
+    pressure: np.ndarray,
+    gap: np.ndarray,
+) -> None:
+    """Pressure and gap that start a finer grid, from those of the coarse one interpolated.  With new = h − coarse h,
+    the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact: its pressure is
+    max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere the pressure is 0.
+    """
+    coarse_pressure, coarse_gap, coarse_heights = coarse
+    for i in range(pressure.shape[0]):
+        for j in range(pressure.shape[1]):
+            p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
+            g = coarse_gap[i, j] - new
+            closed = compliance * p > g
+            gap[i, j] = g + ROUGHER * new if closed else g
+            pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if closed else 0.0

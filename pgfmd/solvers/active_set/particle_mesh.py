@@ -20,19 +20,21 @@ import numpy as np
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.holders import FEW
+from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.layout import Piece
 from pgfmd.parallel.mpi import MPI
-from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.kernels import Splines
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
+from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
 
 SPLIT = 0.55  # α in 1/pixel: errors of the truncation and of the mesh are then about equal
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 SMALLEST = 256  # points of the shorter side below which full transforms are as cheap
+
+Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""First node and weights of each row, and of each column."""
 
 
 class MeshResponse:
@@ -72,30 +74,33 @@ class MeshResponse:
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
     def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
-        """out (count,) = the response on the set to `values`; both float32.  Collective."""
+        """out (count,) = the response on the set to `values`; both float32.  Collective.
+
+        The halo of `values` travels while this rank spreads to the rows of the mesh that other ranks hold.
+        """
         if self.near_only:
             self.stencil.apply(points, values.exchange(), out)
             return
         window = self.window
-        requests = values.start()
+        halo = values.start()
         for first, stop in window.around:
             self._spread(points, values, first, window.rows[first:stop])
-        more, pieces = window.plan.start_back(window.rows)
-        MPI.Request.Waitall(requests + more)
+        spread, pieces = window.plan.start_back(window.rows)
+        MPI.Request.Waitall(halo + spread)
         self.stencil.apply(points, values.all, out)
         if self.place.grid is not None:
             self._respond(self.place.grid, points, values, pieces)
         window.fetch()
 
         def add(first: int, stop: int) -> None:
-            set_kernels.add_interpolated(window.rows, window.low, points.lists, (first, stop), self.splines, out)
+            add_interpolated(window.rows, window.low, points.lists, (first, stop), self.splines, out)
 
         self.grid.threads.deal(add, self.grid.local_shape[0])
         self.grid.transforms += 0.5 * self.place.size / self.grid.size
 
     def _respond(self, mesh: SlabGrid, points: Unknowns, values: SetVector, pieces: list[Piece]) -> None:
-        """The smooth part of the response, on this rank's rows of the mesh.  pieces: what others spread there.
-        Collective over the mesh.
+        """The smooth part of the response, on this rank's rows of the mesh.  pieces: (first row, rows) that others
+        spread there.  Collective over the mesh.
         """
         begin = self.window.begin
 
@@ -119,7 +124,7 @@ class MeshResponse:
         block[...] = 0
         low = self.window.low + first
         part = np.searchsorted(self.splines[0], (low - 3, low + len(block)))
-        set_kernels.spread_points(values.own, points.lists, (part[0], part[1]), self.splines, low, block)
+        spread_points(values.own, points.lists, (part[0], part[1]), self.splines, low, block)
 
     def free(self) -> None:
         """Frees the transforms of the mesh.  Collective."""
@@ -183,3 +188,66 @@ def inner_response(
     if MeshResponse.serves(grid, half_space, response):
         return MeshResponse(grid, half_space, response)
     return FullResponse(action)
+
+
+@jit
+def spread_points(
+    values: np.ndarray, points: Points, part: Part, splines: Splines, mesh_row: int, mesh: np.ndarray
+) -> None:
+    """mesh[x_first[i] + s − mesh_row, y_first[k] + t] += x_weights[i, s] y_weights[k, t] values[k] for the points k of
+    the rows first ≤ i < stop and s, t < 4; rows outside `mesh` are left out, columns wrap.
+    """
+    columns, offsets = points
+    first, stop = part
+    x_first, x_weights, y_first, y_weights = splines
+    ny = mesh.shape[1]
+    line = np.empty(ny + 4, mesh.dtype)
+    for i in range(first, stop):
+        if offsets[i] == offsets[i + 1]:
+            continue
+        line[:] = 0
+        for k in range(offsets[i], offsets[i + 1]):
+            column = columns[k]
+            at = y_first[column] + 1
+            for t in range(4):
+                line[at + t] += y_weights[column, t] * values[k]
+        line[ny] += line[0]
+        for t in range(1, 4):
+            line[t] += line[ny + t]
+        for s in range(4):
+            row = x_first[i] + s - mesh_row
+            weight = x_weights[i, s]
+            if 0 <= row < mesh.shape[0] and weight != 0:
+                target = mesh[row]
+                for j in range(ny):
+                    target[j] += weight * line[j + 1]
+
+
+@jit
+def add_interpolated(
+    mesh: np.ndarray, mesh_row: int, points: Points, part: Part, splines: Splines, values: np.ndarray
+) -> None:
+    """values[k] += Σ_st x_weights[i, s] y_weights[k, t] mesh[x_first[i] + s − mesh_row, y_first[k] + t] for the points
+    k of the rows first ≤ i < stop; columns wrap.
+    """
+    columns, offsets = points
+    first, stop = part
+    x_first, x_weights, y_first, y_weights = splines
+    line, ny = np.empty(mesh.shape[1] + 4, mesh.dtype), mesh.shape[1]
+    for i in range(first, stop):
+        if offsets[i] == offsets[i + 1]:
+            continue
+        at = x_first[i] - mesh_row
+        a, b, c, d = x_weights[i]
+        for j in range(ny):
+            line[j + 1] = a * mesh[at, j] + b * mesh[at + 1, j] + c * mesh[at + 2, j] + d * mesh[at + 3, j]
+        line[0] = line[ny]
+        for t in range(3):
+            line[ny + 1 + t] = line[1 + t]
+        for k in range(offsets[i], offsets[i + 1]):
+            column = columns[k]
+            at = y_first[column] + 1
+            total = values[k]
+            for t in range(4):
+                total += y_weights[column, t] * line[at + t]
+            values[k] = total

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.solvers.active_set import kernels as set_kernels
 from pgfmd.solvers.active_set.block_stiffness import FACTOR, FEWEST, Blocks, Sums
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
+from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
 
 NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: below 1 it stays positive definite
 
@@ -70,7 +70,7 @@ class FarPart:
             self.blocks.begin(self._sums(points, np.ones(points.count, np.float32)))
         self.blocks.split(self._sums(points, residual.own), near_only)
         if not near_only:
-            self.grid.transforms += 0.5 * self.blocks.size / self.grid.size
+            self.grid.transforms += 0.5 * self.blocks.transformed / self.grid.size
         self._subtract(points, residual.own, self.rest.own)
         return self.rest
 
@@ -83,15 +83,49 @@ class FarPart:
         """Sums over blocks of values on the set."""
 
         def add(first: int, stop: int, sums: np.ndarray) -> None:
-            set_kernels.block_sums(values, points.lists, (first, stop), FACTOR, self.block_of[1], sums)
+            block_sums(values, points.lists, (first, stop), FACTOR, self.block_of[1], sums)
 
         return add
 
     def _subtract(self, points: Unknowns, values: np.ndarray, out: np.ndarray) -> None:
-        """out = values − the window's entry for the block of each."""
+        """out = values − what `Blocks` left in the window for the block of each."""
         rows, lists = self.blocks.window.rows, points.lists
 
         def part(first: int, stop: int) -> None:
-            set_kernels.subtract_blocks(values, rows, lists, (first, stop), self.block_of, out)
+            subtract_blocks(values, rows, lists, (first, stop), self.block_of, out)
 
         self.grid.threads.deal(part, self.grid.local_shape[0])
+
+
+@jit
+def block_sums(
+    values: np.ndarray, points: Points, part: Part, size: int, column_block: np.ndarray, sums: np.ndarray
+) -> None:
+    """sums[(i − first) // size, column_block[columns[k]]] += values[k] for the points k of those of rows first … stop−1
+    that exist.
+    """
+    columns, offsets = points
+    first, stop = part
+    for i in range(max(first, 0), min(stop, offsets.size - 1)):
+        line = sums[(i - first) // size]
+        for k in range(offsets[i], offsets[i + 1]):
+            line[u(column_block[u(columns[k])])] += values[k]
+
+
+@jit
+def subtract_blocks(
+    values: np.ndarray,
+    table: np.ndarray,
+    points: Points,
+    part: Part,
+    blocks: tuple[np.ndarray, np.ndarray],
+    out: np.ndarray,
+) -> None:
+    """out[k] = values[k] − table[row_block[i], column_block[columns[k]]]; blocks: these two."""
+    columns, offsets = points
+    first, stop = part
+    row_block, column_block = blocks
+    for i in range(first, stop):
+        line = table[row_block[i]]
+        for k in range(offsets[i], offsets[i + 1]):
+            out[k] = values[k] - line[u(column_block[u(columns[k])])]

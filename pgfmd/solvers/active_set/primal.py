@@ -9,14 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import MOST_INNER, Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import Unknowns
 
-PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most on the next grid
+COARSE_PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
 LOOSEST = 2e-2  # largest tolerance of a coarse grid
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 
@@ -37,10 +37,10 @@ class PressureSteps(Relaxation):
         self.preconditioner.free()
 
     def goal(self, estimate: float, tolerance: float) -> float:
-        """`PART` of the error of the start, within limits.  That error comes from interpolation, and interpolation to
-        the next grid will make one of about the same size.
+        """`COARSE_PART` of the error of the start, within limits.  That error comes from interpolation, and
+        interpolation to the next grid will make one of about the same size.
         """
-        return max(min(PART * estimate, LOOSEST), tolerance / 4, FINEST)
+        return max(min(COARSE_PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
     def begin(self, state: State) -> None:
         """Adapts the start to roughness that only this grid resolves: one iteration with the near part of the response.
@@ -54,7 +54,7 @@ class PressureSteps(Relaxation):
             self.improve(state, system, 0.5)
             self.inner.near_only = self.preconditioner.near_only = False
 
-    def look(self, state: State, precision: Precision) -> ConjugateGradients:
+    def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
         self.compute_gap(state, precision)
         self.measure(state)
@@ -65,7 +65,7 @@ class PressureSteps(Relaxation):
         """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
         feasible.  Collective.
         """
-        change, steps = system.solve(wanted, MOST_INNER)
+        change, steps = system.solve(wanted)
         system.points.add(state.pressure, change)
         state.iterations += steps
         self.feasible.make(system.points, (state.pressure, state.gap), self.load)

@@ -13,10 +13,16 @@ from numpy.typing import DTypeLike
 from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import MPI
-from pgfmd.solvers.active_set import kernels as set_kernels
-from pgfmd.solvers.active_set.kernels import Fields, Points
 
 HALO = 2  # rows of neighbouring ranks on either side: the radius of a stencil
+LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
+
+Points = tuple[np.ndarray, np.ndarray]
+"""(columns, offsets): the points of row i are columns[offsets[i]:offsets[i + 1]]; values are listed alike."""
+Fields = tuple[np.ndarray, np.ndarray]
+"""Pressure and gap."""
+Part = tuple[int, int]
+"""The rows or entries first … stop−1."""
 
 
 class Unknowns:
@@ -26,53 +32,73 @@ class Unknowns:
     (below `level` at 0, above it at `top`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; columns (count,) int32, and offsets (nx_local + 1,) of each row in it.
-    `lists` and `extended` are (columns, offsets) as the kernels take them, without and with a halo of `HALO` rows.
+    `lists` and `extended` are `Points`, without and with a halo of `HALO` rows.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
     def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, top: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
-        self.grid = grid
-        rows = grid.local_shape[0]
+        self.grid, rows = grid, grid.local_shape[0]
+        pressure, gap = fields
+
+        def choose(first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+            p, g = pressure[first:stop], gap[first:stop]
+            chosen = ((p > 0) | (g < level)) & ((p < top) | (g > level))
+            return np.count_nonzero(chosen, axis=1), np.nonzero(chosen)[1].astype(np.int32)
+
+        counts, columns = zip(*grid.threads.collect(choose, rows), strict=True)
         self.halo = grid.around(HALO, rows)
-        every = np.empty(rows + 2 * HALO, np.int64)
-        counts = every[HALO : HALO + rows]
-        grid.threads.deal(lambda a, b: set_kernels.count_unknowns(fields, level, top, (a, b), counts), rows)
-        self.halo.fetch(counts, every)
-        self.every_offset = np.concatenate([[0], np.cumsum(every)])
-        own = self.every_offset[HALO : HALO + rows + 1]
+        with_halo = np.empty(rows + 2 * HALO, np.int64)
+        self.halo.fetch(np.concatenate(counts, out=with_halo[HALO : HALO + rows]), with_halo)
+        self.extended_offsets = np.concatenate([[0], np.cumsum(with_halo)])
+        own = self.extended_offsets[HALO : HALO + rows + 1]
         self.first, self.offsets, self.count = int(own[0]), own - own[0], int(own[-1] - own[0])
-        columns = SetVector(self, np.int32)
-        self.columns = columns.own
-        lists = self.lists
-        grid.threads.deal(lambda a, b: set_kernels.list_unknowns(fields, level, top, (a, b), lists), rows)
-        self.extended = columns.exchange(), self.every_offset
+        extended = SetVector(self, np.int32)
+        self.columns = np.concatenate(columns, out=extended.own)
+        self.extended: Points = extended.exchange(), self.extended_offsets
 
     @property
     def lists(self) -> Points:
         """(columns, offsets) of this rank's points."""
         return self.columns, self.offsets
 
+    def places(self, first: int, stop: int) -> tuple[slice, tuple[np.ndarray, np.ndarray]]:
+        """Of the points in rows first … stop−1: where they are in a vector, and where in an array of these rows."""
+        offsets = self.offsets[first : stop + 1]
+        part = slice(offsets[0], offsets[-1])
+        return part, (np.repeat(np.arange(stop - first), np.diff(offsets)), self.columns[part])
+
     def below(self, level: float, field: np.ndarray) -> SetVector:
-        """level − field (nx_local, ny) on the set, in single precision."""
+        """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
         out = SetVector(self)
-        self.grid.threads.deal(
-            lambda a, b: set_kernels.take_below(field, self.lists, (a, b), level, out.own), len(field)
-        )
+
+        def take(first: int, stop: int) -> None:
+            part, at = self.places(first, stop)
+            out.own[part] = np.clip(level - field[first:stop][at], -LARGEST, LARGEST)
+
+        self.grid.threads.deal(take, len(field))
         return out
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
-        self.grid.threads.deal(lambda a, b: set_kernels.add_to_rows(field, self.lists, (a, b), values), len(field))
+
+        def add(first: int, stop: int) -> None:
+            part, at = self.places(first, stop)
+            field[first:stop][at] += values[part]
+
+        self.grid.threads.deal(add, len(field))
 
     def convolve(self, values: np.ndarray, action: ColumnAction, out: np.ndarray) -> None:
         """out = (kernel ∗ values) on the set, by full transforms.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            set_kernels.fill_rows(values, self.lists, first, rows)
+            part, at = self.places(first, stop)
+            rows[...] = 0
+            rows[at] = values[part]
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            set_kernels.drain_rows(rows, self.lists, first, out)
+            part, at = self.places(first, stop)
+            out[part] = rows[at]
 
         self.grid.convolve(fill, action, drain, np.float32)
 
@@ -84,12 +110,12 @@ class SetVector:
 
     def __init__(self, points: Unknowns, dtype: DTypeLike = np.float32) -> None:
         self.points = points
-        self.all = np.empty(points.every_offset[-1], dtype)
+        self.all = np.empty(points.extended_offsets[-1], dtype)
         self.own = self.all[points.first : points.first + points.count]
 
     def start(self) -> list[MPI.Request]:
         """Begins to `exchange`.  `own` may be read meanwhile."""
-        return self.points.halo.start(self.own, self.all, (self.points.offsets, self.points.every_offset))
+        return self.points.halo.start(self.own, self.all, (self.points.offsets, self.points.extended_offsets))
 
     def exchange(self) -> np.ndarray:
         """The vector with the present values of its halo.  Collective."""

@@ -101,7 +101,7 @@ def mix(old: np.ndarray, new: np.ndarray, fraction: float) -> None:
 
 
 @_jit
-def start_rows(
+def start_target(
     coarse_pressure: np.ndarray, displacement: np.ndarray, heights: np.ndarray, compliance: float, target: np.ndarray
 ) -> None:
     """target = compliance · coarse p̂ − (u − h)."""

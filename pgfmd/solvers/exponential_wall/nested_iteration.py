@@ -8,43 +8,17 @@ from contextlib import suppress
 import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
-from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
-from pgfmd.solvers.nondimensional import Dimensionless
-from pgfmd.solvers.solution import ContactSolution, Monitor
 from pgfmd.solvers.wall_operations import WallState
 
 COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
-LOOSE, REDUCTION = 0.1, 4  # of a continuation in ζ: certified error to which each ζ is solved, and ζ over the next one
-
-
-def solve_exponential_wall(
-    problem: ContactProblem,
-    tolerance: float = 1e-8,
-    start: np.ndarray | None = None,
-    monitor: Monitor | None = None,
-    overwrite_heights: bool = False,
-) -> ContactSolution:
-    """Contact under an exponential wall, to a certified relative energy error.  Collective.
-
-    start: a pressure (nx_local, ny) from a neighbouring load to begin with, instead of coarse grids.  monitor: called
-    after each outer step.  overwrite_heights: use their memory.  Raises InputError for what is out of range,
-    SolverError if the tolerance cannot be reached.
-    """
-    units = Dimensionless(problem, overwrite_heights=overwrite_heights)
-    if units.uniform is not None:
-        return units.uniform
-    nested = NewtonIteration(tolerance, monitor)
-    if start is None:
-        state, extra = nested.solve(units.problem)
-    else:
-        state, extra = nested.relax(units.problem, _feasible(problem.grid, start)), 0.0
-    return units.solution(state, state.work / 2, tolerance, extra)
+LOOSE = 0.1  # certified error to which each ζ of a continuation is solved
+REDUCTION = 4  # each ζ of a continuation over the next one
 
 
 class NewtonIteration(NestedIteration[WallState]):
@@ -59,6 +33,16 @@ class NewtonIteration(NestedIteration[WallState]):
                 raise
         state.pressure[...] = 1.0
         return self.continuation(problem, state, exact)
+
+    def resume(self, problem: ContactProblem, start: np.ndarray) -> WallState:
+        """From the pressure, scaled to the load."""
+        grid = problem.grid
+        state = WallState(start * (grid.size / grid.reduction.sum(start)), np.empty(grid.local_shape))
+        return self.relax(problem, state)
+
+    def energy(self, state: WallState, size: int) -> float:
+        """Half the work per point."""
+        return state.work / 2
 
     def coarsest(self, problem: ContactProblem, exact: bool) -> WallState:
         """By continuation from a uniform pressure."""
@@ -87,7 +71,7 @@ class NewtonIteration(NestedIteration[WallState]):
 
         def part(thread: int, first: int, stop: int) -> None:
             pressure, displacement = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
-            kernels.start_rows(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
+            kernels.start_target(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
@@ -95,6 +79,5 @@ class NewtonIteration(NestedIteration[WallState]):
         return state, False
 
 
-def _feasible(grid: SlabGrid, pressure: np.ndarray) -> WallState:
-    """The state of a given pressure, scaled to the load.  Collective."""
-    return WallState(pressure * (grid.size / grid.reduction.sum(pressure)), np.empty(grid.local_shape))
+solve_exponential_wall = NewtonIteration.contact
+"""The contact under an exponential wall: see `NestedIteration.contact`.  Collective."""

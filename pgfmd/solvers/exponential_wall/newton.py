@@ -66,7 +66,7 @@ class Newton(WallOperations):
             if self.arrived(state, tolerance):
                 return state
             before = state.error
-            enough = min(LEAST_CUT, 0.3 * math.sqrt(tolerance / before))
+            enough = min(LEAST_CUT, 0.3 * math.sqrt(tolerance / before))  # the error is of second order in the residual
             merits = self.advance(state, max(wanted, enough), merits)
             wanted = MOST_CUT if state.error < 0.1 * before else LEAST_CUT
             if not patience.take(state.error):
@@ -80,7 +80,7 @@ class Newton(WallOperations):
         pressure, gap = state.pressure.copy(), state.gap.copy()
         self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
-        for _ in range(10):
+        for _ in range(10):  # down to 1e-6 of the step
             merits = self.merits(state)
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
