@@ -25,4 +25,7 @@ class Stopped(Exception):
 
 
 class NoProgress(Exception):
-    """A time limit ended a run before it got on: it would end so each time.  The command line exits with 1."""
+    """A time limit ended a run before its first new checkpoint, as it would each time.
+
+    The command line exits with 1.
+    """

@@ -43,7 +43,10 @@ def test_seeds_of_an_ensemble(written, seeds):
     assert all(job.of_seed(seed).surface.seed == seed for seed in seeds)
 
 
-@pytest.mark.parametrize("written", ["4..2", "1...3", "a..b", "1..3..5", [], [1, 1], [1, -1], "1..2000001", 1.5, "3"])
+@pytest.mark.parametrize(
+    "written",
+    ["4..2", "1...3", "a..b", "1..3..5", "-1..3", f"{2**63 - 1}..{2**63}", [], [1, 1], [1, -1], "1..2000001", 1.5, "3"],
+)
 def test_wrong_seeds_are_refused(written):
     """In one line that names the key."""
     with pytest.raises(InputError, match="surface.seed = ") as caught:

@@ -87,7 +87,7 @@ def test_two_dimensional_sinusoid(comm, row):
     table = exact.SINUSOID_2D_TABLE[row]
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     full = exact.Sinusoid2D(1.0, 1.0, MODULUS).full_pressure
-    load = table["load"]
+    load = table["f"]
     found = solve_hard_wall(
         ContactProblem(grid, sinusoid(grid, 1.0, (1, 1)), Elasticity(MODULUS), HardWall(), load * full), 1e-9
     )

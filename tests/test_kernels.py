@@ -46,9 +46,9 @@ def test_strips_in_tiles(rng):
     assert np.array_equal(back[:, : start + count], half[:, : start + count])
     assert np.count_nonzero(back) == strip.size + 2 * 37
     block, target = np.zeros((6, 38), complex), np.zeros_like(tiles)
-    kernels.gather_columns(tiles[:, 3:].copy(), 37, 3, 6, block)
+    kernels.tiles_and_columns(tiles[:, 3:].copy(), 37, 3, 6, block, False)
     assert np.array_equal(block[:, :37], strip[:, 3:9].T)
-    kernels.scatter_columns(block, 37, 3, 6, target)
+    kernels.tiles_and_columns(target, 37, 3, 6, block, True)
     assert np.array_equal(np.hstack(list(target))[:37, 3:9], strip[:, 3:9])
     assert np.count_nonzero(target) == 37 * 6
 
@@ -178,11 +178,9 @@ def test_blocks_of_blocks(start, rng):
     assert np.allclose(field, expected, rtol=1e-14, atol=1e-15)
 
 
-def test_sums_and_differences_of_two_precisions(rng):
-    """a + b and a − b, rounded once."""
-    a, b, out = rng.random((3, 8)).astype(np.float32), rng.random((3, 8)), np.empty((3, 8), np.float32)
-    kernels.add_rows(b, b, out)
-    assert np.array_equal(out, (b + b).astype(np.float32))
+def test_difference_of_two_precisions(rng):
+    """a − b, rounded once."""
+    a, b = rng.random((3, 8)).astype(np.float32), rng.random((3, 8))
     expected = a - b
     kernels.subtract_rows(a, b, b)
     assert np.array_equal(b, expected)

@@ -141,6 +141,19 @@ def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
     assert set(before[0].split()) == set(fftw.pyfftw.export_wisdom()[0].split())
 
 
+def test_wisdom_that_cannot_be_kept_leaves_nothing(tmp_path, monkeypatch):
+    """Where the file cannot take its place, as on a full disk, no part of it stays to fill the disk further."""
+    from pgfmd.grid import fftw
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(fftw, "private_folder", lambda: tmp_path)
+    monkeypatch.setattr(fftw.os, "replace", full)
+    fftw.save_wisdom()
+    assert list(tmp_path.iterdir()) == []
+
+
 COMPILE = """
 import sys
 from numba.core import event
@@ -161,15 +174,15 @@ sys.stdin.readline()
 half, tiles, block = np.arange(32.0).reshape(4, 8), np.zeros((2, 5, 4)), np.zeros((4, 4))
 table = np.array([[0, 8, 0, 4]])
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, False)
-kernels.gather_columns(tiles, 4, 0, 4, block)
-kernels.scatter_columns(block, 4, 0, 4, tiles)
+for back in (False, True):
+    kernels.tiles_and_columns(tiles, 4, 0, 4, block, back)
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
 print(*Count.names)
 """
 
 
-LOOPS = ("rows_and_tiles", "gather_columns", "scatter_columns", "_from_tile", "_to_tile")
+LOOPS = ("rows_and_tiles", "tiles_and_columns", "_from_tile", "_to_tile")
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -195,3 +208,31 @@ def test_a_loop_is_compiled_by_one_process(tmp_path, count):
     compiled = [name for run in together for name in names(run)]
     assert sorted(name for name in compiled if name in LOOPS) == sorted(LOOPS)
     assert names(start()) == ["ready"]
+
+
+FAIL = """
+import fcntl, os
+from pathlib import Path
+import numba, pgfmd
+from pgfmd.parallel.compiled import compiled
+
+@compiled()
+def wrong(x):
+    return x.nothing
+
+try:
+    wrong(1.0)
+except numba.TypingError:
+    (lock,) = Path(os.environ["PGFMD_CACHE"]).rglob("*wrong*.lock")
+    fcntl.flock(open(lock, "w"), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    print("free")
+"""
+
+
+def test_a_failed_compilation_holds_up_nobody(tmp_path):
+    """Where compiling fails or is interrupted, the lock is given back though the process lives on."""
+    (tmp_path / "fail.py").write_text(FAIL)
+    environment = os.environ | {"PGFMD_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, tmp_path / "fail.py"]
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert run.stdout == "free\n", run.stderr

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy import integrate, linalg, optimize, special, stats
 
+from pgfmd import theory
 from pgfmd.errors import InputError
 from pgfmd.theory import asperity, bearing, exact, exponential, hertz, persson, surface
 
@@ -16,6 +19,13 @@ SURFACES = [
     surface.SelfAffine(hurst=1.0, lambda_s=2, lambda_l=100, rms_slope=0.1, lambda_r=2),
     surface.SelfAffine(hurst=0.0, lambda_s=2, lambda_l=500, rms_slope=0.1),
 ]
+
+
+def test_every_formula_is_reached():
+    """`pgfmd.theory` gives each module that its docstring lists."""
+    listed = re.findall(r"^- `(\w+)`", theory.__doc__, re.MULTILINE)
+    assert sorted(listed) == theory.__all__
+    assert [getattr(theory, name).__name__ for name in listed] == [f"pgfmd.theory.{name}" for name in listed]
 
 
 @pytest.mark.parametrize("model", SURFACES)

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from pgfmd.parallel.thread_pool import Team
+from pgfmd.parallel.thread_pool import ThreadPool
 from pgfmd.parallel.threads import Threads
 
 
@@ -75,7 +75,7 @@ def test_every_thread_that_is_there_works_once_on_each_task(pause, late):
         time.sleep(late if thread else 0)
         done.append(thread)
 
-    helpers = Team()
+    helpers = ThreadPool()
     for _ in range(20):
         time.sleep(pause)
         helpers.run(work, 3)
@@ -86,7 +86,7 @@ def test_every_thread_that_is_there_works_once_on_each_task(pause, late):
 
 def test_nobody_waits_for_a_helper_that_has_not_begun():
     """One that comes late finds no work, not even that of the task before."""
-    came, helpers, together, free = [], Team(), threading.Barrier(2), threading.Event()
+    came, helpers, together, free = [], ThreadPool(), threading.Barrier(2), threading.Event()
     helpers.run(lambda _: together.wait(10), 2)
     (helper,) = helpers._helpers
     see = helper.asked.wait
@@ -101,7 +101,7 @@ def test_nobody_waits_for_a_helper_that_has_not_begun():
 
 def test_a_team_in_use_lets_the_caller_work_alone():
     """Within the work, or from another thread: no deadlock."""
-    helpers, inner = Team(), []
+    helpers, inner = ThreadPool(), []
 
     def work(_: int):
         helpers.run(inner.append, 2)
@@ -115,7 +115,7 @@ def test_a_team_in_use_lets_the_caller_work_alone():
 
 def test_a_helper_that_comes_late_takes_no_part_in_a_smaller_task():
     """There is no room for a third thread where two were asked for."""
-    seen, helpers, together, free = [], Team(), threading.Barrier(3), threading.Event()
+    seen, helpers, together, free = [], ThreadPool(), threading.Barrier(3), threading.Event()
     helpers.run(lambda _: together.wait(10), 3)
     last = helpers._helpers[-1]
     see = last.asked.wait

@@ -40,7 +40,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     from pgfmd.surfaces.self_affine import self_affine
 
     comm, solid = MPI.COMM_WORLD, Elasticity(2.66667)
-    grid = SlabGrid(comm, (n, n), shared=False if exchanged else None)
+    grid = SlabGrid(comm, (n, n), shared=not exchanged)
     found = {"n": n, "ranks": comm.size, "exchanged": exchanged, "threads": grid.threads.count}
     for kind in (np.float32, np.float64):
         found |= {f"{name} {np.dtype(kind).name}": value for name, value in _transform_parts(grid, kind).items()}
@@ -94,7 +94,7 @@ def _transform_parts(grid, kind, repeats: int = 5) -> dict[str, float]:
 
     best = dict.fromkeys(parts, math.inf)
     for _ in range(repeats):
-        transform.strips.begin(transform.complex)
+        transform.strips.begin()
         for name, part in parts.items():
             comm.Barrier()
             began = time.perf_counter()

@@ -16,7 +16,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.parallel.private_cache import private_folder
 
-sys.modules.setdefault("scipy.fftpack", None)  # type: ignore[arg-type]  # pyfftw wraps it where it is: a tenth of start
+sys.modules.setdefault("scipy.fftpack", None)  # type: ignore[arg-type]  # pyfftw would import it: a tenth of the start
 try:
     import pyfftw
 except ImportError:
@@ -79,6 +79,7 @@ def save_wisdom() -> None:
         new = BETWEEN.join(pyfftw.export_wisdom())
         if path.exists() and path.read_bytes() == new:
             return
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(new)
-        os.replace(file.name, path)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # which is removed, whatever happens
+            file = Path(folder) / path.name
+            file.write_bytes(new)
+            os.replace(file, path)

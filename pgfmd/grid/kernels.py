@@ -55,24 +55,19 @@ def _to_tile(block: np.ndarray, nx: int, tile: np.ndarray, at: int) -> None:
 
 
 @jit
-def gather_columns(tiles: np.ndarray, nx: int, first: int, count: int, block: np.ndarray) -> None:
-    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2]."""
+def tiles_and_columns(tiles: np.ndarray, nx: int, first: int, count: int, block: np.ndarray, back: bool) -> None:
+    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2]; or
+    back.
+    """
     size, done = tiles.shape[2], 0
     while done < count:
-        at = (first + done) % size
+        tile, at = tiles[(first + done) // size], (first + done) % size
         width = min(size - at, count - done)
-        _from_tile(tiles[(first + done) // size], at, nx, block[done : done + width])
-        done += width
-
-
-@jit
-def scatter_columns(block: np.ndarray, nx: int, first: int, count: int, tiles: np.ndarray) -> None:
-    """tiles[(first + c) // w, i, (first + c) % w] = block[c, i]"""
-    size, done = tiles.shape[2], 0
-    while done < count:
-        at = (first + done) % size
-        width = min(size - at, count - done)
-        _to_tile(block[done : done + width], nx, tiles[(first + done) // size], at)
+        columns = block[done : done + width]
+        if back:
+            _to_tile(columns, nx, tile, at)
+        else:
+            _from_tile(tile, at, nx, columns)
         done += width
 
 
@@ -116,16 +111,8 @@ def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
 
 
 @jit
-def add_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-    """out = a + b, of any precisions: NumPy converts in passes of its own."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = a[i, j] + b[i, j]
-
-
-@jit
 def subtract_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-    """out = a − b, of any precisions."""
+    """out = a − b, of any precisions: NumPy converts in passes of its own."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = a[i, j] - b[i, j]

@@ -48,11 +48,11 @@ class SlabGrid:
         lengths: tuple[float, float] | None = None,
         threads: int | None = None,
         transform: str = "blocked",
-        shared: bool | None = None,
+        shared: bool = True,
     ) -> None:
         """lengths: None means the numbers of points (spacing 1).  threads: number of threads of this rank, None means
-        `threads_per_rank()`.  transform: one of `cell.TRANSFORMS`.  shared: False keeps blocked transforms from using
-        memory that ranks share; otherwise they use it where all ranks are on one node.
+        `threads_per_rank()`.  transform: one of `cell.TRANSFORMS`.  shared: whether blocked transforms may use memory
+        that the ranks of a node share.
         """
         nx, ny = (int(n) for n in shape)
         if min(nx, ny) < 1:

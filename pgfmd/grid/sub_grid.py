@@ -1,6 +1,4 @@
-"""Small grids on fewer ranks: what a rank computes then outweighs the messages that it sends, and none holds a grid
-whole but the smallest ones.
-"""
+"""Small grids on fewer ranks, so that computing outweighs messages.  Only the smallest lie on one rank alone."""
 
 from __future__ import annotations
 
@@ -10,7 +8,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.grid.holders import ROWS, holders
+from pgfmd.errors import InputError, SolverError
+from pgfmd.grid.holders import LEAST_ROWS, holders
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, Range, RowWindow
 from pgfmd.parallel.teams import team_of
@@ -26,7 +25,7 @@ class SubGrid:
     """
 
     def __init__(
-        self, parent: SlabGrid, shape: tuple[int, int], lengths: tuple[float, float], least: int = ROWS
+        self, parent: SlabGrid, shape: tuple[int, int], lengths: tuple[float, float], least: int = LEAST_ROWS
     ) -> None:
         """least: rows per rank."""
         nx, ny = shape
@@ -48,8 +47,8 @@ class SubGrid:
         """Columns ky of this rank."""
         return slice(0, 0) if self.grid is None else self.grid.columns
 
-    def empty(self) -> np.ndarray:
-        """A field (0, ny), of ranks that hold no rows."""
+    def no_rows(self) -> np.ndarray:
+        """The field (0, ny) of a rank that holds none."""
         return np.empty((0, self.shape[1]))
 
     def window(self, span: Range, dtype: DTypeLike = np.float32) -> RowWindow:
@@ -58,7 +57,10 @@ class SubGrid:
 
     def on_all(self, work: Callable[[SlabGrid], T], without_rows: Callable[[T], T] = lambda value: value) -> T:
         """`work(grid)` on the ranks that hold the grid; the others receive what `without_rows` makes of the value of
-        rank 0.  If it fails, it does so on all.  Collective.
+        rank 0.  Collective.
+
+        InputError and SolverError, which those that hold it raise together, are raised on all ranks; any other error at
+        once by the rank that has it, since the others may wait for it in `work`.
         """
         if self.grid is not None and self.grid.comm.size == self.comm.size:
             return work(self.grid)
@@ -67,12 +69,15 @@ class SubGrid:
         if self.grid is not None:
             try:
                 value = work(self.grid)
-            except Exception as error:  # raised below, on all ranks
+            except Exception as error:
+                if self.grid.comm.size > 1 and not isinstance(error, (InputError, SolverError)):
+                    raise
                 failure = error
         sent = None if value is None else without_rows(value), failure
         sent = self.comm.bcast(sent if self.comm.rank == 0 else None)
-        if sent[1] is not None:
-            raise sent[1] if failure is None else failure
+        failure = sent[1] if failure is None else failure
+        if failure is not None:
+            raise failure
         return value if self.grid is not None else sent[0]  # type: ignore[return-value]  # one of them is a T
 
     def free(self) -> None:

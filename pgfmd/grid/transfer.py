@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.collectives import slab_starts
@@ -25,9 +26,6 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLik
     mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), complex_dtype)
     scale = np.asarray(1 / fine.size, dtype)[()]
 
-    def fill(first: int, stop: int, block: np.ndarray) -> None:
-        block[...] = field[first:stop]
-
     def keep(block: np.ndarray, first: int, stop: int) -> None:
         part = mine[first:stop]
         np.multiply(block[:, : kx_max + 1], scale, out=part[:, : kx_max + 1])
@@ -35,7 +33,7 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLik
         if kx_max:
             np.multiply(block[:, -kx_max:], scale, out=part[:, -kx_max:])
 
-    fine.read_spectrum(fill, keep, dtype, len(mine))
+    fine.read_spectrum(source(field), keep, dtype, len(mine))
     low, high = (min(ky, ky_count) for ky in (coarse.columns.start, coarse.columns.stop))
     spectrum = Layout(fine.comm, starts).fetch(mine, low, high, fine.threads)
     out = np.empty(coarse.local_shape)
@@ -45,11 +43,8 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLik
         block[: len(part)] = part
         block[len(part) :] = 0
 
-    def drain(first: int, stop: int, block: np.ndarray) -> None:
-        out[first:stop] = block
-
     if coarse.grid is not None:
-        coarse.grid.make_field(copy, drain, dtype)
+        coarse.grid.make_field(copy, sink(out), dtype)
     return out
 
 

@@ -76,7 +76,7 @@ class Transform:
             worker.rows_forward()
             self.strips.put(self.parts, first, worker.padded_half[: stop - first])
 
-        self.strips.begin(self.complex)
+        self.strips.begin()
         self.threads.share(one, self.strips.rows, self.row_block)
         self.strips.to_columns(self.complex)
 
@@ -89,18 +89,18 @@ class Transform:
         strips any more.  backward=False: the action only reads the spectrum.
         """
         if not forward:
-            self.strips.begin(self.complex)
+            self.strips.begin()
 
         def one(thread: int, first: int, stop: int) -> None:
             worker, place = self.workers[thread], self.strips.first_column + first
             block = worker.block[: stop - first]
             if forward:
-                kernels.gather_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block)
+                kernels.tiles_and_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block, False)
                 worker.columns_forward()
             action(block, first, stop)
             if backward:
                 worker.columns_backward()
-                kernels.scatter_columns(worker.padded_block, self.shape[0], place, stop - first, self.strip)
+                kernels.tiles_and_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block, True)
 
         self.threads.share(one, self.strips.width if count is None else count, self.column_block)
 

@@ -26,15 +26,14 @@ from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
-
 WIDE = 16 * ALIGNMENT  # bytes of a row from which its padding does not count
 Counts = tuple[np.ndarray, np.ndarray]
 """Items of each rank's part of a buffer, and where the parts begin."""
 
 
 class Parts(NamedTuple):
-    """Where rows go: all columns first … stop−1 of a row of `table` (first, stop, offset, columns of a tile) to tiles
-    of `height` rows in `flat`, from the offset on.
+    """Where rows go.  For each (first, stop, offset, width) of the `table`: columns first … stop−1 go to tiles of
+    (height, width) items, one after the other in `flat` from the offset on.
     """
 
     flat: np.ndarray
@@ -143,7 +142,7 @@ class Strips(ABC):
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank, as complex `dtype`."""
 
-    def meet(self, dtype: np.dtype | None = None) -> None:
+    def meet(self) -> None:
         """Wait until all ranks of the node have written their part; then each sees what the others wrote.
         Collective.
         """
@@ -199,7 +198,11 @@ class SharedStrips(Strips):
         shape = self._tiles(dtype.itemsize)
         return _items(self.flat[self.begins[self.comm.rank] :], dtype)[: math.prod(shape)].reshape(shape)
 
-    to_columns = to_rows = Strips.meet
+    def to_columns(self, dtype: np.dtype) -> None:
+        """Waits: what was `put` is in its place.  Collective."""
+        self.meet()
+
+    to_rows = to_columns
 
 
 class ExchangedStrips(Strips):
@@ -277,12 +280,12 @@ def _items(raw: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return raw[: len(raw) // dtype.itemsize * dtype.itemsize].view(dtype)
 
 
-def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool | None = None) -> SharedStrips | ExchangedStrips:
+def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> SharedStrips | ExchangedStrips:
     """Shared strips where all ranks of `comm` are on one node, else exchanged ones.  Collective.
 
-    `shared=False`: no memory is shared; each rank is a node of its own.
+    shared: if False, no memory is shared; each rank is a node of its own.
     """
-    if shared is False:
+    if not shared:
         return ExchangedStrips(comm, shape, MPI.COMM_SELF, comm)
     node = node_of(comm)
     if node.size == comm.size:

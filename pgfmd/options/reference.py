@@ -62,13 +62,13 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
 
 
 def _entry(field: dataclasses.Field, shown: bool) -> str:
-    """The line of one key: its example if it is needed or shown; else, commented out, its default, or its example if
-    that is None.
+    """The line of one key: its example if it is needed or shown; else, commented out, its default (its example if the
+    default is None).
     """
-    given = field.metadata["example"]
-    value = given if field.default is None else field.default
+    example = field.metadata["example"]
+    value = example if field.default is None else field.default
     if field.metadata["needed"] or shown:
-        return f"{field.name} = {as_toml_value(given)}"
+        return f"{field.name} = {as_toml_value(example)}"
     return f"# {field.name} =" + ("" if value is None else f" {as_toml_value(value)}")
 
 

@@ -35,15 +35,16 @@ def integer(low: int, high: int = 2**63 - 1) -> Rule:
 
 def seeds() -> Rule:
     """A seed; or for an ensemble several, as a list or as text "first..last", converted to a tuple."""
-    several = many(integer(0), least=1, distinct=True)
+    one = integer(0)
+    several = many(one, least=1, distinct=True)
 
     def convert(value: Any) -> Any:
         if isinstance(value, str):
-            first, last = map(int, value.split(".."))  # ValueError for any other text
-            if not 0 <= first <= last < first + MOST_SEEDS:
+            first, last = (one.convert(int(end)) for end in value.split(".."))  # ValueError for any other text
+            if not first <= last < first + MOST_SEEDS:
                 raise ValueError
             return tuple(range(first, last + 1))
-        return several.convert(value) if isinstance(value, (list, tuple, np.ndarray)) else integer(0).convert(value)
+        return several.convert(value) if isinstance(value, (list, tuple, np.ndarray)) else one.convert(value)
 
     return Rule('a whole number ≥ 0, or for an ensemble a list of them without repetition, or "first..last"', convert)
 
@@ -65,9 +66,9 @@ def number(
             result = float(value)
         except OverflowError:
             raise ValueError from None
-        if not (low <= result <= high and result > above and (result < below or infinite and result == below)):
-            raise ValueError
         if math.isinf(result) and not infinite:
+            raise ValueError
+        if not (low <= result <= high and above < result and (result < below or below == math.inf)):
             raise ValueError
         return result
 

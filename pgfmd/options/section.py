@@ -88,8 +88,8 @@ class Kinds:
     def choose(self, table: Mapping[str, Any]) -> type[Section]:
         """The section for the keys of a table; raises InputError for a kind that is unknown or missing.
 
-        Candidates are the choices of that kind; if the table names no kind and there is a default, all choices.  The
-        one that knows most keys of the table is taken; those with a needed key missing come last.
+        Candidates are the choices of the table's kind; all choices if it names none and there is a default.  The one
+        that has most of the table's keys is taken, of equals the default; those with a needed key missing come last.
         """
         if "kind" in table:
             found = [choice for choice in self.choices if choice.kind == table["kind"]]
@@ -121,9 +121,9 @@ def _fits(section: type[Section], table: Mapping[str, Any]) -> int:
     return len(table.keys() & set(_names(section))) if table.keys() >= set(needed) else -1
 
 
-def wrong(section: Section, name: str, allowed: str) -> InputError:
-    """The error for one key, made of its name, its value, and what is allowed."""
-    return InputError(f"{section.where}.{name} = {show(getattr(section, name))}: {allowed}")
+def wrong(section: Section, name: str, message: str) -> InputError:
+    """The error for one key, made of its name, its value, and what is wrong with it or allowed."""
+    return InputError(f"{section.where}.{name} = {show(getattr(section, name))}: {message}")
 
 
 def build(section: type[Section] | Kinds, table: Any) -> Section:

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-IN_PLACE = SUM = MAX = MIN = LOR = DOUBLE = BYTE = COMM_TYPE_SHARED = None
+IN_PLACE = SUM = MAX = MIN = LOR = DOUBLE = COMM_TYPE_SHARED = None
 
 
 def Get_library_version() -> str:
@@ -90,6 +90,6 @@ COMM_SELF = COMM_WORLD = Comm()
 
 
 def _copy(send: Any, receive: Any) -> None:
-    """The array of a message (or the message) to the first items of that of another."""
+    """Copies one message to the first items of another; a message is an array, or a list that begins with one."""
     source, target = (np.asarray(each[0] if isinstance(each, (list, tuple)) else each) for each in (send, receive))
     target.reshape(-1)[: source.size] = source.reshape(-1)

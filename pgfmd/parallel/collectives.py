@@ -98,7 +98,7 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
 
 
 def _for_others(failure: Exception, rank: int) -> Exception:
-    """What other ranks raise for a failure of `rank`: the kinds that callers tell apart as such, else RuntimeError."""
+    """What other ranks raise for a failure of `rank`: one of the kinds that callers catch, or RuntimeError."""
     for kind in (InputError, SolverError, OSError, MemoryError):
         if isinstance(failure, kind):
             return kind(str(failure))

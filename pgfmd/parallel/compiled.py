@@ -26,7 +26,7 @@ INTERVAL = 2.0  # seconds between two lines of progress
 
 
 def compiled(**options: Any) -> Callable[[Callable], Any]:
-    """A decorator: the function is compiled, runs without the interpreter's lock, and is not to be called from C."""
+    """A decorator: the function is compiled, and runs without the interpreter's lock."""
 
     settings: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options
 
@@ -56,14 +56,14 @@ class _SharedCache(caching.FunctionCache):
         """
         rtsys.initialize(target_context)  # the code itself needs it
         found = self._load_overload(sig, target_context)
-        if found is None and self._lock is None:
+        if found is None:
             with contextlib.suppress(OSError):
                 self._impl.locator.ensure_cache_path()
                 self._lock = open(Path(self.cache_path) / f"{self._impl.filename_base}.lock", "w")
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
             found = self._load_overload(sig, target_context)
             if found is not None:
-                self._release()
+                self.release()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -71,9 +71,10 @@ class _SharedCache(caching.FunctionCache):
         try:
             super().save_overload(sig, data)
         finally:
-            self._release()
+            self.release()
 
-    def _release(self) -> None:
+    def release(self) -> None:
+        """Let others compile it."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
@@ -84,7 +85,7 @@ class _Compiling(event.Listener):
 
     def __init__(self) -> None:
         self.depth, self.count, self.seconds = 0, 0, 0.0
-        self._began = self._said = self.seconds
+        self._began = self._said = 0.0
         self._collects = False
 
     def on_start(self, _: event.Event) -> None:
@@ -98,8 +99,11 @@ class _Compiling(event.Listener):
             log.info("compiling for this machine: some seconds, the first time only")
             self._said = self._began
 
-    def on_end(self, _: event.Event) -> None:
-        """It is compiled."""
+    def on_end(self, ended: event.Event) -> None:
+        """It is compiled, or compiling failed or was interrupted: then others may try."""
+        cache = ended.data["dispatcher"]._cache
+        if ended._exc_details is not None and isinstance(cache, _SharedCache):  # `is_failed` of numba says the opposite
+            cache.release()
         self.depth -= 1
         if self.depth > 0:
             return

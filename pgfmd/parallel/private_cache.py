@@ -12,15 +12,12 @@ It is made with mode 0700.  This module needs neither MPI nor numba to be import
 from __future__ import annotations
 
 import functools
-import logging
 import os
 import stat
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-
-log = logging.getLogger("pgfmd")
 
 
 @functools.cache

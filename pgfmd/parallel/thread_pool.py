@@ -24,7 +24,7 @@ _yield_core = numba.types.ExternalFunction("sched_yield", numba.types.intc())
 
 
 @compiled()
-def _poll(number: np.ndarray, value: float, polls: int) -> None:
+def _poll(number: np.ndarray, value: int, polls: int) -> None:
     """Return when number[0] differs from `value`, at the latest after that many polls."""
     for _ in range(polls):
         if number[0] != value:
@@ -76,7 +76,7 @@ class _Helper:
             self.busy.set(0)
 
 
-class Team:
+class ThreadPool:
     """The calling thread, number 0, and as many helpers as were ever needed."""
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class Team:
         to do, piece by piece, until nothing is left.
 
         Returns, or raises an exception of the work, when all have finished.  While another thread, or the work itself,
-        uses the team, the caller works alone.
+        uses the pool, the caller works alone.
         """
         if not self._in_use.acquire(blocking=False):
             return work(0)
@@ -123,9 +123,9 @@ class Team:
 
 
 @functools.cache
-def team() -> Team:
-    """The team of this process, made on first use."""
-    return Team()
+def thread_pool() -> ThreadPool:
+    """The threads of this process, made on first use."""
+    return ThreadPool()
 
 
-os.register_at_fork(after_in_child=team.cache_clear)  # threads do not survive a fork
+os.register_at_fork(after_in_child=thread_pool.cache_clear)  # threads do not survive a fork

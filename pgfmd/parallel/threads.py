@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.parallel.thread_pool import team
+from pgfmd.parallel.thread_pool import thread_pool
 
 
 def threads_per_rank() -> int:
@@ -38,7 +38,7 @@ class Threads:
             for first in blocks:
                 work(thread, first, min(first + block, total))
 
-        team().run(part, min(self.count, -(-total // block)))
+        thread_pool().run(part, min(self.count, -(-total // block)))
 
     def split(self, work: Callable[[int, int], None], total: int) -> None:
         """Call `work(first, stop)` for one contiguous part of 0 … total−1 for each thread."""

@@ -58,7 +58,7 @@ class Elasticity:
         Numerators and denominators are multiplied by e = exp(−2t), so that nothing overflows; series take over where
         terms of order 1 cancel.
         """
-        t = np.minimum(np.asarray(t, dtype=np.float64), 50.0)  # where F is 1, and nothing overflows
+        t = np.minimum(np.asarray(t, dtype=np.float64), 50.0)  # F is 1 to rounding beyond 40
         small = t < 0.05
         e = np.exp(-2 * t)
         rise = -np.expm1(-2 * t)  # 1 − e
@@ -74,7 +74,7 @@ class Elasticity:
                 divisor = rise * (1 + e) / 2 + 2 * t * e
             else:
                 dividend, divisor = rise * (1 + e) / 2 + 2 * t * e, rise**2 / 2
-            return np.where(t > 40, 1.0, dividend / divisor)
+            return dividend / divisor
 
     def mean_stiffness(self) -> float:
         """dp̄/dū of the mean mode (pressure per length): that of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid

@@ -98,7 +98,7 @@ class NestedIteration(Generic[StateType]):
 
         def numbers(solved: tuple[StateType, float]) -> tuple[StateType, float]:
             own: Any = solved[0]
-            return dataclasses.replace(own, pressure=coarse.place.empty(), gap=coarse.place.empty()), solved[1]
+            return dataclasses.replace(own, pressure=coarse.place.no_rows(), gap=coarse.place.no_rows()), solved[1]
 
         return coarse.place.on_all(solve, numbers)
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
-__all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "persson", "surface"]
+__all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "lattice_edge", "persson", "surface"]
 
 
 def __getattr__(name: str) -> ModuleType:

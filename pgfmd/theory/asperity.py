@@ -75,15 +75,15 @@ def at_pressure(
 
     :raises InputError: if the pressure is not reached between separations of −10 and +30 rms heights.
     """
-    height = np.sqrt(moments.m0)
+    h_rms = np.sqrt(moments.m0)
 
     def solve(target: float) -> tuple[np.ndarray, float]:
         def excess(d: float) -> float:
             return np.log(model(d, moments, contact_modulus)[1]) - np.log(target)
 
-        if not excess(30 * height) < 0 < excess(-10 * height):
+        if not excess(30 * h_rms) < 0 < excess(-10 * h_rms):
             raise InputError(f"pressure {target:g}: outside the range of the asperity model")
-        d = brentq(excess, -10 * height, 30 * height, xtol=1e-12 * height)
+        d = brentq(excess, -10 * h_rms, 30 * h_rms, xtol=1e-12 * h_rms)
         return model(d, moments, contact_modulus)[0], d
 
     pressure = np.asarray(pressure, float)

@@ -28,12 +28,12 @@ class Westergaard:
         """p* = π E' Δ/λ."""
         return np.pi * self.contact_modulus * self.amplitude / self.wavelength
 
-    def _load(self, mean_pressure: Reals) -> Reals:
+    def _f(self, mean_pressure: Reals) -> Reals:
         return np.clip(np.asarray(mean_pressure, float) / self.full_pressure, 0, 1)
 
     def contact_area(self, mean_pressure: Reals) -> np.ndarray:
         """Relative contact area (2/π) asin √f; 1 at and above p*."""
-        return 2 / np.pi * np.arcsin(np.sqrt(self._load(mean_pressure)))
+        return 2 / np.pi * np.arcsin(np.sqrt(self._f(mean_pressure)))
 
     def half_width(self, mean_pressure: Reals) -> np.ndarray:
         """Half-width c = (λ/π) asin √f of the contact strip."""
@@ -44,21 +44,21 @@ class Westergaard:
         phase = np.pi * np.asarray(x, float) / self.wavelength
         if mean_pressure >= self.full_pressure:
             return mean_pressure + self.full_pressure * np.cos(2 * phase)
-        edge = self._load(mean_pressure)  # sin²(πc/λ) = f
-        if edge == 0:
+        f = self._f(mean_pressure)
+        if f == 0:
             return np.zeros_like(phase)
-        root = np.sqrt(np.maximum(edge - np.sin(phase) ** 2, 0))
+        root = np.sqrt(np.maximum(f - np.sin(phase) ** 2, 0))  # f = sin²(πc/λ)
         return 2 * self.full_pressure * np.abs(np.cos(phase)) * root
 
     def mean_gap(self, mean_pressure: Reals) -> np.ndarray:
         """Δ (1 − f + f ln f)."""
-        load = self._load(mean_pressure)
-        return self.amplitude * (1 - load + xlogy(load, load))
+        f = self._f(mean_pressure)
+        return self.amplitude * (1 - f + xlogy(f, f))
 
     def elastic_energy(self, mean_pressure: Reals) -> np.ndarray:
         """Energy per area p* Δ f² (1 − 2 ln f)/4, constant above p*."""
-        load = self._load(mean_pressure)
-        return self.full_pressure * self.amplitude * (load**2 - 2 * load * xlogy(load, load)) / 4
+        f = self._f(mean_pressure)
+        return self.full_pressure * self.amplitude * (f**2 - 2 * f * xlogy(f, f)) / 4
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ SINUSOID_2D_TABLE = np.array(
         (0.5, 0.704, 0.04508, 1.479, 0.44904),
         (0.9, 0.951, 0.00065, 1.900, 1.05888),
     ],
-    dtype=[(name, float) for name in ("load", "area", "gap", "peak_pressure", "mean_square")],
+    dtype=[(name, float) for name in ("f", "area", "gap", "peak_pressure", "mean_square")],
 )
 """f, A/A₀, gap/Δ, p_max/p*, ⟨p²⟩/p*² of the 2-D sinusoid, from an independent numerical solution to these digits (area
 corrected for the pixel staircase; at f = 0.2, where contacts are about to merge, it is uncertain by 0.004)."""

@@ -74,8 +74,8 @@ class SelfAffine:
         start, stop = np.maximum(q_low, low), np.minimum(q_high, high)
         plateau = _power_integral(order + 1, np.minimum(start, roll_off), np.minimum(stop, roll_off))
         decay = 2 * (1 + self.hurst)
-        slope = _power_integral(order + 1 - decay, np.maximum(start, roll_off), np.maximum(stop, roll_off))
-        return 2 * np.pi * (plateau + slope * roll_off**decay)
+        decaying = _power_integral(order + 1 - decay, np.maximum(start, roll_off), np.maximum(stop, roll_off))
+        return 2 * np.pi * (plateau + decaying * roll_off**decay)
 
 
 def _power_integral(exponent: Reals, start: Reals, stop: Reals) -> Reals:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
 SHARE = 0.01
-"""Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  On rough surfaces with f_c = .09 to .11 under a hard wall,
-f_c differs from that by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, by 12 to 17 % at 5e-3, and is twice as large at .05
-(`tests/test_exponential`)."""
+"""Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  On rough surfaces of which a hard wall touches f_c = .09 to .11,
+f_c here differs from that by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, by 12 to 17 % at 5e-3,
+and is twice as large at .05 (`tests/test_exponential`)."""
 
 _jit = compiled()
 

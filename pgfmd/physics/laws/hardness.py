@@ -23,7 +23,6 @@ class Hardness(HardWall):
     """A hard wall that gives way where the pressure reaches `hardness`."""
 
     kind: ClassVar[str] = "hardness"
-    methods: ClassVar[tuple[str, ...]] = ("active-set", "gfmd")
 
     hardness: float = key(
         POSITIVE, about="σ_Y, the largest pressure that a point bears", unit="pressure", needed=True, example=0.1

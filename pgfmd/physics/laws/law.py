@@ -80,8 +80,9 @@ class ContactLaw(Section):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """What rows contribute to the certificate (`solvers.second_order`): fills `residual` with ρ = compliance ·
-        (p − p⁺), p⁺ from compliance · p⁺ − gap(p⁺) = compliance · p − (g − level); returns Σ excess(p, g − level − ρ).
+        """What rows contribute to the certificate: fills `residual` with ρ = compliance · (p − p⁺), p⁺ from
+        compliance · p⁺ − gap(p⁺) = compliance · p − (g − level); returns the sum of the excess (defined in
+        `solvers.second_order`; 0 where the law is obeyed) of pressures p and gaps g − level − ρ.
         """
         raise NotImplementedError
 

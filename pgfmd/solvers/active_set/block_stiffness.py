@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.grid import kernels
-from pgfmd.grid.holders import FEW
+from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.solvers.active_set.stencil import Symbol
@@ -46,7 +46,7 @@ class Blocks:
         """side: of a block, in pixels; pixel: side of a pixel; stiffness(|q|): of the solid."""
         nx, ny = shape = larger(grid.shape)
         lengths = nx * FACTOR * grid.spacing[0], ny * FACTOR * grid.spacing[1]
-        self.place, self.threads = SubGrid(grid, shape, lengths, FEW), grid.threads
+        self.place, self.threads = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS), grid.threads
         self.window = self.place.window((grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)))
         self.low, self._start = self.window.low, grid.rows.start
         self.loads = np.empty_like(self.window.own)

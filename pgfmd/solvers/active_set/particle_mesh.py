@@ -19,7 +19,7 @@ import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import ColumnAction
-from pgfmd.grid.holders import FEW
+from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
@@ -48,7 +48,7 @@ class MeshResponse:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
         self.grid = grid
         shape = -(-grid.shape[0] // 2), -(-grid.shape[1] // 2)
-        self.place = SubGrid(grid, shape, grid.lengths, FEW)
+        self.place = SubGrid(grid, shape, grid.lengths, LEAST_MESH_ROWS)
         alpha = SPLIT / math.sqrt(grid.pixel_area)
 
         def near(q: np.ndarray) -> np.ndarray:
