@@ -148,17 +148,18 @@ def _check(options: argparse.Namespace) -> str:
 
 
 def _info(options: argparse.Namespace) -> str:
-    from pgfmd.io import ensemble, results
+    from pgfmd.io import ensemble, info
+    from pgfmd.io.results import Results, Runs
 
     several = ensemble.is_ensemble(options.directory)
-    runs = [results.Results(folder) for folder in ensemble.folders(options.directory)]
+    runs = [Results(folder) for folder in ensemble.folders(options.directory)]
     if options.csv:
-        return results.as_csv(results.Runs(runs) if several else runs[0])
+        return info.as_csv(Runs(runs) if several else runs[0])
     if options.json:
-        return f"[{', '.join(map(results.as_json, runs))}]" if several else results.as_json(runs[0])
+        return f"[{', '.join(map(info.as_json, runs))}]" if several else info.as_json(runs[0])
     if not options.verify:
-        return ensemble.summary(ensemble.Ensemble(options.directory)) if several else results.summary(runs[0])
-    faults = {path: fault for run in runs for path, fault in results.damage(run).items()}
+        return info.summary_of_ensemble(ensemble.Ensemble(options.directory)) if several else info.summary(runs[0])
+    faults = {path: fault for run in runs for path, fault in info.damage(run).items()}
     if faults:
         raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + MADE_AGAIN)
     return f"{options.directory}: every byte is the one that was written"

@@ -17,7 +17,8 @@ from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.provenance import Origin, command_line
-from pgfmd.io.writer import Form, Mode, ResultWriter
+from pgfmd.io.schema import Form
+from pgfmd.io.writer import Mode, ResultWriter
 from pgfmd.job.job import Job, as_toml
 from pgfmd.job.sections import Run
 from pgfmd.observables.observer import Observer
@@ -104,7 +105,7 @@ def simulate(
             writer.begin()
             log_file.open(writer.directory, f"{command_line()}, on {comm.size} rank{'s' * (comm.size > 1)}")
             if "height" in job.output.fields and not writer.earlier.has_height:
-                writer.write_field("height", heights)
+                writer.write_heights(heights)
         pending, unreachable, count = writer.pending, {}, len(job.load.targets)
         progress = Progress(comm.rank, len(pending), grid.shape, job.solver.tolerance)
         steps = _Steps(grid, interruptions, checkpoints, progress)

@@ -188,7 +188,7 @@ def written(comm, folder):
     job = config.as_toml(config.parse(JOB))
     parts = Origin(JOB, job, 3), output.Form(SHAPE, SHAPE, rows)
     with output.ResultWriter(comm, folder, *parts) as writer:
-        writer.write_field("height", FIELD[rows])
+        writer.write_heights(FIELD[rows])
         for index in range(2):
             writer.write_load(index, {"mean_pressure": 0.1}, None, {"pressure": (index + 1) * FIELD[rows]})
     comm.Barrier()
@@ -226,7 +226,7 @@ def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, he
         rows = writer.form.rows
         writer.begin()
         if not height:
-            writer.write_field("height", FIELD[rows])
+            writer.write_heights(FIELD[rows])
         for index in writer.pending:
             writer.write_load(index, {"mean_pressure": 0.1}, None, {"pressure": (index + 1) * FIELD[rows]})
         writer.finish()

@@ -25,7 +25,8 @@ import sys, types
 import numpy as np
 from pgfmd.errors import InputError, SolverError
 from pgfmd.io.provenance import Origin
-from pgfmd.io.writer import Form, ResultWriter
+from pgfmd.io.schema import Form
+from pgfmd.io.writer import ResultWriter
 from pgfmd.job.job import as_toml
 from pgfmd.parallel.collectives import raise_together, slab
 

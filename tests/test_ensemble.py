@@ -11,7 +11,8 @@ import pytest
 import pgfmd
 from pgfmd import simulate as runner
 from pgfmd.errors import InputError, SolverError, Stopped
-from pgfmd.io.ensemble import Column, folders, summary
+from pgfmd.io.ensemble import Column, folders
+from pgfmd.io.info import summary_of_ensemble
 from pgfmd.io.results import Results
 from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.operation.estimate import rank_groups
@@ -86,7 +87,7 @@ def test_means_and_standard_errors(comm, shared_tmp_path):
         np.testing.assert_allclose(stored, curve["stress_spectrum"]["value_error"], rtol=1e-12)
         assert stored.dims[0]["q"] == file["load_0001/stress_spectrum/q"] and stored.attrs["units"] == "pressure^2"
         assert list(file["loads/seeds"]) == [5, 5]
-    assert f"{areas.mean(axis=0)[1]:.5g} ± {error[1]:.1g}" in summary(found)
+    assert f"{areas.mean(axis=0)[1]:.5g} ± {error[1]:.1g}" in summary_of_ensemble(found)
     frame = pytest.importorskip("pandas") and found.mean()
     np.testing.assert_allclose(frame["contact_area_error"], error, rtol=1e-12)
 
@@ -96,7 +97,7 @@ def test_standard_errors_leave_out_what_is_missing():
     column = Column()
     for values in ([1.0, np.nan, np.nan], [3.0, 2.0, np.nan]):
         column.add(np.array(values))
-    np.testing.assert_array_equal(column.value, [2, 2, np.nan])
+    np.testing.assert_array_equal(column.mean, [2, 2, np.nan])
     np.testing.assert_array_equal(column.error, [1, np.nan, np.nan])
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import os
 import subprocess
 import sys
 import tomllib
@@ -17,8 +19,9 @@ import pytest
 from pgfmd.errors import InputError
 from pgfmd.io import atomic, hdf5_slabs, schema
 from pgfmd.io import writer as output
+from pgfmd.io.info import summary
 from pgfmd.io.provenance import Origin
-from pgfmd.io.results import Results, summary
+from pgfmd.io.results import Results
 from pgfmd.job import job
 from pgfmd.observables.table import LAYOUT
 from pgfmd.parallel.collectives import slab
@@ -65,7 +68,7 @@ def test_what_is_written_is_read(comm, shared_tmp_path, transport):
     """Fields, rows and groups come back bit for bit from any rank count and either transport."""
     folder = shared_tmp_path / "a folder é"
     with writer(comm, folder) as result:
-        result.write_field("height", FIELD[result.form.rows])
+        result.write_heights(FIELD[result.form.rows])
         for index in range(3):
             write_load(result, index, index + 1.0)
         result.finish({"solve": 1.5})
@@ -94,7 +97,7 @@ def test_what_is_written_is_read(comm, shared_tmp_path, transport):
 def test_files_are_plain_hdf5(comm, shared_tmp_path):
     """The documented layout, opened by h5py alone: links resolve; all say their unit, description and origin."""
     with writer(comm, shared_tmp_path / "out", length_unit="µm", pressure_unit="GPa") as result:
-        result.write_field("height", FIELD[result.form.rows])
+        result.write_heights(FIELD[result.form.rows])
         write_load(result, 0)
     with h5py.File(shared_tmp_path / "out" / "fields.h5", "r") as file:
         np.testing.assert_array_equal(file["load_0000/pressure"][:], FIELD)
@@ -176,7 +179,7 @@ def test_results_are_not_replaced_unasked(comm, shared_tmp_path):
     np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
     comm.Barrier()
     with writer(comm, folder, mode="overwrite") as result:
-        result.write_field("height", -FIELD[result.form.rows])
+        result.write_heights(-FIELD[result.form.rows])
     comm.Barrier()
     np.testing.assert_array_equal(Results(folder).field("pressure", 0), FIELD)
     comm.Barrier()
@@ -285,6 +288,16 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
     assert sorted(path.name for path in (folder / "fields").iterdir()) == ["load_0000.h5"]
 
 
+def test_a_reader_does_not_refuse_a_run(comm, shared_tmp_path, monkeypatch):
+    """Whoever asks who holds a folder has its lock for a moment; a run that begins then waits for that moment."""
+    folder = shared_tmp_path / f"of rank {comm.rank}"
+    folder.mkdir()
+    reader = os.open(folder / atomic.LOCK_NAME, os.O_RDONLY | os.O_CREAT)
+    fcntl.flock(reader, fcntl.LOCK_SH)
+    monkeypatch.setattr(atomic, "sleep", lambda _: os.close(reader))
+    atomic.OutputFolder(folder).release()
+
+
 @pytest.mark.parametrize("nodes", ["one node", "a node for each rank"])
 def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch, nodes):
     """Files of fields are equal byte for byte, seal included, whether HDF5 with MPI writes them or each rank its rows
@@ -329,7 +342,7 @@ def test_wrong_slab_on_one_rank(comm, shared_tmp_path):
         writer(comm, shared_tmp_path / "out") as result,
     ):
         local = FIELD[result.form.rows]
-        result.write_field("height", local[:-1] if comm.rank == comm.size - 1 else local)
+        result.write_heights(local[:-1] if comm.rank == comm.size - 1 else local)
 
 
 def test_broken_off_run_reads_as_interrupted(comm, shared_tmp_path):

@@ -19,7 +19,8 @@ from pgfmd.io import atomic
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.provenance import Origin
 from pgfmd.io.results import Results
-from pgfmd.io.writer import Form, ResultWriter
+from pgfmd.io.schema import Form
+from pgfmd.io.writer import ResultWriter
 from pgfmd.parallel.collectives import slab
 
 SHAPE = (7, 4)
@@ -63,7 +64,7 @@ def run(folder, factor: float, mode: str, fields: bool = True, comm=MPI.COMM_SEL
             checkpoints = Checkpoints(comm, folder, SHAPE, rows, origin.effective_toml)
             checkpoints.aside = writer.replacing
             writer.begin()
-            writer.write_field("height", factor * FIELD[rows])
+            writer.write_heights(factor * FIELD[rows])
             for index in writer.pending:
                 checkpoints.save(index, factor * FIELD[rows])
                 checkpoints.save(index, factor * FIELD[rows])
@@ -74,8 +75,8 @@ def run(folder, factor: float, mode: str, fields: bool = True, comm=MPI.COMM_SEL
                 checkpoints.remove()
             writer.finish()
     finally:
-        if writer is not None and writer._folder is not None:  # the kernel would free the lock of a killed process
-            os.close(writer._folder._handle)
+        if writer is not None and writer._lock is not None:  # the kernel would free the lock of a killed process
+            os.close(writer._lock._handle)
 
 
 def factor_in(folder) -> float:

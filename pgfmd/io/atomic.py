@@ -11,11 +11,13 @@ import platform
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from time import sleep
 
 from pgfmd.errors import InputError
 from pgfmd.io.checksum import sealed, unsealed
 
 LOCK_NAME = ".pgfmd.lock"
+PAUSE = 0.05  # seconds before a lock is asked for again: `holder` has it for a moment
 
 
 def temporary(path: Path) -> Path:
@@ -28,8 +30,8 @@ def previous(path: Path) -> Path:
     return path.with_name(f".{path.name}.previous")
 
 
-def beside(path: Path) -> Path:
-    """Where a version of `path` is kept that is to replace it later."""
+def successor(path: Path) -> Path:
+    """Where a version of `path` is kept that will replace it later."""
     return path.with_name(f".{path.name}.new")
 
 
@@ -138,7 +140,7 @@ class OutputFolder:
             raise InputError(f"{self.path}: cannot be written as an output folder: {reason}") from None
 
     def _lock(self) -> int:
-        name = self.path / LOCK_NAME
+        name, refused = self.path / LOCK_NAME, False
         while True:
             handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
             try:
@@ -146,15 +148,20 @@ class OutputFolder:
             except BlockingIOError:
                 other = os.read(handle, 200).decode(errors="replace").strip()
                 os.close(handle)
-                raise InputError(f"{self.path}: another run writes here ({other or 'just started'})") from None
+                if refused:
+                    raise InputError(f"{self.path}: another run writes here ({other or 'just started'})") from None
+                refused = True
+                sleep(PAUSE)
+                continue
             except OSError as error:
                 if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
                     os.close(handle)
                     raise
                 # A file system without locks: the run goes on unprotected.
             # A run that has just ended removes its lock file: is the locked file still the one of that name?
-            if os.path.exists(name) and os.fstat(handle).st_ino == os.stat(name).st_ino:
-                break
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), os.stat(name)):
+                    break
             os.close(handle)
         os.ftruncate(handle, 0)
         os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())

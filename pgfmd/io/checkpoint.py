@@ -49,7 +49,7 @@ class Checkpoints:
             file.attrs.update(software="pgfmd", load=index, job=self.job)
             return hdf5_slabs.create_dataset(file, name, self.shape, pressure.dtype)
 
-        path = atomic.beside(self.path) if self.aside else self.path
+        path = atomic.successor(self.path) if self.aside else self.path
         fields = {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}
         hdf5_slabs.replace_by(self.comm, path, self.rows, fields, create, not self.aside)
 
@@ -57,7 +57,7 @@ class Checkpoints:
         """The newest good pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if there is none.
         Collective.
         """
-        for path in (atomic.beside(self.path), self.path, atomic.previous(self.path)):
+        for path in (atomic.successor(self.path), self.path, atomic.previous(self.path)):
             if not from_root(self.comm, self._belongs, path, index):
                 continue
             pressure, fault = hdf5_slabs.read(self.comm, path, self.rows, "pressure")
@@ -84,6 +84,6 @@ class Checkpoints:
         self.aside = False
 
     def _remove(self) -> None:
-        for path in (self.path, atomic.previous(self.path), atomic.beside(self.path)):
+        for path in (self.path, atomic.previous(self.path), atomic.successor(self.path)):
             path.unlink(missing_ok=True)
             atomic.temporary(path).unlink(missing_ok=True)

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 from collections.abc import Iterable, Mapping
@@ -18,15 +17,16 @@ import h5py
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.io import atomic
+from pgfmd.io.atomic import holder
 from pgfmd.io.dimensions import name_axes
-from pgfmd.io.results import Results, Runs, aligned
+from pgfmd.io.results import Results, Runs
 from pgfmd.io.schema import ENSEMBLE_FILE, LOADS, OBSERVABLES_FILE, load_name, member_name
+from pgfmd.io.small_hdf5 import revise
+from pgfmd.io.text_table import text_table
 
 if TYPE_CHECKING:
     import pandas
 
-LIBVER = ("v108", "v110")  # as for all other files
 COUNT = "number of seeds whose load was solved"
 
 
@@ -61,7 +61,7 @@ class Ensemble(Runs):
     def status(self) -> str:
         """ "complete", "running", "failed" (some seeds), "stopped", or "interrupted" (no process holds the folder)."""
         status = str(self.provenance["status"])
-        return "interrupted" if status == "running" and atomic.holder(self.directory) is None else status
+        return "interrupted" if status == "running" and holder(self.directory) is None else status
 
     def __repr__(self) -> str:
         return f"{self.directory}: {self.status}\n{table(self)}"
@@ -72,8 +72,8 @@ class Ensemble(Runs):
 
         columns: dict[str, np.ndarray] = {}
         for name, column in mean_loads(self.runs).items():
-            columns |= {name: column.value, f"{name}_error": column.error}
-        return pandas.DataFrame(columns | {"seeds": seeds_of(self.runs)}).rename_axis("load")
+            columns |= {name: column.mean, f"{name}_error": column.error}
+        return pandas.DataFrame(columns | {"seeds": solved_runs(self.runs)}).rename_axis("load")
 
     def load(self, index: int) -> dict[str, dict[str, np.ndarray]]:
         """Curves of one load averaged over the seeds, each with its standard error: group → dataset, dataset_error.
@@ -95,7 +95,7 @@ class Column:
     about: dict[str, str] = field(default_factory=dict)
     axes: tuple[str, ...] = ()
     is_axis: bool = False
-    mean: np.ndarray = field(default_factory=lambda: np.zeros(()))
+    _mean: np.ndarray = field(default_factory=lambda: np.zeros(()))
     _squares: np.ndarray = field(default_factory=lambda: np.zeros(()))
     _count: np.ndarray = field(default_factory=lambda: np.zeros(()))
 
@@ -103,12 +103,12 @@ class Column:
         """Take in the values of one more run, by Welford's recurrence (doi:10.1080/00401706.1962.10490022)."""
         values = np.asarray(values, np.float64)
         if not self._count.any():
-            self.mean, self._squares, self._count = (np.zeros(values.shape) for _ in range(3))
+            self._mean, self._squares, self._count = (np.zeros(values.shape) for _ in range(3))
         known = np.isfinite(values)
         self._count = self._count + known
-        apart = np.where(known, values, self.mean) - self.mean
-        self.mean = self.mean + apart / np.maximum(self._count, 1)
-        self._squares = self._squares + apart * (np.where(known, values, self.mean) - self.mean)
+        apart = np.where(known, values, self._mean) - self._mean
+        self._mean = self._mean + apart / np.maximum(self._count, 1)
+        self._squares = self._squares + apart * (np.where(known, values, self._mean) - self._mean)
 
     @property
     def error(self) -> np.ndarray:
@@ -117,16 +117,16 @@ class Column:
             return np.where(self._count > 1, np.sqrt(self._squares / (self._count * (self._count - 1))), np.nan)
 
     @property
-    def value(self) -> np.ndarray:
+    def mean(self) -> np.ndarray:
         """The mean; NaN where no run knows it."""
-        return np.where(self._count > 0, self.mean, np.nan)
+        return np.where(self._count > 0, self._mean, np.nan)
 
     def named(self, name: str, group: Mapping[str, Column]) -> Iterable[tuple[str, np.ndarray]]:
         """The mean under that name, and the error, unless it is an axis, under NAME_error; NAME_seed_error where the
         group has another NAME_error.
         """
         error = f"{name}_seed_error" if f"{name}_error" in group else f"{name}_error"
-        return [(name, self.value)] if self.is_axis else [(name, self.value), (error, self.error)]
+        return [(name, self.mean)] if self.is_axis else [(name, self.mean), (error, self.error)]
 
 
 def is_ensemble(directory: str | os.PathLike) -> bool:
@@ -144,7 +144,7 @@ def folders(directory: str | os.PathLike) -> list[Path]:
     return [folder for folder in found if (folder / OBSERVABLES_FILE).is_file()]
 
 
-def seeds_of(runs: Iterable[Results]) -> np.ndarray:
+def solved_runs(runs: Iterable[Results]) -> np.ndarray:
     """How many of the runs have solved each load."""
     solved = [np.isfinite(run.loads["mean_pressure"]) for run in runs]
     count = np.zeros(max(map(len, solved), default=0), int)
@@ -193,8 +193,8 @@ def _column(dataset: h5py.Dataset) -> Column:
 def _fits(group: Mapping[str, Column], values: Mapping[str, np.ndarray]) -> bool:
     """Whether the datasets of one more run have the shapes and axes of those before."""
     return group.keys() == values.keys() and all(
-        values[key].shape == column.mean.shape
-        and (not column.is_axis or not column._count.any() or np.array_equal(values[key], column.mean))
+        values[key].shape == column._mean.shape
+        and (not column.is_axis or not column._count.any() or np.array_equal(values[key], column._mean))
         for key, column in group.items()
     )
 
@@ -203,24 +203,22 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
     """Write ensemble.h5 anew: provenance, with the seeds, and the means over what is there.  Raises OSError."""
     path = directory / ENSEMBLE_FILE
 
-    def fill(content: io.BytesIO) -> None:
-        with h5py.File(content, "w", libver=LIBVER) as file:
-            file.attrs.update(provenance)
-            file.attrs.update(status=status, failed=json.dumps(failed))
+    def begin(file: h5py.File) -> None:
+        file.attrs.update(provenance)
+        file.attrs.update(status=status, failed=json.dumps(failed))
 
-    def add_means(content: io.BytesIO) -> None:
+    def add_means(file: h5py.File) -> None:
         runs = [Results(folder) for folder in folders(directory)]
-        with h5py.File(content, "r+", libver=LIBVER) as file:
-            _put(file.create_group("loads"), mean_loads(runs))
-            count = file["loads"].create_dataset("seeds", data=seeds_of(runs))
-            count.attrs.update(description=COUNT, units="1")
-            for index in range(max(map(len, runs), default=0)):
-                for title, group in mean_groups(runs, index).items():
-                    _put(file.create_group(f"{load_name(index)}/{title}"), group)
+        _put(file.create_group("loads"), mean_loads(runs))
+        count = file["loads"].create_dataset("seeds", data=solved_runs(runs))
+        count.attrs.update(description=COUNT, units="1")
+        for index in range(max(map(len, runs), default=0)):
+            for title, group in mean_groups(runs, index).items():
+                _put(file.create_group(f"{load_name(index)}/{title}"), group)
 
-    atomic.revise(path, fill, anew=True)
+    revise(path, begin, anew=True)  # first, since `folders` asks this file for the seeds
     if status != "running":
-        atomic.revise(path, add_means)
+        revise(path, add_means)
 
 
 def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
@@ -241,22 +239,5 @@ def table(ensemble: Ensemble) -> str:
     if not means:
         return "no load was completed"
     units = {name: column.about["units"] for name, column in means.items()}
-    values = {name: column.value for name, column in means.items()}
-    return aligned(values, units, {name: column.error for name, column in means.items()})
-
-
-def summary(ensemble: Ensemble) -> str:
-    """What `pgfmd info` prints of an ensemble: what was run, how far it is, and the means over the seeds."""
-    about, complete = ensemble.provenance, sum(run.status == "complete" for run in ensemble.runs)
-    lines = {
-        "folder": str(ensemble.directory),
-        "status": ensemble.status,
-        "seeds": f"{complete} of {len(ensemble.seeds)} complete; each has a result folder {member_name(1)}, …",
-        "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
-        "command": about["command"],
-        "started": f"{about['date']} on {about['host']}, {about['ranks']} ranks × {about['threads']} threads",
-    }
-    lines |= {f"seed {seed}": f"failed: {message}" for seed, message in ensemble.failed.items()}
-    width = max(map(len, lines))
-    listed = [f"{name:<{width}}  {value}" for name, value in lines.items()]
-    return "\n".join([*listed, "", "mean over the seeds ± standard error:", table(ensemble)])
+    values = {name: column.mean for name, column in means.items()}
+    return text_table(values, units, {name: column.error for name, column in means.items()})

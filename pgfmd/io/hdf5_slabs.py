@@ -19,14 +19,14 @@ import numpy as np
 
 from pgfmd.io import atomic, checksum
 from pgfmd.io.checksum import SealedArray
+from pgfmd.io.schema import LIBVER
 from pgfmd.parallel.collectives import from_root, raise_together, slab
 from pgfmd.parallel.mpi import MPI
+from pgfmd.parallel.teams import node_of
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
-# Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
-LIBVER = ("v108", "v110")
 COLLECTIVE_BYTES = 2**30  # of one rank in one collective write; MPI-IO counts overflow from 2 GiB
 BLOCK_BYTES = 2**24  # written at once
 METADATA_BYTES = 2**16  # more than HDF5 needs beside the numbers
@@ -234,11 +234,7 @@ def _write_in_place(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, F
 
 def _first_of_node(comm: MPI.Comm) -> int:
     """The lowest rank of the node that this rank runs on.  Collective."""
-    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    try:
-        return node.bcast(comm.rank)
-    finally:
-        node.Free()
+    return node_of(comm).bcast(comm.rank)
 
 
 def _put_rows(path: Path, rows: slice, fields: dict[str, Field], note: Note, at: Arrays) -> None:

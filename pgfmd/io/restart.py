@@ -120,7 +120,7 @@ def other_folder(directory: Path) -> str:
             used = str(file.attrs.get("fields_folder", FIELDS_FOLDER))
     except OSError:
         used = FIELDS_FOLDER
-    return FIELDS_FOLDERS[used == FIELDS_FOLDER]
+    return next(folder for folder in FIELDS_FOLDERS if folder != used)
 
 
 def is_own(path: Path) -> bool:

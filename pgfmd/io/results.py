@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import math
 import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,26 +12,17 @@ import h5py
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.io import checksum
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
-from pgfmd.io.schema import (
-    ENSEMBLE_FILE,
-    FIELDS,
-    FIELDS_FILE,
-    FIELDS_FOLDER,
-    FORMAT_VERSION,
-    LOADS,
-    OBSERVABLES_FILE,
-    VTK_FILE,
-    load_name,
-)  # fmt: skip
+from pgfmd.io.schema import ENSEMBLE_FILE, FIELDS, FIELDS_FOLDER, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
+from pgfmd.io.text_table import text_table
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
 BARS = "discretisation"  # the group whose numbers are the errors of columns of the table of loads
+
 
 class Results:
     """A result folder, also of a run that goes on or was broken off: whatever loads it has completed.
@@ -134,7 +121,7 @@ class Results:
     def fields(self, load: int | None = None) -> list[str]:
         """Names of the fields that were written, for a load or (None) for the whole run."""
         if load is None:
-            return ["height"] if self._field_file("height").exists() else []
+            return ["height"] if self.field_file("height").exists() else []
         with self._open(OBSERVABLES_FILE) as file:
             group = file.get(load_name(self._index(load)))  # none if a run skipped a load and was broken off
             return [] if group is None else [str(name) for name in group.attrs["fields"]]
@@ -145,13 +132,14 @@ class Results:
             which = "the run" if load is None else f"load {load}"
             hint = " (give a load, if it belongs to one)" if load is None and name in FIELDS else ""
             raise InputError(f"{self.directory}: no field {name} of {which}{hint}")
-        path = self._field_file(name if load is None else load_name(self._index(load)))
+        path = self.field_file(name if load is None else load_name(self._index(load)))
         if not path.exists():
             raise InputError(f"{path}: is missing")
         with self._open(path.relative_to(self.directory)) as file:
             return file[name][rows]
 
-    def _field_file(self, name: str) -> Path:
+    def field_file(self, name: str) -> Path:
+        """The file of "height", or of the fields of a load ("load_0000"), whether it exists or not."""
         return self.directory / self.provenance.get("fields_folder", FIELDS_FOLDER) / f"{name}.h5"
 
     def blocks(self, name: str, load: int | None = None, size: int = 2**26) -> Iterator[tuple[slice, np.ndarray]]:
@@ -261,95 +249,8 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def damage(results: Results) -> dict[Path, str]:
-    """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them."""
-    files = [results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)]
-    folder = results.directory / results.provenance.get("fields_folder", FIELDS_FOLDER)
-    fields = [load_name(index) for index in range(len(results)) if results.fields(index)]
-    files = [path for path in (*files, folder / "height.h5") if path.exists()]
-    files += [folder / f"{name}.h5" for name in fields]
-    found = {path: checksum.damage(path) if path.exists() else "it is missing" for path in files}
-    return {path: fault for path, fault in found.items() if fault is not None}
-
-
 def table(results: Results) -> str:
     """The table of loads as aligned text, one row per load; with the error bars of the grid, where they are known."""
     bars = [dict(load[BARS]) if BARS in load else {} for load in results]
     errors = {name: np.array([float(bar.get(f"{name}_error", np.nan)) for bar in bars]) for name in results.loads}
-    return aligned(results.loads, results.units, errors)
-
-
-def as_csv(results: Results | Runs) -> str:
-    """The table of loads, one line each after one of names, in full precision, with the errors that were measured; of
-    several runs one below the other, with the name of the folder.
-    """
-    rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
-    if isinstance(results, Runs):
-        rows = [{"run": load.results.directory.name, **row} for load, row in zip(results, rows, strict=True)]
-    names = list(dict.fromkeys(name for row in rows for name in row)) or ["load", *LOADS]
-    lines = io.StringIO()
-    table = csv.DictWriter(lines, names, restval="nan", lineterminator="\n")
-    table.writeheader()
-    table.writerows(rows)
-    return lines.getvalue().rstrip("\n")
-
-
-def as_json(results: Results) -> str:
-    """What was run, where, how far, and the rows of the table of loads; null for what was not measured or is not
-    finite.
-    """
-
-    def known(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: known(entry) for name, entry in value.items()}
-        if isinstance(value, list):
-            return [known(entry) for entry in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    found = {
-        "folder": str(results.directory),
-        "status": results.status,
-        "provenance": results.provenance,
-        "job": results.job,
-        "seconds": results.phases,
-        "units": results.units,
-        "loads": [load.numbers for load in results],
-    }
-    return json.dumps(known(found), ensure_ascii=False, indent=2)
-
-
-def aligned(
-    loads: Mapping[str, np.ndarray], units: Mapping[str, str], errors: Mapping[str, np.ndarray], mark: str = "load"
-) -> str:
-    """Columns as text: their names, units, and rows of "value ± error", without the error where it is not finite."""
-    columns = [[mark, "", *map(str, range(len(next(iter(loads.values())))))]]
-    for name, values in loads.items():
-        texts = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
-        bars = [f" ± {error:.1g}" if np.isfinite(error) else "" for error in errors[name]]
-        columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
-    widths = [max(map(len, column)) for column in columns]
-    rows = zip(*columns, strict=True)
-    return "\n".join(
-        "  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in rows
-    )
-
-
-def summary(results: Results) -> str:
-    """What `python -m pgfmd info` prints: what was run, how, how far, and the table of loads."""
-    about = results.provenance
-    asked = about.get("loads_requested", 0)
-    lines = {
-        "folder": str(results.directory),
-        "status": results.status + (f": {about['error']}" if results.status == "failed" else ""),
-        "loads": f"{len(results)} of {asked} completed" if asked else f"{len(results)} completed",
-        "grid": f"{results.shape[0]} × {results.shape[1]} points, cell {results.lengths[0]:g} × {results.lengths[1]:g}",
-        "fields": ", ".join(results.fields() + (results.fields(-1) if len(results) else [])) or "none",
-        "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
-        "command": about["command"],
-        "started": f"{about['date']} on {about['host']}, {about['ranks']} ranks × {about['threads']} threads",
-        "finished": about.get("finished", "—"),
-        "libraries": ", ".join(about["libraries"].split("\n")),
-    }
-    lines |= {f"{name} / s": f"{seconds:.3f}" for name, seconds in results.phases.items()}
-    width = max(map(len, lines))
-    return "\n".join([*(f"{name:<{width}}  {value}" for name, value in lines.items()), "", table(results)])
+    return text_table(results.loads, results.units, errors)

@@ -7,11 +7,13 @@ What an observable writes is described in its own file (`observables/NAME.py`). 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 FORMAT_VERSION = 2  # what earlier ones had otherwise: see `formats`
+# Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
+LIBVER = ("v108", "v110")
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
 VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `views`
@@ -28,10 +30,31 @@ class Dataset:
     axes: tuple[str, ...] = ()
 
 
-Layout = Mapping[str, Mapping[str, Dataset]]
+GroupLayout = Mapping[str, Mapping[str, Dataset]]
 """What the groups of one load may hold: group → dataset → description."""
 Groups = Mapping[str, Mapping[str, np.ndarray]]
 """The groups of one load: group → dataset → values."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """The form of the files of one run: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of its rows
+    that this rank holds, the precision of real fields in the file, names of units, and the groups of a load.
+    """
+
+    shape: tuple[int, int]
+    lengths: tuple[float, float]
+    rows: slice
+    precision: str = "float64"
+    length_unit: str = "length"
+    pressure_unit: str = "pressure"
+    groups: GroupLayout = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Names of units by what they measure, for the units of datasets."""
+        return {"length": self.length_unit, "pressure": self.pressure_unit}
+
 
 # One row per load, in group `loads` of observables.h5, in this order.
 LOADS = {
@@ -50,7 +73,7 @@ LOADS = {
     "max_violation": ("1", "largest of |gap| in contact and penetration outside, over the rms height"),
     "iterations": ("1", "iterations of the solver"),
     "transforms": ("1", "work, in forward + backward transforms of the full grid in double precision"),
-    "seconds": ("s", "wall time of the relaxation"),
+    "seconds": ("s", "wall time of the solution"),
 }
 
 FIELDS = {

@@ -77,7 +77,7 @@ class View:
             name_axes(file, name, ("load", "x", "y"))
 
     def write_vtk(self, file: h5py.File) -> None:
-        """Fill fields.vtkhdf.  Its images have their second axis, our y, contiguous: the directions are exchanged."""
+        """Fill fields.vtkhdf.  VTK's first axis is the contiguous one, our y: `Direction` exchanges x and y."""
         spacing = [length / count for length, count in zip(self.lengths, self.shape, strict=True)]
         root, count = file.create_group("VTKHDF"), len(self.numbers)
         root.attrs["Version"] = np.array(VTK_VERSION)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.io.schema import Dataset, Groups, Layout
+from pgfmd.io.schema import Dataset, GroupLayout, Groups
 from pgfmd.observables.statistics.spectra import wave_number_bins
 from pgfmd.options.rules import choice, flag, integer
 from pgfmd.options.section import Section, key
@@ -30,7 +30,7 @@ class Observable(Section):
     """
 
     name: ClassVar[str]
-    layout: ClassVar[Layout]
+    layout: ClassVar[GroupLayout]
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """What measuring one load costs, at most (what several observables need is computed once).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pgfmd.io.schema import Layout
+from pgfmd.io.schema import GroupLayout
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.bearing import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
@@ -27,5 +27,5 @@ OBSERVABLES: dict[str, type[Observable]] = {
     )
 }
 
-LAYOUT: Layout = {group: datasets for kind in OBSERVABLES.values() for group, datasets in kind.layout.items()}
+LAYOUT: GroupLayout = {group: datasets for kind in OBSERVABLES.values() for group, datasets in kind.layout.items()}
 """Every group that a load may have in observables.h5."""

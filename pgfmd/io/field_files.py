@@ -1,0 +1,143 @@
+"""The big fields of a run: the heights and those of each load, in files of their own, and the files that show them all.
+
+    fields/height.h5, fields/load_0000.h5, …    written by all ranks, each in one piece on the disk
+    fields.h5, fields.vtkhdf                    small; see `views`
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from pgfmd.io import hdf5_slabs, restart, views
+from pgfmd.io.dimensions import add_grid_axes, name_axes
+from pgfmd.io.observables_file import annotate
+from pgfmd.io.schema import FIELDS, FIELDS_FILE, VTK_FILE, Form
+from pgfmd.io.small_hdf5 import Change, revise
+from pgfmd.parallel.collectives import Reduction, from_root, raise_together
+from pgfmd.parallel.mpi import MPI
+
+log = logging.getLogger("pgfmd")
+
+Links = dict[str, tuple[str, str]]
+"""Name of a field ("height", "load_0000/pressure") → its file, and its dataset there."""
+
+
+class FieldFiles:
+    """The fields of one run.
+
+    directory: the result folder; folder: the one in it for fields; provenance: makes the attributes of a file's root,
+    rank 0 calls it
+    links: the fields that are there
+    """
+
+    def __init__(
+        self, comm: MPI.Comm, directory: Path, folder: str, form: Form, provenance: Callable[[], dict[str, Any]]
+    ) -> None:
+        self.comm, self.directory, self.folder, self.form = comm, directory, folder, form
+        self._provenance, self.links = provenance, Links()
+        self._described: dict[str, views.Shown] = {}  # the links, as far as their files have been looked into
+
+    def write(self, name: str, fields: dict[str, np.ndarray], show: bool) -> None:
+        """Write NAME.h5 with this rank's slabs (nx_local, ny) of `fields`, whose names are the same on all ranks.
+        Collective.
+
+        show: whether fields.h5 shows the fields of this run, no longer those of replaced results.
+        Raises ValueError for a slab of another shape, OSError if the file cannot be written, on all ranks.
+        """
+        form = self.form
+        slabs = {key: hdf5_slabs.Field(local, self._stored(key, local)) for key, local in fields.items()}
+        with raise_together(self.comm):
+            expected = (form.rows.stop - form.rows.start, form.shape[1])
+            for key, local in fields.items():
+                if local.shape != expected:
+                    raise ValueError(f"field {key}: slab of shape {local.shape}, expected {expected}")
+
+        def create(file: h5py.File, key: str) -> h5py.Dataset:
+            # No date: the same numbers make the same bytes.
+            undated = ("software", "softwareVersion", "commit", "format_version")
+            file.attrs.update({attribute: self._provenance()[attribute] for attribute in undated})
+            dataset = hdf5_slabs.create_dataset(file, key, form.shape, slabs[key].dtype)
+            unit, description = FIELDS.get(key, ("1", key))
+            annotate(dataset, description, unit, form.units)
+            add_grid_axes(file, form.shape, form.lengths, form.length_unit)
+            name_axes(file, key, ("x", "y"))
+            return dataset
+
+        path = self.directory / self.folder / f"{name}.h5"
+        hdf5_slabs.replace_by(self.comm, path, form.rows, slabs, create, False)
+        for key in fields:
+            link = key if key == name else f"{name}/{key}"
+            self.links[link] = f"{name}.h5", key
+            self._described.pop(link, None)
+        if show:
+            from_root(self.comm, self.write_views)
+
+    def _stored(self, name: str, local: np.ndarray) -> np.dtype:
+        """The type of a field in the file: the job's precision for real ones, or double where the field would overflow
+        in that, or be lost below its smallest numbers.  Collective.
+        """
+        if not np.issubdtype(local.dtype, np.floating):
+            return local.dtype
+        asked, reduction = np.dtype(self.form.precision), Reduction(self.comm)
+        largest, limits = max(reduction.max(local), -reduction.min(local)), np.finfo(asked)
+        if largest == 0 or float(limits.tiny) / float(limits.eps) <= largest <= float(limits.max):
+            return asked
+        if self.comm.rank == 0 and asked != np.float64:
+            log.info("%s is written in float64: %s does not hold values of %.1e", name, asked, largest)
+        return np.dtype(np.float64)
+
+    # Rank 0.
+
+    def begin(self) -> None:
+        """Make the folder; remove what interrupted runs left in it, and fields that belong to no results."""
+        for draft in (self.directory / self.folder).glob(".*.h5.tmp"):
+            draft.unlink(missing_ok=True)
+        if not self.links:
+            self.remove()
+        (self.directory / self.folder).mkdir(exist_ok=True)
+
+    def write_views(self) -> None:
+        """Write fields.h5 and fields.vtkhdf anew, if there are fields."""
+        if not self.links:
+            return
+        for name, (file, dataset) in self.links.items():
+            if name not in self._described:
+                self._described[name] = views.described(self.directory, f"{self.folder}/{file}", dataset)
+        view = views.View(self.form.shape, self.form.lengths, self.form.length_unit, self._described)
+        for name, fill in ((FIELDS_FILE, view.write_netcdf), (VTK_FILE, view.write_vtk)):
+            self._write_view(name, fill)
+
+    def _write_view(self, name: str, fill: Change) -> None:
+        def describe(file: h5py.File) -> None:
+            file.attrs.update(self._provenance())
+            fill(file)
+
+        revise(self.directory / name, describe, anew=True)
+
+    def remove_views(self) -> None:
+        """Remove fields.h5 and fields.vtkhdf."""
+        for name in (FIELDS_FILE, VTK_FILE):
+            (self.directory / name).unlink(missing_ok=True)
+
+    def remove(self) -> None:
+        """Remove the fields that this program wrote into `folder`, and the folder if nothing else is in it."""
+        self._remove_from(self.folder)
+
+    def remove_replaced(self) -> None:
+        """Remove the fields of replaced results, which are in the other folder, and what shows them."""
+        self.remove_views()
+        for folder in set(restart.FIELDS_FOLDERS) - {self.folder}:
+            self._remove_from(folder)
+
+    def _remove_from(self, folder: str) -> None:
+        for path in restart.own_field_files(self.directory / folder):
+            path.unlink(missing_ok=True)
+        with suppress(OSError):
+            (self.directory / folder).rmdir()

@@ -1,0 +1,107 @@
+"""What `pgfmd info` prints of result folders and ensembles: summaries, CSV, JSON, damage."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pgfmd.io import checksum, ensemble
+from pgfmd.io.ensemble import Ensemble
+from pgfmd.io.results import Results, Runs, table
+from pgfmd.io.schema import FIELDS_FILE, LOADS, OBSERVABLES_FILE, VTK_FILE, load_name, member_name
+
+
+def damage(results: Results) -> dict[Path, str]:
+    """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them."""
+    small = (results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE))
+    needed = [results.field_file(load_name(index)) for index in range(len(results)) if results.fields(index)]
+    files = [path for path in (*small, results.field_file("height")) if path.exists()] + needed
+    found = {path: checksum.damage(path) if path.exists() else "it is missing" for path in files}
+    return {path: fault for path, fault in found.items() if fault is not None}
+
+
+def as_csv(results: Results | Runs) -> str:
+    """The table of loads, one line each after one of names, in full precision, with the errors that were measured; of
+    several runs one below the other, with the name of the folder.
+    """
+    rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
+    if isinstance(results, Runs):
+        rows = [{"run": load.results.directory.name, **row} for load, row in zip(results, rows, strict=True)]
+    names = list(dict.fromkeys(name for row in rows for name in row)) or ["load", *LOADS]
+    lines = io.StringIO()
+    writer = csv.DictWriter(lines, names, restval="nan", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return lines.getvalue().rstrip("\n")
+
+
+def as_json(results: Results) -> str:
+    """What was run, where, how far, and the rows of the table of loads; null for what was not measured or is not
+    finite.
+    """
+
+    def known(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: known(entry) for name, entry in value.items()}
+        if isinstance(value, list):
+            return [known(entry) for entry in value]
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    found = {
+        "folder": str(results.directory),
+        "status": results.status,
+        "provenance": results.provenance,
+        "job": results.job,
+        "seconds": results.phases,
+        "units": results.units,
+        "loads": [load.numbers for load in results],
+    }
+    return json.dumps(known(found), ensure_ascii=False, indent=2)
+
+
+def summary(results: Results) -> str:
+    """What was run, how, how far, and the table of loads."""
+    about, asked = results.provenance, results.provenance.get("loads_requested", 0)
+    lines = {
+        "folder": str(results.directory),
+        "status": results.status + (f": {about['error']}" if results.status == "failed" else ""),
+        "loads": f"{len(results)} of {asked} completed" if asked else f"{len(results)} completed",
+        "grid": f"{results.shape[0]} × {results.shape[1]} points, cell {results.lengths[0]:g} × {results.lengths[1]:g}",
+        "fields": ", ".join(results.fields() + (results.fields(-1) if len(results) else [])) or "none",
+        **_origin(about),
+        "finished": about.get("finished", "—"),
+        "libraries": ", ".join(about["libraries"].split("\n")),
+    }
+    lines |= {f"{name} / s": f"{seconds:.3f}" for name, seconds in results.phases.items()}
+    return "\n".join([_listed(lines), "", table(results)])
+
+
+def summary_of_ensemble(found: Ensemble) -> str:
+    """What was run, how far it is, and the means over the seeds."""
+    complete = sum(run.status == "complete" for run in found.runs)
+    lines = {
+        "folder": str(found.directory),
+        "status": found.status,
+        "seeds": f"{complete} of {len(found.seeds)} complete; each has a result folder {member_name(1)}, …",
+        **_origin(found.provenance),
+    }
+    lines |= {f"seed {seed}": f"failed: {message}" for seed, message in found.failed.items()}
+    return "\n".join([_listed(lines), "", "mean over the seeds ± standard error:", ensemble.table(found)])
+
+
+def _origin(about: Mapping[str, Any]) -> dict[str, str]:
+    return {
+        "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
+        "command": about["command"],
+        "started": f"{about['date']} on {about['host']}, {about['ranks']} ranks × {about['threads']} threads",
+    }
+
+
+def _listed(lines: Mapping[str, str]) -> str:
+    width = max(map(len, lines))
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
