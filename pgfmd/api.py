@@ -63,7 +63,7 @@ class Options(TypedDict, total=False):
 
 
 class One(Options, total=False):
-    """One load that is not given by its pressure."""
+    """With what is imposed instead of a pressure: one number."""
 
     contact_area: float
     mean_gap: float
@@ -72,7 +72,7 @@ class One(Options, total=False):
 
 
 class Several(Options, total=False):
-    """A list of them."""
+    """The same with a list of numbers."""
 
     contact_area: Sequence[float]
     mean_gap: Sequence[float]
@@ -125,7 +125,7 @@ def solve(
 
     spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; zeta: the range of an exponential
     wall with σ_ref = contact_modulus; neither: a hard wall.  thickness, base ("bonded" if None), poisson: a slab
-    instead of a half-space.  method: see `solvers.options`.  start: a pressure like the heights to begin with.
+    instead of a half-space.  method: see `solvers.options`.  start: a pressure to begin with, split like the heights.
     tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
     this process; OMP_NUM_THREADS or the free cores if None.  progress: whether a bar shows it; None: in notebooks.
 
@@ -163,10 +163,10 @@ def solve(
         solid = Elasticity(modulus, thickness, base or "bonded", poisson)
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
-        meant: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
+        closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         if start is not None and (start := _real("start", start)).shape != heights.shape:
             raise InputError(f"start of shape {start.shape}: must be that of the heights, {heights.shape}")
-    asked = comm.allgather((name, targets, single, steps, solid, law, options, meant, start is None))
+    asked = comm.allgather((name, targets, single, steps, solid, law, options, closeness, start is None))
     if any(other != asked[0] for other in asked):
         raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
     (ax, ay), rows, ny = steps, comm.allgather(len(heights)), heights.shape[1]
@@ -175,7 +175,7 @@ def solve(
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
-    asked_load = Load(**{name: targets, **meant})
+    asked_load = Load(**{name: targets, **closeness})
     shown = is_notebook() if progress is None else progress
     solver = partial(_solve, options, shown)
     control = LoadControl(asked_load, ContactProblem(grid, heights, solid, law), options.tolerance, solver)
@@ -236,8 +236,8 @@ def _solve(
     bar = Progress(grid.comm.rank, 1, grid.shape, tolerance)
     bar.begin(label)
 
-    def see(level: SlabGrid, state: SolverState) -> None:
-        bar.step(level.shape, state.error, state.contact / level.size, grid.transforms - before)
+    def see(its_grid: SlabGrid, state: SolverState) -> None:
+        bar.step(its_grid.shape, state.error, state.contact / its_grid.size, grid.transforms - before)
 
     try:
         return solve_contact(problem, options, start, see)

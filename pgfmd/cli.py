@@ -32,7 +32,7 @@ from pgfmd.parallel.mpi import MPI, launched_rank, world
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 INTERRUPTED = 130
-MADE_AGAIN = "; remove a damaged file of fields and --restart makes it again"
+MEND = "; remove a damaged file of fields, and a run with --restart writes it again"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -136,11 +136,12 @@ def _check(options: argparse.Namespace) -> str:
     from pgfmd.simulate import make_elasticity
 
     job = load(options.job, options.set)
-    rows = job.grid.n[0] * max(1, len(job.surface.seeds))
-    if options.ranks > rows:
-        raise InputError(f"--ranks {options.ranks}: more ranks than the {rows} rows of the grid")
-    size = estimate.estimate(job, options.ranks).memory * options.ranks
+    nx, surfaces = job.grid.n[0], max(1, len(job.surface.seeds))
+    if options.ranks > nx * surfaces:
+        each = f", of each of {surfaces} surfaces" * (surfaces > 1)
+        raise InputError(f"--ranks {options.ranks}: more ranks than the {nx} rows of the grid{each}")
     here = largest_memory()
+    size = estimate.estimate(job, options.ranks, here / options.ranks).memory * options.ranks
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
     report = estimate.report(job, options.ranks)  # opens the files of the surface
     against = "".join(f"\n{line}" for line in doubts(job, make_elasticity(job)))
@@ -161,7 +162,7 @@ def _info(options: argparse.Namespace) -> str:
         return info.summary_of_ensemble(ensemble.Ensemble(options.directory)) if several else info.summary(runs[0])
     faults = {path: fault for run in runs for path, fault in info.damage(run).items()}
     if faults:
-        raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + MADE_AGAIN)
+        raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + MEND)
     return f"{options.directory}: every byte is the one that was written"
 
 

@@ -1,4 +1,4 @@
-"""The run, top to bottom: job → grid → surface → for each load: relax, observe, write."""
+"""The run, top to bottom: job → grid → surface → for each load: solve, measure, write."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.solution import ContactSolution, SolverState
 
 log = logging.getLogger("pgfmd")
-PATIENCE = 5.0  # seconds whose loads one of many runs may lose if it is killed
+HELD_BACK = 5.0  # seconds for which a run of an ensemble may hold back finished loads, to write them together
 
 
 def run_job(
@@ -46,10 +46,13 @@ def run_job(
 ) -> None:
     """Run a job of one surface (`simulate`) or of an ensemble (`run_ensemble`).  Collective."""
     if job.surface.seeds:
-        mode: Mode = "overwrite" if overwrite else "restart" if restart else "new"
-        run_ensemble(simulate, job, comm, Path(directory), mode)
+        run_ensemble(simulate, job, comm, Path(directory), _mode(overwrite, restart))
     else:
         simulate(job, comm, directory, overwrite=overwrite, restart=restart)
+
+
+def _mode(overwrite: bool, restart: bool) -> Mode:
+    return "overwrite" if overwrite else "restart" if restart else "new"
 
 
 def simulate(
@@ -63,7 +66,7 @@ def simulate(
 ) -> None:
     """Solve all loads of a job, of one surface, and write its result folder.  Collective.
 
-    interruptions: a context that was entered before, if several runs are stopped together; None: one of this run.
+    interruptions: those of the ensemble that this run belongs to; None: the run makes its own.
     Raises InputError (wrong input, nothing written), SolverError (completed loads stay written) or Stopped (asked to
     stop; what was done is kept for `restart`) on all ranks together.
     """
@@ -77,10 +80,11 @@ def simulate(
     form = Form(
         grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT
     )
-    mode: Mode = "overwrite" if overwrite else "restart" if restart else "new"
     with (
         LogFile(comm.rank) as log_file,
-        ResultWriter(comm, directory, origin, form, mode, PATIENCE if interruptions else 0.0) as writer,
+        ResultWriter(
+            comm, directory, origin, form, _mode(overwrite, restart), HELD_BACK if interruptions else 0.0
+        ) as writer,
         nullcontext(interruptions)
         if interruptions
         else Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
@@ -94,12 +98,11 @@ def simulate(
         observer = Observer(problem, job.output.asked, cutoff)
         control = LoadControl(job.load, problem, job.solver.tolerance)
         control.check_targets(job.load.targets)
-        checkpoints = Checkpoints(
-            comm, directory, grid.shape, grid.rows, of_first_load(job)
-        )  # fmt: skip
+        checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job))
         with phases("write"):
-            if writer.replacing:  # earlier results and their checkpoint stay until the first load is written
-                checkpoints.aside, interruptions.resumption = True, "--overwrite"
+            if writer.replacing:  # earlier results and their checkpoint stay until the first load is written;
+                checkpoints.aside = True  # until then a stopped run is begun again, not continued
+                interruptions.resumption = "--overwrite"
             elif writer.earlier.job is None:
                 checkpoints.remove()
             writer.begin()
@@ -146,7 +149,7 @@ def simulate(
 
 
 def of_first_load(job: Job) -> str:
-    """The job as a checkpoint knows it: [run] does not count, and loads after the first may be added."""
+    """The part of a job that a checkpoint must agree with, as TOML: all but [run] and the loads after the first."""
     return as_toml(dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1])))
 
 
@@ -187,8 +190,8 @@ class _Steps:
             self.progress.hide()
 
     def see(self, mean_pressure: float, grid: SlabGrid, state: SolverState) -> None:
-        """Monitors a solver's steps at that load, on the job's grid or a coarser one.  Collective over the ranks that
-        hold `grid`.
+        """The monitor of a solver: called after each step, on the job's grid or a coarser one.  Collective over the
+        ranks that hold `grid`.
         """
         transforms = grid.transforms - (self.transforms if grid is self.grid else 0.0)
         self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)

@@ -210,6 +210,50 @@ def test_ranks_share_what_one_cannot_hold():
     job = parse(tables_as_toml(with_seeds("1..64", grid={"n": 4096})))
     alone = 4096**2 * 40 + 2.5e8
     assert rank_groups(job, 8, alone * 3) == 8 and rank_groups(job, 8, alone * 0.6) < 8
+    assert rank_groups(job, 3, alone * 0.6) == 1  # not two groups, one of which is a single rank
+
+
+def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeypatch):
+    """A node that holds one surface at a time, but not one for each rank, runs the ensemble: it is refused only if the
+    groups that are chosen for that memory do not fit.
+    """
+    from pgfmd.operation import estimate, machine
+
+    if comm.size == 1:
+        pytest.skip("one rank is one group")
+    monkeypatch.setattr(estimate, "BASE_BYTES", 0.0)  # so that the grid alone counts
+    alone = estimate.estimate(parse(toml_of(JOB)), 1).memory
+    monkeypatch.setattr(machine, "largest_memory", lambda: 0.7 * alone * comm.size)
+    assert pgfmd.run(JOB, shared_tmp_path / "out", comm=comm).status == "complete"
+    monkeypatch.setattr(machine, "largest_memory", lambda: 0.3 * alone)
+    with pytest.raises(InputError, match="take more nodes, or a smaller grid"):
+        pgfmd.run(JOB, shared_tmp_path / "small", comm=comm)
+
+
+def test_a_disk_that_fails_at_the_end_ends_all_ranks(comm, shared_tmp_path, monkeypatch):
+    """Files of the seeds are synced by one rank of each group: if one cannot, all ranks say so, and none waits."""
+    from pgfmd.operation import ensemble
+
+    def fails(folder):
+        if comm.rank == comm.size - 1:
+            raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(ensemble, "sync_files", fails)
+    with pytest.raises(OSError, match="Input/output error"):
+        pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+
+
+def test_each_seed_keeps_its_log(tmp_path, mpirun):
+    """The terminal has a line for each seed; the steps and loads of a seed are in its own run.log, whichever rank led
+    the group that ran it.
+    """
+    (tmp_path / "job.toml").write_text(toml_of(JOB))
+    done = mpirun(2, "-m", "pgfmd", "run", tmp_path / "job.toml", "--output", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count(" of 5)") == 5 and "certified" not in done.stderr and "kappa" not in done.stderr
+    for folder in folders(tmp_path / "out"):
+        text = (folder / "run.log").read_text()
+        assert "MPI: " in text and text.count("kappa") == 2 and "load 2/2  error" in text
 
 
 def test_tools_take_the_folder(comm, shared_tmp_path, monkeypatch):

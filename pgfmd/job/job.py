@@ -1,6 +1,6 @@
 """The job: a TOML file (or Python values) as one frozen, validated Job.  No MPI here.
 
-The sections and their keys are described in `sections`.
+SECTIONS lists the classes of its tables, whose fields are their keys.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.job.output import Output, Written
 from pgfmd.job.sections import Run, Solid
-from pgfmd.options import section as tables
 from pgfmd.options.section import Kinds, Section, build
+from pgfmd.options.section import as_toml as table_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
@@ -45,7 +45,6 @@ class Job:
         self.surface.check_in(self.grid)
         self.solver.check_law(self.wall)
         self.load.check_law(self.wall)
-
 
     def of_seed(self, seed: int) -> Job:
         """The job of one seed of an ensemble."""
@@ -169,7 +168,7 @@ def _anchor(document: dict, folder: str) -> None:
 
 def as_toml(job: Job) -> str:
     """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Job."""
-    return "\n".join(tables.as_toml(section, getattr(job, section)) for section in SECTIONS)
+    return "\n".join(table_as_toml(section, getattr(job, section)) for section in SECTIONS)
 
 
 def tables_as_toml(job: Mapping[str, Any]) -> str:

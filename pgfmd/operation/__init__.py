@@ -1,1 +1,1 @@
-"""What surrounds a run: stop signals, progress, the machine, and what it will cost."""
+"""What surrounds a run: ensembles, stop signals, progress, the machine, and what it will cost."""

@@ -18,6 +18,7 @@ from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_n
 from pgfmd.job.job import Job, as_toml, differences, parse
 from pgfmd.operation import machine
 from pgfmd.operation.estimate import estimate, rank_groups
+from pgfmd.operation.progress import STEP
 from pgfmd.operation.stop import Interruptions
 from pgfmd.options.text import printable
 from pgfmd.parallel.collectives import from_root, raise_together
@@ -40,8 +41,9 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     at the end if some seeds failed, and the first error if all did.
     """
     seeds = job.surface.seeds
-    groups = from_root(comm, rank_groups, job, comm.size, machine.room_per_rank(comm))  # may read the surface's table
-    memory = from_root(comm, estimate, job, comm.size).memory
+    room = machine.room_per_rank(comm)
+    groups = from_root(comm, rank_groups, job, comm.size, room)  # may read the surface's table
+    memory = from_root(comm, estimate, job, comm.size, room).memory
     machine.refuse_too_large(comm, memory)
     with _Folder(job, comm, path, mode) as folder:
         machine.report(comm, memory)
@@ -122,14 +124,14 @@ def _run_seeds(
     written: list[Path] = []
     seeds = job.surface.seeds
     stopped: Stopped | NoProgress | None = None
-    mine = comm.rank * groups // comm.size
-    group = comm if groups == 1 else comm.Split(mine, comm.rank)
+    own = comm.rank * groups // comm.size  # the number of this rank's group
+    group = comm if groups == 1 else comm.Split(own, comm.rank)
     with (
         _quiet(group),
         Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
     ):
         comm.Barrier()  # from here on a file that asks to stop is meant for this run
-        for position in range(mine, len(seeds), groups):
+        for position in range(own, len(seeds), groups):
             seed, began = seeds[position], time.perf_counter()
             try:
                 interruptions.between_steps()
@@ -151,9 +153,10 @@ def _run_seeds(
             except (InputError, SolverError, OSError) as error:
                 failed[seed] = error
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds), error)
-    if group.rank == 0:
-        for folder in written:  # all at once: a disk syncs many small files in little more time than one
-            sync_files(folder)
+    with raise_together(comm):
+        if group.rank == 0:
+            for folder in written:  # all at once: a disk syncs many small files in little more time than one
+                sync_files(folder)
     found = comm.allgather((failed, stopped))
     if comm.rank == 0:
         interruptions.batch_stop_file.unlink(missing_ok=True)
@@ -182,11 +185,23 @@ def _found(folder: Path, job: Job) -> str:
 
 @contextmanager
 def _quiet(group: MPI.Comm) -> Iterator[None]:
-    """Only warnings of the runs are logged; what is done by the first rank of each group."""
-    before, progress.propagate = log.level, True
-    log.setLevel(max(before, logging.WARNING))
+    """The terminal shows warnings of the runs, and what the first rank of each group has done; the log file of a run
+    keeps every line.
+    """
+    handlers, before = list(log.handlers), log.level
+    for handler in handlers:
+        handler.addFilter(_is_shown)
+    progress.propagate = True
     progress.setLevel(logging.INFO if group.rank == 0 else logging.CRITICAL + 1)
+    filtered = handlers and not log.propagate  # no filter reaches handlers of the root logger
+    log.setLevel(STEP if filtered and group.rank == 0 else max(before, logging.WARNING))
     try:
         yield
     finally:
         log.setLevel(before)
+        for handler in handlers:
+            handler.removeFilter(_is_shown)
+
+
+def _is_shown(record: logging.LogRecord) -> bool:
+    return record.name == progress.name or record.levelno >= logging.WARNING

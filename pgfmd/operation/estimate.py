@@ -14,7 +14,7 @@ from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
-WAITING_BYTES = 24.0  # per point of a grid that waits for a coarser one: heights, as given and scaled, and strips
+WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, as given and scaled, and strips
 BASE_BYTES = 2.17e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / area of Persson's theory − 1
@@ -33,16 +33,19 @@ class Estimate:
     seconds: float
 
 
-def estimate(job: Job, ranks: int) -> Estimate:
-    """Memory per rank, size of the files and time of the job on `ranks` ranks with one core each, roughly."""
+def estimate(job: Job, ranks: int, room: float = math.inf) -> Estimate:
+    """Memory per rank, size of the files and time of the job on `ranks` ranks with one core each, roughly.
+
+    room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).
+    """
     points = job.grid.n[0] * job.grid.n[1]
-    surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks)
-    ranks = -(-ranks // groups)  # of one surface
+    surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks, room)
+    ranks //= groups  # of one surface, in the smallest group
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
     solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_TARGET)
-    solving, measuring = max(solver_costs(job), key=lambda cost: cost.memory), observer_costs(job)
+    solving, measuring = max(solving_costs(job), key=lambda cost: cost.memory), measuring_costs(job)
     work = solving.transforms * solves + sum(cost.transforms for cost in measuring) * loads
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     return Estimate(
@@ -53,7 +56,11 @@ def estimate(job: Job, ranks: int) -> Estimate:
 
 
 def peak(shares: list[int], per_point: float) -> float:
-    """Bytes of rank 0 while the grid is solved or measured, or a coarser one whose share is larger; finer ones wait."""
+    """Bytes of rank 0 at the worst of its grids, of which it holds `shares` points, finest first.
+
+    per_point: bytes per point of the grid that is solved or measured.  Finer grids keep `WAITING_BYTES` per point.  A
+    coarser grid can be the worst: fewer ranks hold it, with larger shares.
+    """
     return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
 
 
@@ -72,8 +79,8 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
         return -(-surfaces // groups) / (1.0 if width == 1 else SLAB_GAIN * width)
 
     def fits(groups: int) -> bool:
-        width = -(-ranks // groups)
-        return width <= nx and BASE_BYTES + peak(largest_shares((nx, ny), width), bytes_per_point(job)) <= room
+        narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
+        return wide <= nx and BASE_BYTES + peak(largest_shares((nx, ny), narrow), bytes_per_point(job)) <= room
 
     most = min(ranks, surfaces)
     return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
@@ -81,17 +88,17 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
 
 def bytes_per_point(job: Job) -> float:
     """Bytes per grid point at the peak: while a load is solved, or while an observable is measured."""
-    costs = solver_costs(job) + observer_costs(job)
+    costs = solving_costs(job) + measuring_costs(job)
     return FIELD_BYTES + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
 
 
-def solver_costs(job: Job) -> list[Cost]:
+def solving_costs(job: Job) -> list[Cost]:
     """What each load costs to solve."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
     return [solver_cost(method, area) for area in contact_areas(job)]
 
 
-def observer_costs(job: Job) -> list[Cost]:
+def measuring_costs(job: Job) -> list[Cost]:
     """What the observables that are asked for cost, for one load."""
     return [observable.cost(job.grid, job.surface.cutoff(job.grid)) for observable in job.output.asked]
 

@@ -20,21 +20,24 @@ log = logging.getLogger("pgfmd")
 TOO_MUCH = 1.2  # an estimate above so many times a node's memory is refused; estimates are right to 15 %
 
 
-def room_per_rank(comm: MPI.Comm) -> float:
-    """Bytes that each rank can have if all take as much, on the node where that is least.  Collective."""
+def _nodes(comm: MPI.Comm) -> list[tuple[str, int, float]]:
+    """Name, number of ranks and bytes of memory of the node of each rank.  Collective."""
     found = comm.allgather((platform.node(), largest_memory()))
     ranks = Counter(node for node, _ in found)
-    return min(largest / ranks[node] for node, largest in found)
+    return [(node, ranks[node], largest) for node, largest in found]
+
+
+def room_per_rank(comm: MPI.Comm) -> float:
+    """Bytes that each rank can have if all take as much, on the node where that is least.  Collective."""
+    return min(largest / count for _, count, largest in _nodes(comm))
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
     """Raise InputError on all ranks if `per_rank` bytes each exceed the whole memory of a node.  Collective."""
-    found = comm.allgather((platform.node(), largest_memory()))
-    ranks = Counter(node for node, _ in found)
-    for node, largest in found:
-        if ranks[node] * per_rank > TOO_MUCH * largest:
+    for node, count, largest in _nodes(comm):
+        if count * per_rank > TOO_MUCH * largest:
             raise InputError(
-                f"the job takes about {readable(ranks[node] * per_rank)} of memory on {node}, which has "
+                f"the job takes about {readable(count * per_rank)} of memory on {node}, which has "
                 f"{readable(largest)}; take more nodes, or a smaller grid"
             )
 

@@ -17,15 +17,15 @@ LARGEST = 2**22  # points of the surfaces that are made for this: a few seconds
 
 
 def doubts(job: Job, solid: Elasticity) -> list[str]:
-    """What speaks against the loads of a job, a line each: targets that no load gives, or that the surface has too many
-    points to be made here.  By this process alone.
+    """A line for each target of a job that no load gives; or one that says that the surface has too many points for
+    this test.  The surface is made in this process alone.
 
     Raises InputError for a target, and for a surface, that a run would refuse before its first solution.
     """
-    seeds = job.surface.seeds
-    surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
     if job.load.control == "pressure":
         return []  # any surface takes it
+    seeds = job.surface.seeds
+    surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
     if math.prod(job.grid.shape) * len(surfaces) > LARGEST:
         return [f"whether each {job.load.control} can be reached is tested up to {LARGEST} points only"]
     found: dict[str, None] = {}

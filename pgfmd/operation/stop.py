@@ -58,7 +58,7 @@ class Interruptions:
         self._longest_step = self._longest_save = 0.0
         self._steps, self._progress = 0, False
         self._signal = 0
-        self._earlier_stop = _file_stamp(self.stop_file)
+        self._earlier_stop: tuple[int, int] | None = None
         self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Interruptions:
