@@ -10,62 +10,42 @@ import time
 from pathlib import Path
 
 import numpy as np
+from job_texts import rough_job
 
 from pgfmd.io import atomic
 from pgfmd.io.results import Results
+from pgfmd.job.job import tables_as_toml
 
 ROOT = Path(__file__).resolve().parent.parent
 
-JOB = """
-[grid]
-n = {n}
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = {lambda_s}
-rms_slope = 0.031
-seed = 1
-[load]
-pressure = {pressures}
-[solver]
-tolerance = 1e-22
-[output]
-fields = ["height", "pressure"]
-observables = ["histogram"]
-[run]
-checkpoint_interval = {interval}
-"""
 SIX_LOADS = [0.0005, 0.001, 0.0016, 0.0024, 0.0032, 0.0045]
 
 
 def write_job(path: Path, n: int, lambda_s: float = 16.0, pressures=SIX_LOADS, interval: float = 0.0) -> Path:
     """A job file; its tolerance is so strict that pressures of equal problems agree to 1e-10."""
-    path.write_text(JOB.format(n=n, lambda_s=lambda_s, pressures=list(pressures), interval=interval))
+    surface = {"lambda_s": lambda_s, "rms_slope": 0.031, "seed": 1}
+    path.write_text(rough_job(n, surface, **_strict(pressures, interval, observables=["histogram"])))
     return path
 
 
-FILE_JOB = """
-[grid]
-n = {n}
-[surface]
-kind = "file"
-path = "{heights}"
-[load]
-pressure = {pressures}
-[solver]
-tolerance = 1e-22
-[output]
-fields = ["height", "pressure"]
-[run]
-checkpoint_interval = 0.0
-"""
 
 
 def write_file_job(path: Path, n: int, heights: Path, pressure: float) -> Path:
     """A job of six loads, from that pressure on, on the n × n heights in a file; as strict as that of `write_job`."""
     pressures = [pressure * (1 + 0.3 * number) for number in range(6)]
-    path.write_text(FILE_JOB.format(n=n, heights=heights, pressures=pressures))
+    surface = {"kind": "file", "path": str(heights)}
+    path.write_text(tables_as_toml({"grid": {"n": n}, "surface": surface, **_strict(pressures, 0.0)}))
     return path
+
+
+def _strict(pressures, interval: float, **output) -> dict:
+    """Sections of a job with a tolerance close to rounding."""
+    return {
+        "load": {"pressure": list(pressures)},
+        "solver": {"tolerance": 1e-22},
+        "output": {"fields": ["height", "pressure"], **output},
+        "run": {"checkpoint_interval": interval},
+    }
 
 
 def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> subprocess.Popen:

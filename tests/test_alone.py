@@ -10,26 +10,18 @@ import sys
 import numpy as np
 import pytest
 from conftest import ROOT
+from job_texts import EVERY_OBSERVABLE, rough_job
 
 from pgfmd.io.results import Results
 
 HIDE = "import sys; sys.modules['mpi4py'] = None\n"  # any import of mpi4py fails, as where it is not installed
 MAIN = "import sys\nfrom pgfmd.cli import main\nsys.exit(main())"
 
-JOB = """
-[grid]
-n = [48, 50]
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 6.0
-rms_slope = 0.1
-[load]
-contact_area = [0.1]
-[output]
-fields = ["height", "pressure", "gap", "labels"]
-observables = ["histogram", "spectra", "acf", "gap_spectrum", "patches", "bearing", "lowpass", "discretisation"]
-"""
+JOB = rough_job(
+    [48, 50],
+    load={"contact_area": [0.1]},
+    output={"fields": ["height", "pressure", "gap", "labels"], "observables": EVERY_OBSERVABLE},
+)
 
 SOLVE = """
 import numpy as np, pgfmd

@@ -222,7 +222,7 @@ def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeyp
     if comm.size == 1:
         pytest.skip("one rank is one group")
     monkeypatch.setattr(estimate, "BASE_BYTES", 0.0)  # so that the grid alone counts
-    alone = estimate.estimate(parse(toml_of(JOB)), 1).memory
+    alone = estimate.estimate(parse(tables_as_toml(JOB)), 1).memory
     monkeypatch.setattr(machine, "largest_memory", lambda: 0.7 * alone * comm.size)
     assert pgfmd.run(JOB, shared_tmp_path / "out", comm=comm).status == "complete"
     monkeypatch.setattr(machine, "largest_memory", lambda: 0.3 * alone)
@@ -247,7 +247,7 @@ def test_each_seed_keeps_its_log(tmp_path, mpirun):
     """The terminal has a line for each seed; the steps and loads of a seed are in its own run.log, whichever rank led
     the group that ran it.
     """
-    (tmp_path / "job.toml").write_text(toml_of(JOB))
+    (tmp_path / "job.toml").write_text(tables_as_toml(JOB))
     done = mpirun(2, "-m", "pgfmd", "run", tmp_path / "job.toml", "--output", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert done.stderr.count(" of 5)") == 5 and "certified" not in done.stderr and "kappa" not in done.stderr

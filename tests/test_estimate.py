@@ -6,27 +6,18 @@ import os
 import sys
 
 import pytest
+from job_texts import rough_job
 
 from pgfmd.job import job
 from pgfmd.operation import estimate
 
-JOB = """
-[grid]
-n = {n}
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 16.0
-rms_slope = 0.031
-[wall]
-{wall}
-[load]
-pressure = [{pressure}]
-[solver]
-tolerance = 1e-3
-[output]
-fields = ["pressure"]
-"""
+
+def text_of(n: int, pressure: float, wall: dict, **solver) -> str:
+    """A job at one pressure, that writes it."""
+    surface = {"lambda_s": 16.0, "rms_slope": 0.031}
+    sections = {"wall": wall, "load": {"pressure": [pressure]}, "solver": {"tolerance": 1e-3} | solver}
+    return rough_job(n, surface, **sections, output={"fields": ["pressure"]})
+
 
 MEASURE = """
 import sys, tempfile
@@ -67,7 +58,7 @@ LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads t
 @pytest.mark.parametrize("n", [1024, 2048])
 def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
     """The peak of a rank's memory, all libraries included, is within 15 % of what `check` says."""
-    text = JOB.format(n=n, wall='kind = "hard"', pressure=0.0032)
+    text = text_of(n, 0.0032, {})
     expected = estimate.estimate(job.parse(text), ranks).memory
     assert measured(mpirun, tmp_path, text, ranks) == pytest.approx(expected, rel=WITHIN)
 
@@ -76,23 +67,22 @@ def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
 @pytest.mark.parametrize(
     ("wall", "pressure", "solver"),
     [
-        ('kind = "hard"', 0.012, ""),
-        ('kind = "hard"', 0.04, ""),
-        ('kind = "hard"', 0.0032, 'method = "gfmd"'),
-        ('kind = "hard"', 0.0032, 'transform = "mpi4py-fft"'),
-        ('kind = "exponential"\nzeta = 0.25', 0.0032, ""),
+        ({}, 0.012, {}),
+        ({}, 0.04, {}),
+        ({}, 0.0032, {"method": "gfmd"}),
+        ({}, 0.0032, {"transform": "mpi4py-fft"}),
+        ({"kind": "exponential", "zeta": 0.25}, 0.0032, {}),
     ],
 )
 def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     """So it is with other walls, contact areas, methods and transforms."""
-    text = JOB.format(n=1024, wall=wall, pressure=pressure).replace("[solver]", f"[solver]\n{solver}")
+    text = text_of(1024, pressure, wall, **solver)
     expected = estimate.estimate(job.parse(text), 1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
 def test_dynamics_take_longer():
     """Their steps cost what `check` says: they take some ten times as many transforms."""
-    jobs = [job.parse(JOB.format(n=1024, wall="", pressure=0.01), overrides=[f"solver.method={name}"])
-            for name in ("active-set", "gfmd")]  # fmt: skip
-    quick, slow = (estimate.estimate(each, 1).seconds for each in jobs)
+    texts = (text_of(1024, 0.01, {}, method=method) for method in ("active-set", "gfmd"))
+    quick, slow = (estimate.estimate(job.parse(text), 1).seconds for text in texts)
     assert slow > 3 * quick

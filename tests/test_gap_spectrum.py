@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from job_texts import rough_job
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.results import Results
@@ -18,23 +19,12 @@ from pgfmd.solvers.solution import ContactSolution
 
 pytestmark = pytest.mark.mpi
 
-JOB = """
-[grid]
-n = [24, 18]
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 4.0
-rms_slope = 0.1
-[load]
-pressure = [0.01]
-[output]
-fields = ["gap"]
-observables = ["gap_spectrum"]
-[output.gap_spectrum]
-bins = 7
-all_modes = true
-"""
+JOB = rough_job(
+    [24, 18],
+    {"lambda_s": 4.0},
+    load={"pressure": [0.01]},
+    output={"fields": ["gap"], "observables": ["gap_spectrum"], "gap_spectrum": {"bins": 7, "all_modes": True}},
+)
 
 
 def measure(comm, gap, **options):

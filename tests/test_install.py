@@ -13,25 +13,14 @@ import h5py
 import numpy as np
 import pytest
 from conftest import ROOT, SIZE
+from job_texts import rough_job
 
 from pgfmd.io.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
 
 NO_NETWORK = ("No matching distribution", "Temporary failure in name resolution", "connection", "Connection")
-JOB = """
-[grid]
-n = [48, 50]
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 6.0
-rms_slope = 0.1
-[load]
-pressure = [0.02]
-[output]
-fields = ["height", "pressure", "gap"]
-"""
+JOB = rough_job([48, 50], load={"pressure": [0.02]}, output={"fields": ["height", "pressure", "gap"]})
 SOLVE = """
 import sys
 import numpy as np, pgfmd

@@ -20,10 +20,10 @@ from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics import kernels, spectra
+from pgfmd.observables.statistics.contact_area import contact_area
 from pgfmd.observables.statistics.correlations import correlate, indicator, mode_rings
 from pgfmd.observables.statistics.distributions import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.statistics.lowpass import lowpass, touches_fully
-from pgfmd.observables.statistics.staircase import contact_area
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall

@@ -9,6 +9,7 @@ import logging
 
 import numpy as np
 import pytest
+from job_texts import rough_job
 
 from pgfmd.cli import main
 from pgfmd.errors import InputError
@@ -19,27 +20,16 @@ from pgfmd.operation.log_file import LOG_FILE
 from pgfmd.operation.progress import Progress
 from pgfmd.simulate import simulate
 
-JOB = """
-[grid]
-n = [32, 30]
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 6.0
-rms_slope = 0.1
-[load]
-{control} = {values}
-[solver]
-tolerance = 1e-18
-[output]
-fields = ["height", "pressure"]
-observables = ["discretisation"]
-"""
+
+def text_of(control: str, values: list[float]) -> str:
+    """A job with these values imposed."""
+    output = {"fields": ["height", "pressure"], "observables": ["discretisation"]}
+    return rough_job([32, 30], load={control: values}, solver={"tolerance": 1e-18}, output=output)
 
 
 def job_of(control: str, values: list[float]):
-    """A job with these values imposed."""
-    return parse(JOB.format(control=control, values=values))
+    """The same, parsed."""
+    return parse(text_of(control, values))
 
 
 @pytest.fixture
@@ -89,7 +79,7 @@ def test_loads_are_added_to_a_run(comm, shared_tmp_path, control):
 )
 def test_set_replaces_one_kind_by_another(tmp_path, changes, expected):
     """--set of another control, surface or wall removes what belongs to the one in the file; the order is free."""
-    text = JOB.format(control="pressure", values=[0.1]) + '[wall]\nkind = "exponential"\nzeta = 0.5\n'
+    text = text_of("pressure", [0.1]) + '[wall]\nkind = "exponential"\nzeta = 0.5\n'
     (tmp_path / "job.toml").write_text(text)
     job = load(tmp_path / "job.toml", changes)
     for name, value in expected.items():
@@ -109,7 +99,7 @@ def test_set_replaces_one_kind_by_another(tmp_path, changes, expected):
 def test_set_itself_must_fit_together(changes, message):
     """Two controls, or keys of two kinds, given by --set are refused; so is a key of a kind that is not chosen."""
     with pytest.raises(InputError, match=message):
-        parse(JOB.format(control="pressure", values=[0.1]), overrides=changes)
+        parse(text_of("pressure", [0.1]), overrides=changes)
 
 
 def test_numbers_for_other_programs(comm, tmp_path, capsys):

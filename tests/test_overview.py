@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 
 import figures  # noqa: E402
+import overview_charts  # noqa: E402
 import overview_page  # noqa: E402
 import patch_areas  # noqa: E402
 import pyramid  # noqa: E402
@@ -160,14 +161,14 @@ def test_a_small_run_is_whole_in_the_page(runs, tmp_path):
 
 def test_many_loads_keep_the_page_small(runs, tmp_path, monkeypatch):
     """Of more loads than curves can be told apart, or fields fit, those evenly spread are shown, and that is said."""
-    monkeypatch.setattr(overview_page, "MOST_CURVES", 1)
+    monkeypatch.setattr(overview_charts, "MOST_CURVES", 1)
     monkeypatch.setattr(overview_page, "MOST_LOADS", 1)
     _, data = page_of(runs["all"], tmp_path)
     assert {curve["load"] for chart in data["charts"][1:] for curve in chart["curves"]} == {0} == set(data["shown"])
     assert len(data["rows"]) == len(data["charts"][0]["curves"][0]["x"]) == 2
     assert any("1 of the 2 loads" in note for note in data["notes"])
     loads = list(range(100))
-    found = overview_page._some(loads, 7)
+    found = overview_charts.some(loads, 7)
     assert len(found) == 7 and (found[0], found[-1]) == (0, 99)
 
 

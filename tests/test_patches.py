@@ -14,8 +14,9 @@ import pytest
 from scipy import ndimage, sparse
 
 from pgfmd.errors import InputError
+from pgfmd.observables.patches.labelling import label_patches
 from pgfmd.observables.patches.run_length import find_fragments, find_runs
-from pgfmd.observables.patches.table import label_patches, patch_table
+from pgfmd.observables.patches.table import patch_table
 from pgfmd.parallel.collectives import slab_starts
 
 pytestmark = pytest.mark.mpi

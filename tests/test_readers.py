@@ -9,30 +9,23 @@ from __future__ import annotations
 import h5py
 import numpy as np
 import pytest
+from job_texts import EVERY_OBSERVABLE, rough_job
 
 from pgfmd.io.results import Results
 from pgfmd.job import job
 from pgfmd.simulate import simulate
 
 NX, NY, LENGTHS = 20, 12, (10.0, 3.0)
-JOB = f"""
-[grid]
-n = [{NX}, {NY}]
-length = [{LENGTHS[0]}, {LENGTHS[1]}]
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 4.0
-rms_slope = 0.1
-[load]
-pressure = [0.002, 0.01, 0.02]
-[output]
-fields = ["height", "pressure", "gap", "labels"]
-observables = ["histogram", "spectra", "acf", "gap_spectrum", "patches", "bearing", "lowpass", "discretisation"]
-length_unit = "µm"
-pressure_unit = "GPa"
-precision = {{precision!r}}
-"""
+
+
+def text_of(precision: str) -> str:
+    """A job that writes everything."""
+    output = {"fields": ["height", "pressure", "gap", "labels"], "observables": EVERY_OBSERVABLE}
+    output |= {"length_unit": "µm", "pressure_unit": "GPa", "precision": precision}
+    load, grid = {"pressure": [0.002, 0.01, 0.02]}, {"length": LENGTHS}
+    return rough_job([NX, NY], {"lambda_s": 4.0}, load=load, output=output, grid=grid)
+
+
 NAMES = ("pressure", "gap", "labels")
 
 
@@ -42,7 +35,7 @@ def run(request, tmp_path_factory):
     from mpi4py import MPI
 
     folder = tmp_path_factory.mktemp("run") / "é out"
-    simulate(job.parse(JOB.format(precision=request.param)), MPI.COMM_SELF, folder)
+    simulate(job.parse(text_of(request.param)), MPI.COMM_SELF, folder)
     return Results(folder)
 
 

@@ -25,11 +25,12 @@ import contact_patches  # noqa: E402
 import estimators  # noqa: E402
 import exponents  # noqa: E402
 import figures  # noqa: E402
-import pending  # noqa: E402
 import plotting  # noqa: E402
 import reading  # noqa: E402
 import report  # noqa: E402
 import rowblocks  # noqa: E402
+import runs as many_runs  # noqa: E402
+import samples  # noqa: E402
 import whole_fields  # noqa: E402
 
 JOB = """
@@ -246,13 +247,13 @@ def test_nearest_load_of_each_folder(runs):
         reading.near(found, [0.9999])
 
 
-def test_pending_names_only_what_is_to_be_done(runs, tmp_path):
+def test_only_what_is_to_be_done_is_run(runs, tmp_path):
     """A complete run of the same job is done; another job, or no folder, is not."""
     job = tmp_path / "job.toml"
     job.write_text(reading.loads([runs["kept"]])[0].results.provenance["job_toml"])
-    assert pending.is_done(runs["kept"], str(job), [])
-    assert not pending.is_done(runs["kept"], str(job), ["surface.seed=2"])
-    assert not pending.is_done(tmp_path / "nothing", str(job), [])
+    assert many_runs.is_done(runs["kept"], str(job), [])
+    assert not many_runs.is_done(runs["kept"], str(job), ["surface.seed=2"])
+    assert not many_runs.is_done(tmp_path / "nothing", str(job), [])
 
 
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
@@ -296,18 +297,18 @@ def test_every_figure_on_every_kind_of_run(runs, names):
 
 def test_loads_are_never_taken_for_seeds(runs):
     """Loads of one run are settings of their own; runs that differ by the seed alone are samples of one setting."""
-    both = reading.ensembles(reading.loads([runs["seed1"], runs["seed2"]]))
+    both = samples.ensembles(reading.loads([runs["seed1"], runs["seed2"]]))
     assert [len(group) for group in both] == [2, 2]
     assert {load.seed for load in both[0]} == {1, 2}
     assert all("f_c = " in group.label for group in both)
-    assert [len(group) for group in reading.ensembles(reading.loads([runs["kept"]]))] == [1, 1]
+    assert [len(group) for group in samples.ensembles(reading.loads([runs["kept"]]))] == [1, 1]
     sheet = figures.draw("pressure_distribution", [runs["kept"]])
     assert sum(name.startswith("κ, raw area") for name in sheet.findings) == 2
 
 
 def test_settings_are_named_by_what_differs(runs):
     """Labels hold the key that differs, and no other."""
-    labels = [group.label for group in reading.ensembles(reading.loads([runs["seed1"], runs["kept"]]), by_load=False)]
+    labels = [group.label for group in samples.ensembles(reading.loads([runs["seed1"], runs["kept"]]), by_load=False)]
     assert labels == ["λ_s = 1", "λ_s = 4"]
 
 

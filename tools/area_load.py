@@ -15,7 +15,8 @@ import figures
 import numpy as np
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
 from reading import NEEDS as TESTS
-from reading import Ensemble, Load, ensembles
+from reading import Load
+from samples import Ensemble, ensembles
 
 from pgfmd.theory import asperity, persson
 from pgfmd.theory.surface import SpectralMoments
@@ -29,7 +30,7 @@ OPTIONS = {"--area": {"type": float, "help": "contact area at which κ is report
 AREAS = {
     "raw": lambda load: load.area,
     "corrected": lambda load: load.corrected_area,
-    "other": lambda load: load.corrected_area + load.area_error,  # where the run estimated the error of its grid
+    "upper": lambda load: load.corrected_area + load.area_error,  # NaN unless the run estimated the error of its grid
 }
 
 
@@ -80,10 +81,10 @@ def report(sheet: Sheet, group: Ensemble, area: float, name: str):
                     load.corrected_area))  # fmt: skip
     kappas = {kind: [kappa_at(run, area, kind) for run in runs.values()] for kind in AREAS}
     sheet.findings.add(f"κ at f_c = {area:g}, raw, {name}", kappas["raw"])
-    sheet.findings.add(f"κ at f_c = {area:g}, corrected, {name}", kappas["corrected"], _known(kappas["other"]))
+    sheet.findings.add(f"κ at f_c = {area:g}, corrected, {name}", kappas["corrected"], _choice(kappas["upper"]))
     lowest = [min(run, key=lambda load: load.mean_pressure) for run in runs.values()]
     kappa = np.array([_kappa(load, "corrected") for load in lowest])
-    others = _known([_kappa(load, "other") for load in lowest])
+    others = _choice([_kappa(load, "upper") for load in lowest])
     sheet.findings.add(f"κ at the lowest load, corrected, {name}", kappa, others)
     low, high = persson.LOW_LOAD_KAPPA, asperity.LOW_LOAD_KAPPA_BGT
     ways = None if others is None else [(other - low) / (high - low) for other in others]
@@ -92,8 +93,8 @@ def report(sheet: Sheet, group: Ensemble, area: float, name: str):
     )
 
 
-def _known(values: list[float]) -> list[float] | None:
-    """The mean of values as a list of one; None where one is not known."""
+def _choice(values: list[float]) -> list[float] | None:
+    """The mean of values as the one other choice of a finding; None if a value is not known."""
     return [float(np.mean(values))] if np.all(np.isfinite(values)) else None
 
 

@@ -13,7 +13,8 @@ import sys
 import figures
 import numpy as np
 from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
-from reading import Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import common_bins, ensembles
 
 CAPTION = """(a) Autocorrelation of the stress over σ_c², between those of the contact (lower bound) and twice those
 (upper bound of the paper). (b) Their ratio, with the bounds 1, the measured m₂, and 2. Bars: standard error over
@@ -33,20 +34,20 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     _, contact = common_bins([load.correlation("contact") for load in group])
     stress = stress / np.array([load.contact_pressure for load in group])[:, None] ** 2
     m2 = stress[:, 0] / contact[:, 0]
-    x, near_by = r / group.wavelengths[0], r > 0
+    x, apart = r / group.wavelengths[0], r > 0
     mean, below, ratio = stress.mean(axis=0), contact.mean(axis=0), stress / contact
-    sheet.curve(0, x[near_by], below[near_by], r"$C_c$, lower bound", color=BLUE, ls="--")
-    sheet.curve(0, x[near_by], 2 * below[near_by], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
-    sheet.curve(0, x[near_by], mean[near_by], r"$C_\sigma/\sigma_c^2$", error=_some(standard_error(stress), near_by),
+    sheet.curve(0, x[apart], below[apart], r"$C_c$, lower bound", color=BLUE, ls="--")
+    sheet.curve(0, x[apart], 2 * below[apart], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
+    sheet.curve(0, x[apart], mean[apart], r"$C_\sigma/\sigma_c^2$", error=_where(standard_error(stress), apart),
                 color=RED, marker="o", ms=2)  # fmt: skip
-    floor = np.full(np.count_nonzero(near_by), np.mean([load.area**2 for load in group]))
-    sheet.curve(0, x[near_by], floor, r"$f_c^2$: no correlation", color=GREY, lw=0.8)
+    floor = np.full(np.count_nonzero(apart), np.mean([load.area**2 for load in group]))
+    sheet.curve(0, x[apart], floor, r"$f_c^2$: no correlation", color=GREY, lw=0.8)
     sheet.label(0, r"$\Delta r\,/\,\lambda_s$", "autocorrelation", scale="log")
-    sheet.curve(1, x[near_by], ratio.mean(axis=0)[near_by], "simulation", color=RED, marker="o", ms=2,
-                error=_some(standard_error(ratio), near_by))  # fmt: skip
+    sheet.curve(1, x[apart], ratio.mean(axis=0)[apart], "simulation", color=RED, marker="o", ms=2,
+                error=_where(standard_error(ratio), apart))  # fmt: skip
     bounds = ((1.0, "1", "--"), (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."), (2.0, "2", ":"))
     for value, name, dashes in bounds:
-        sheet.curve(1, x[near_by][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
+        sheet.curve(1, x[apart][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
     sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx", columns=4)
     report(sheet, list(group), x, ratio, m2)
     second = np.array([load.normalised_second_moment for load in group])
@@ -87,7 +88,7 @@ def _last_above(x: np.ndarray, row: np.ndarray, level: float) -> float:
     return float(x[above[-1]]) if len(above) else 0.0
 
 
-def _some(error: np.ndarray | None, chosen: np.ndarray) -> np.ndarray | None:
+def _where(error: np.ndarray | None, chosen: np.ndarray) -> np.ndarray | None:
     return None if error is None else error[chosen]
 
 

@@ -15,7 +15,8 @@ import numpy as np
 from estimators import fit_power_law, windows, within
 from exponents import default_window
 from plotting import BLACK, BLUE, RED, Sheet, tex
-from reading import Ensemble, Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import bearing
 

@@ -2,7 +2,7 @@
 
     python tools/contact_line.py constant     # area per pixel edge: `theory.lattice_edge.STAIRCASE`
     python tools/contact_line.py directions   # δ and the area per pixel edge by direction
-    python tools/contact_line.py limit        # `observables.contact_line.line.FARTHEST`, on exact waves (minutes)
+    python tools/contact_line.py limit        # `observables.contact_line.line.LARGEST_RATIO`, on exact waves (minutes)
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def limit() -> None:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact_line.line import FARTHEST, contact_line
+    from pgfmd.observables.contact_line.line import LARGEST_RATIO, contact_line
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
@@ -85,7 +85,7 @@ def limit() -> None:
                     found = solve_hard_wall(problem, 1e-12)
                     exact = n * n * 2 / math.pi * math.asin(math.sqrt(fraction)) - np.count_nonzero(found.pressure)
                     line = contact_line(grid, found.pressure, found.gap, 1.0)
-                    areas = [dataclasses.replace(line, farthest=bound).total()[0] for bound in bounds]
+                    areas = [dataclasses.replace(line, bound=bound).total()[0] for bound in bounds]
                     misses = (np.array(areas) - exact) / (2 * n * n * number)
                     errors.setdefault((wavelength, fraction), []).append(misses)
     print("wavelength  f     " + "".join(f"{bound:8g}" for bound in bounds))
@@ -93,7 +93,7 @@ def limit() -> None:
         rms = np.sqrt(np.mean(np.square(found), axis=0))
         print(f"{wavelength:10d}  {fraction:4.2f}  " + "".join(f"{value:8.4f}" for value in rms))
     every = np.sqrt(np.mean(np.square(np.concatenate(list(errors.values()))), axis=0))
-    print("all               " + "".join(f"{value:8.4f}" for value in every), f"\nin the code: {FARTHEST:g}")
+    print("all               " + "".join(f"{value:8.4f}" for value in every), f"\nin the code: {LARGEST_RATIO:g}")
 
 
 def main(arguments: list[str] | None = None) -> int:

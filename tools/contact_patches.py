@@ -14,8 +14,9 @@ from collections.abc import Callable, Sequence
 import figures
 import numpy as np
 from estimators import broken_power_law, fit_power_law, goodness, tail_exponent
-from plotting import BLACK, BLUE, COLOURS, GREY, MARKERS, Sheet, guide
-from reading import Load, ensembles, near
+from plotting import BLACK, BLUE, COLOURS, GREY, MARKERS, Finding, Sheet, guide
+from reading import Load, near
+from samples import ensembles
 
 from pgfmd.theory import bearing
 
@@ -171,7 +172,7 @@ def _report(sheet: Sheet, name: str, samples: list, estimate: Callable, others: 
         if len(rest) > 1:
             error = float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2)))
             found = sheet.findings[name]
-            sheet.findings[name] = type(found)(found.value, error, found.choices, len(samples))
+            sheet.findings[name] = Finding(found.value, error, found.choices, len(samples))
 
 
 def _broken(sample: Sample, resolved: float) -> float:
@@ -204,10 +205,10 @@ def _draw_loads(sheet: Sheet, loads: Sequence[Load], everything: Sample, resolve
             sheet.curve(0, x[enough], y[enough], f"f_c = {group.mean('area'):.2g}", color=COLOURS[number],
                         marker=MARKERS[number], mfc="white", ls="none")  # fmt: skip
     x, y = medians_between(everything, 0, np.inf)
-    for least, most, law, text in ((resolved, 1.0, 1.5, "3/2"), (0.3, np.inf, 1.0, "1")):
+    for least, most, law, text, shift in ((resolved, 1.0, 1.5, "3/2", 0.3), (0.3, np.inf, 1.0, "1", 3.0)):
         part = (x >= least) & (x <= most)
         if np.count_nonzero(part) >= 2:
-            guide(sheet.panels[0], x[part][[0, -1]], (3.0 if law == 1 else 0.3) * y[part][0], law, text, above=law == 1)
+            guide(sheet.panels[0], x[part][[0, -1]], shift * y[part][0], law, text, above=shift > 1)
     sheet.label(0, r"area $a_c\,/\,\lambda_s^2$", r"load $l_c\,/\,(E'\bar g\,\lambda_s^2)$", scale="log", columns=3)
 
 

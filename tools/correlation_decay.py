@@ -14,7 +14,8 @@ import figures
 import numpy as np
 from estimators import fit_power_law, windows, within
 from plotting import BLACK, Finding, Sheet, limited, standard_error, style
-from reading import Ensemble, Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """Autocorrelation of the contact less its value at infinity, over its value at zero, against distance. Full
 lines: power laws fitted over the range that they span. Broken: the law Δr^(−ν) with ν = 1 − H, which follows from μ_c =

@@ -14,7 +14,8 @@ import sys
 import figures
 import numpy as np
 from plotting import BLACK, Sheet, limited, standard_error, style
-from reading import Ensemble, Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.observables.statistics import spectra
 from pgfmd.theory import persson

@@ -17,7 +17,8 @@ import figures
 import numpy as np
 from estimators import fit_power_law, windows, within
 from plotting import BLACK, BLUE, COLOURS, GREY, RED, Finding, Sheet
-from reading import Ensemble, Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import Ensemble, common_bins, ensembles
 from stress_contact_spectra import ratio_of_means
 
 CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all
@@ -126,8 +127,8 @@ def exponent(x: np.ndarray, curves: Curves, kind: str, seed: int, limits: tuple[
 
 
 def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[float, float]) -> str:
-    """Puts every μ over every range into the tables, and those over `limits` into the findings; the joint fit's name
-    there is returned.
+    """Record μ of each of KINDS: over every fit range in a table, over `limits` as findings.  Returns the name of the
+    joint fit's finding.
     """
     x, curves = data
     seeds = len(next(iter(curves.values()))["stress"])

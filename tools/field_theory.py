@@ -15,7 +15,8 @@ import numpy as np
 from estimators import band_ratio
 from persson_spectrum import theory as persson_area
 from plotting import BLACK, Sheet, limited, standard_error, style
-from reading import Ensemble, Load, common_bins, ensembles
+from reading import Load
+from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import exponential
 

@@ -15,6 +15,7 @@ import figures
 import matplotlib
 import numpy as np
 from matplotlib.colors import LightSource, ListedColormap, LogNorm, PowerNorm
+from overview_charts import distribution, scaled_spectra
 from overview_page import write_page
 from patch_areas import areas
 from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet
@@ -96,7 +97,7 @@ def _thinned(load: Load, blocks) -> np.ndarray:
 
 
 def _unit(load: Load, name: str) -> str:
-    """Unit of lengths or pressures, as text that is no formula; "" if it is not known."""
+    """The unit of "length" or "pressure" as text in a figure, in which $ would begin a formula."""
     return load.unit(name).replace("$", "?")
 
 
@@ -183,20 +184,6 @@ def draw_loads(sheet: Sheet, panel: int, run: Sequence[Load]):
     sheet.label(panel, label, "$f_c$" if touching else "mean gap", scale="log" if touching else "semilogx")
 
 
-def distribution(load: Load) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """P(σ) over the whole surface: σ and P as measured, where P > 0, and σ and P of Persson's theory, (m,) each."""
-    histogram, std = load.groups["pressure_histogram"], load.full_contact_std
-    middle = (histogram["edges"][1:] + histogram["edges"][:-1]) / 2
-    density = (load.area if load.area > 0 else 1.0) * histogram["density"]
-    shown = density > 0
-    if not np.any(shown) or not std > 0:
-        return (np.array([]),) * 4
-    sigma = np.linspace(0, middle[shown].max(), 400)[1:]
-    theory = persson.pressure_density(sigma, load.mean_pressure, std)
-    visible = theory > 0.3 * density[shown].min()
-    return middle[shown], density[shown], sigma[visible], theory[visible]
-
-
 def draw_distribution(sheet: Sheet, panel: int, load: Load):
     """P(σ) over the whole surface in units of the full-contact pressure, with Persson's prediction at the same load."""
     (sigma, density, smooth, theory), std = distribution(load), load.full_contact_std
@@ -204,18 +191,6 @@ def draw_distribution(sheet: Sheet, panel: int, load: Load):
         sheet.curve(panel, sigma / std, density * std, "simulation", color=BLUE, marker="o", ls="none", ms=2)
         sheet.curve(panel, smooth / std, theory * std, "Persson", color=BLACK)
         sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", r"$P(\sigma)\;E'\bar g/2$", scale="semilogy")
-
-
-def scaled_spectra(load: Load) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Name, q/q_l and spectrum of stress and (in partial contact) contact, such that both tend to one curve where
-    they are alike.
-    """
-    f, found = load.area, []
-    partial = 0 < f < 1
-    for name, square in [("stress", load.mean_pressure**2)] + [("contact", f**2)] * partial:
-        q, value, _ = load.spectrum(name)
-        found.append((name, q / load.q_unit, (f / (1 - f) if partial else 1.0) * value / square))
-    return found
 
 
 def draw_spectra(sheet: Sheet, panel: int, load: Load):

@@ -28,13 +28,10 @@ def areas(load: Load, count: int) -> Iterator[np.ndarray] | None:
 
 def _by_area(blocks, point: float) -> Iterator[np.ndarray]:
     """Labels (0: none), which are read twice, as areas."""
-    counts = np.zeros(1)
+    counts = np.zeros(1, int)
     for rows in blocks():
-        more = np.bincount(rows.ravel())
-        total = np.zeros(max(len(more), len(counts)))
-        total[: len(counts)] += counts
-        total[: len(more)] += more
-        counts = total
+        before, counts = counts, np.bincount(rows.ravel(), minlength=len(counts))
+        counts[: len(before)] += before
     counts[0] = 0
     yield from (counts[rows] * point for rows in blocks())
 

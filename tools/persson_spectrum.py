@@ -15,7 +15,8 @@ import matplotlib
 import numpy as np
 from estimators import crossing, fit_power_law
 from plotting import BLACK, Sheet, standard_error, tex
-from reading import Ensemble, Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import persson
 

@@ -13,7 +13,8 @@ import sys
 import figures
 import numpy as np
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
-from reading import Ensemble, Load, ensembles, near
+from reading import Load, near
+from samples import Ensemble, ensembles
 
 from pgfmd.theory import persson
 

@@ -218,7 +218,7 @@ def _section(figure: Figure, folder: Path, drawn: dict[str, Drawn], asked, findi
             f"<p>{html.escape(figure.text)}</p>",
             f'<p><img alt="{html.escape(figure.title)}" src="data:image/png;base64,{picture}"></p>',
             f'<p class="small">{html.escape(caption)}{notes}</p>',
-            _table_one(figure, findings) if figure.tool == "exponents" and figure.key == "T1" else "",
+            _table_one(figure, findings) if figure.key == "T1" else "",
             _claims(mine, findings),
             f'<p class="small">tools/{html.escape(figure.tool)}.py; data in {html.escape(figure.picture)}*.csv. '
             f"{len(runs)} runs, {_duration(sum(map(_seconds, runs)))} together: {names}.</p>",

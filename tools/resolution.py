@@ -13,7 +13,8 @@ import sys
 import figures
 import numpy as np
 from plotting import BLUE, GREEN, GREY, ORANGE, RED, Sheet, guide
-from reading import Load, difference
+from reading import Load
+from samples import difference
 
 from pgfmd.errors import InputError
 

@@ -15,16 +15,26 @@ import sys
 import time
 from pathlib import Path
 
-from pending import is_done
-
 from pgfmd.errors import InputError, SolverError
+from pgfmd.io.results import Results
+from pgfmd.job import job as config
+
+
+def is_done(folder: Path, path: str, overrides: list[str]) -> bool:
+    """Whether the folder holds a complete run of the job in the file `path`; InputError if the job is not valid."""
+    wanted = config.load(path, overrides)
+    try:
+        results = Results(folder)
+        done = config.parse(results.provenance["effective_toml"], str(folder))
+        return results.status == "complete" and not config.differences(done, wanted)
+    except InputError:
+        return False
 
 
 def run(line: str, folder: Path) -> str:
     """Do one run in this process; its name and seconds.  Raises what the run raises."""
     from mpi4py import MPI
 
-    from pgfmd.job import job
     from pgfmd.simulate import simulate
 
     name, path, *overrides = line.split()
@@ -34,7 +44,7 @@ def run(line: str, folder: Path) -> str:
     log.propagate = False
     log.addHandler(handler)
     try:
-        simulate(job.load(path, overrides), MPI.COMM_SELF, folder / name, overwrite=True)
+        simulate(config.load(path, overrides), MPI.COMM_SELF, folder / name, overwrite=True)
     except (InputError, SolverError) as error:
         raise RuntimeError(f"{name}: {error}") from None  # an exception that can be sent to the parent process
     finally:

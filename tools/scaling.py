@@ -138,6 +138,8 @@ class _Counter:
 def constants(rows: list[dict]) -> dict[str, float]:
     """What the model needs, from the largest grid on one rank and one thread (seconds per point, counts per solve)."""
     one = [row for row in rows if row["ranks"] == 1 and row["threads"] == 1]
+    if not one:
+        raise SystemExit("scaling: needs a run on one rank with one thread, which times a point")
     big = max(one, key=lambda row: row["n"])
     points = big["n"] ** 2
     pair = sum(big[f"{part} float64"] for part in ("rows", "columns", "rows back"))

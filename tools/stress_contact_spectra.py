@@ -13,7 +13,8 @@ import sys
 import figures
 import numpy as np
 from plotting import BLACK, GREY, Sheet, limited, style
-from reading import Ensemble, Load, common_bins, ensembles, near
+from reading import Load, near
+from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|; settings are
 moved apart by factors of 10 (named in the legend), with the bounds 1 (full line) and 2 (broken line) of each. (b) Their

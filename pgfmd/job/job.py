@@ -17,7 +17,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.job.output import Output, Written
 from pgfmd.job.sections import Run, Solid
 from pgfmd.options.section import Kinds, Section, build
-from pgfmd.options.section import as_toml as table_as_toml
+from pgfmd.options.section import as_toml as section_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
@@ -168,7 +168,7 @@ def _anchor(document: dict, folder: str) -> None:
 
 def as_toml(job: Job) -> str:
     """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Job."""
-    return "\n".join(table_as_toml(section, getattr(job, section)) for section in SECTIONS)
+    return "\n".join(section_as_toml(section, getattr(job, section)) for section in SECTIONS)
 
 
 def tables_as_toml(job: Mapping[str, Any]) -> str:

@@ -36,7 +36,7 @@ class Bearing(Observable):
     }
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A transform, if spectra or autocorrelations are asked for, and a mask."""
+        """A transform, if spectra or autocorrelations are asked for, and a mask with its runs."""
         return Cost(transforms=1.0, memory=2.0)
 
     def measure(self, contact: SolvedContact) -> Groups:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 class Contact(ContactSolution):
     """A solved contact: fields (nx_local, ny), numbers that are the same on all ranks, and what is measured on it.
 
-    Nothing is measured before it is asked for; then the grid makes its transforms anew, and frees them afterwards.
+    Nothing is measured before it is asked for.  A measurement sets up the transforms of the grid, and frees them.
 
     >>> import numpy as np, pgfmd
     >>> wave = np.cos(2 * np.pi * np.arange(64) / 64)

@@ -22,8 +22,9 @@ POINTS_PER_WAVE = 8
 """Least number of grid points per shortest remaining wavelength.  The area inside the contact line is then within .2 %
 of that of an infinitely fine grid."""
 FEWEST_POINTS = 4
-"""The same for coarsening by 2 where POINTS_PER_WAVE would need the full grid; the area is then within 1 %."""
-TOLERANCE = 1e-4
+"""Where POINTS_PER_WAVE needs the full grid, it is still coarsened by 2 if so many points per wavelength remain; the
+area is then within 1 %."""
+LOWPASS_TOLERANCE = 1e-4
 """Certified error of the contacts that are solved: their area has converged to a few parts in 1e4."""
 TRANSFORMS = 30
 """Work of one of these contacts, in transforms of the grid on which it is solved."""

@@ -35,7 +35,7 @@ class Observable(Section):
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """What measuring one load costs, at most (what several observables need is computed once).
 
-        cutoff: wave number beyond which the surface has no modes; None: it has all of the grid's.
+        cutoff: wave number beyond which the surface has no modes; None: not known, every mode of the grid may count.
         """
         return Cost()
 

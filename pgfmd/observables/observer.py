@@ -13,7 +13,7 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Groups
 from pgfmd.observables.acf import Acf
-from pgfmd.observables.lowpass import TOLERANCE
+from pgfmd.observables.lowpass import LOWPASS_TOLERANCE
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.solved_contact import SolvedContact
@@ -29,11 +29,12 @@ log = logging.getLogger("pgfmd")
 
 
 class Observer:
-    """Measures solved contacts of one rough surface.  Creating an `Observer` takes half a transform, or a whole one if
-    autocorrelations are asked for.  Collective.
+    """Measures solved contacts of one rough surface.  Making one is collective.
+
+    It takes half a transform, or a whole one if autocorrelations are asked for.
 
     problem: its heights are kept, not copied; its load does not matter.  cutoff: wave number beyond which the surface
-    has no modes; None: it has all of the grid's.  solve: solves the further contacts of "lowpass" and "discretisation";
+    has no modes; None: not known.  solve: solves the further contacts of "lowpass" and "discretisation";
     None: the first method of the law.  seconds: time spent so far on each observable; work that several share is
     counted for the first of them.
     """
@@ -55,7 +56,7 @@ class Observer:
         modes = mode_rings(grid, spectra.edges(cell, cutoff))
         lags = lag_rings(grid, acf.edges(cell)) if isinstance(acf, Acf) else None
         self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
-        options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
+        options = Solver(method=problem.law.methods[0], tolerance=LOWPASS_TOLERANCE)
         self._solver = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable
 

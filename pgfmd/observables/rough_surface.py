@@ -15,7 +15,7 @@ from pgfmd.observables.contact_line.line import is_smooth
 from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings
 from pgfmd.observables.statistics.kernels import square_moments
 
-BROAD = 2.5
+BANDWIDTH = 2.5
 """Assumed ratio of the highest wave number to √(Σ q⁴|h̃|² / Σ q²|h̃|²).  The ratio is 1 for a sinusoid and
 √((4−2H)/(2−2H)) for broad self-affine spectra: 1.6 for H = .3, 2.4 for H = .8."""
 
@@ -25,7 +25,7 @@ class RoughSurface:
     """The rigid surface.  The first use of `correlations` or `rms_slope` measures both and is collective.
 
     heights: (nx_local, ny), kept, not copied
-    cutoff: wave number beyond which it has no modes; None: it has all of the grid's
+    cutoff: wave number beyond which it has no modes; None: not known, every mode of the grid may count
     modes: bins of the wave number in which spectra are averaged;  lags: those of the distance in which autocorrelations
     are averaged, None if none is asked for
     """
@@ -51,6 +51,7 @@ class RoughSurface:
 
     @cached_property
     def _measured(self) -> tuple[Correlations, float, float]:
+        """Spectrum and autocorrelation, √Σ q²|h̃|² and √Σ q⁴|h̃|² of the heights, in one pass.  Collective."""
         parts, grid = dict[int, tuple[float, float]](), self.grid
         along, across, weight = grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0].copy()
 
@@ -78,10 +79,10 @@ class RoughSurface:
 
     @property
     def highest(self) -> float:
-        """The cutoff; where none is known, BROAD times the rms curvature over the rms slope."""
+        """The cutoff; where none is known, BANDWIDTH times the rms curvature over the rms slope."""
         if self.cutoff is not None:
             return self.cutoff
-        return BROAD * float(self._measured[2]) / self.rms_slope if self.rms_slope else 0.0
+        return BANDWIDTH * float(self._measured[2]) / self.rms_slope if self.rms_slope else 0.0
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""

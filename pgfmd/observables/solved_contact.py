@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,8 @@ from pgfmd.observables.contact_line.line import ContactLine, line_of
 from pgfmd.observables.patches.labelling import Labels, label_patches
 from pgfmd.observables.patches.table import patch_table
 from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.observables.statistics.contact_area import Area, contact_area
 from pgfmd.observables.statistics.correlations import Correlations, correlate, indicator
-from pgfmd.observables.statistics.staircase import Area, contact_area
-from pgfmd.options.section import Section
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution, Solve
 
@@ -32,8 +32,10 @@ class SolvedContact:
     problem: ContactProblem
     surface: RoughSurface
     solution: ContactSolution
-    asked: Mapping[str, Section]
+    asked: Mapping[str, Any]
     solve: Solve
+    _labels: dict[int, Labels] = field(default_factory=dict, init=False)  # by connectivity
+    _lines: dict[int, tuple[np.ndarray, np.ndarray] | None] = field(default_factory=dict, init=False)
 
     @property
     def grid(self) -> SlabGrid:
@@ -48,8 +50,8 @@ class SolvedContact:
     @cached_property
     def area(self) -> Area:
         """The contact area: that of the pixels in contact, and that inside the contact line."""
-        if "patches" in self.asked:  # the pass that they need gives the whole line, too
-            self.line_of_patches(getattr(self.asked["patches"], "connectivity"))  # noqa: B009 (mypy)
+        if "patches" in self.asked:  # measured first, the lines of the patches spare the whole line its own pass
+            self.line_of_patches(self.asked["patches"].connectivity)
         return contact_area(self.grid, self.pressure, self.line)
 
     @cached_property
@@ -99,10 +101,6 @@ class SolvedContact:
             self._labels[connectivity] = label_patches(self.grid.comm, mask, self.grid.starts, connectivity)
         return self._labels[connectivity]
 
-    @cached_property
-    def _labels(self) -> dict[int, Labels]:
-        return {}
-
     def line_of_patches(self, connectivity: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Area beyond that of the pixels and length of the line of each patch that this rank keeps, if there is one;
         found on the first call.
@@ -110,10 +108,6 @@ class SolvedContact:
         if connectivity not in self._lines:
             self._lines[connectivity] = None if self.line is None else self.line.of_patches(self.labels(connectivity))
         return self._lines[connectivity]
-
-    @cached_property
-    def _lines(self) -> dict[int, tuple[np.ndarray, np.ndarray] | None]:
-        return {}
 
     def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
         """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.

@@ -21,7 +21,7 @@ AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / are
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
-SOLVES_PER_TARGET = 4  # contacts solved until a prescribed contact area, gap or displacement is met
+SEARCH_WORK = 4  # work until an area, gap or displacement is met, over that of a given pressure (2.5 … 8 on 128²)
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ def estimate(job: Job, ranks: int, room: float = math.inf) -> Estimate:
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-    solves = loads * (1 if job.load.control == "pressure" else SOLVES_PER_TARGET)
+    contacts = loads * (1 if job.load.control == "pressure" else SEARCH_WORK)
     solving, measuring = max(solving_costs(job), key=lambda cost: cost.memory), measuring_costs(job)
-    work = solving.transforms * solves + sum(cost.transforms for cost in measuring) * loads
+    work = solving.transforms * contacts + sum(cost.transforms for cost in measuring) * loads
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     return Estimate(
         memory=BASE_BYTES + gathered + peak(largest_shares(job.grid.n, ranks), bytes_per_point(job)),

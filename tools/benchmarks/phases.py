@@ -1,4 +1,5 @@
-"""Where the time of a whole run goes: a job with every observable and three fields, phase by phase.
+"""Where the time of a whole run goes, phase by phase: a job with three fields and all observables that solve no further
+contact.
 
 Each phase is compared with what it is made of: the solve, and a transform pair in double precision of the same grid on
 the same ranks, measured in the same process after the run.
@@ -20,22 +21,12 @@ from .launch import launch
 
 COLUMNS = ("n", "lambda_s", "ranks", "phase", "seconds", "share_of_solve", "pairs")
 OBSERVABLES = "histogram", "spectra", "acf", "gap_spectrum", "patches", "bearing"
-JOB = """
-[grid]
-n = {n}
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = {lambda_s}
-rms_slope = 0.1
-[solid]
-contact_modulus = 1.0
-[load]
-pressure = [0.00364]
-[output]
-fields = ["height", "pressure", "gap"]
-observables = {observables}
-"""
+SURFACE = {"kind": "self-affine", "hurst": 0.8, "rms_slope": 0.1}
+REST = {
+    "solid": {"contact_modulus": 1.0},
+    "load": {"pressure": [0.00364]},
+    "output": {"fields": ["height", "pressure", "gap"], "observables": OBSERVABLES},
+}
 
 
 def phases(folder: Path, n: int, lambda_s: float, ranks: int, rounds: int) -> None:
@@ -80,15 +71,15 @@ def main(arguments: list[str] | None = None) -> int:
     from pgfmd.grid.callbacks import sink, source
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.io.results import Results
-    from pgfmd.job.job import parse
+    from pgfmd.job.job import parse, tables_as_toml
     from pgfmd.simulate import simulate
 
     comm = MPI.COMM_WORLD
     start = time.perf_counter() - began
-    small = JOB.format(n=256, lambda_s=16.0, observables=json.dumps(OBSERVABLES))
-    simulate(parse(small), comm, options.folder, overwrite=True)  # loads compiled code and libraries
-    job = JOB.format(n=options.n, lambda_s=options.lambda_s, observables=json.dumps(OBSERVABLES))
-    simulate(parse(job), comm, options.folder, overwrite=True)
+    small, whole = ({"grid": {"n": n}, "surface": SURFACE | {"lambda_s": lambda_s}, **REST}
+                    for n, lambda_s in ((256, 16.0), (options.n, options.lambda_s)))  # fmt: skip
+    for tables in (small, whole):  # the small one loads compiled code and libraries
+        simulate(parse(tables_as_toml(tables)), comm, options.folder, overwrite=True)
     grid = SlabGrid(comm, (options.n, options.n))
     field = np.ones(grid.local_shape)
     pairs = []

@@ -33,7 +33,7 @@ def _solve(refinement: int) -> tuple:
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.observables.contact_line.line import SMOOTH, contact_line
-    from pgfmd.observables.statistics.staircase import contact_area
+    from pgfmd.observables.statistics.contact_area import contact_area
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem

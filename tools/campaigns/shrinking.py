@@ -66,7 +66,7 @@ def shrink(case: Case, verdict: str, detail: str, folder: Path, tries: int = 60)
 
 
 def kind(verdict: str, detail: str) -> str:
-    """A verdict without its numbers; of a traceback the last lines."""
+    """What failures of one kind share: verdict and detail without numbers; of a traceback the last lines."""
     if verdict == TRACEBACK:
         detail = " ".join(detail.strip().splitlines()[-3:])
     detail = re.sub(r"\S*/job\.toml", "job.toml", detail)

@@ -17,11 +17,11 @@ _jit = compiled()
 
 # Last axis of a table, see `table.EdgeTable`.  Numba would compile what takes them once for each Python number.
 OFFSET, COSINE, PLACE, INNER, OUTER = map(np.int64, range(5))
-_ROUNDS = 8
+_ROUNDS = 8  # of `locate`, at most; more of them change the area that the line adds by .1 % where λ_s = 4a
 _LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite
 
 Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, ny); two more rows each way (2, 4, ny)
-Form = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # see `line_of_pixel`
+Lookup = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # see `line_of_pixel`
 
 
 @_jit
@@ -74,27 +74,28 @@ def _look(table: np.ndarray, row: tuple[int, float], column: tuple[int, float], 
 
 
 @_jit
-def _bounded(ratio: float, farthest: float) -> float:
-    return min(max(ratio, 1 / farthest), farthest)
+def _bounded(ratio: float, bound: float) -> float:
+    return min(max(ratio, 1 / bound), bound)
 
 
 @_jit
-def locate(around: np.ndarray, ratio: float, table: np.ndarray, farthest: float) -> tuple[float, float]:
+def locate(around: np.ndarray, ratio: float, table: np.ndarray, bound: float) -> tuple[float, float]:
     """(area between the line and the middle of the pair, in pixels; |cosine| of the line's normal to the pair).
 
     Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for
     α = β = 0.  g/p at the pair is first reduced to this case: it is multiplied by P^a G^b, where P and G are p₂/p and
-    g₂/g over their values at α = β = 0.  a and b cancel the terms of first and second order.  farthest: bound of P, G.
+    g₂/g over their values at α = β = 0.  a and b cancel the terms of first and second order.  P and G are clipped to
+    1/bound … bound.
     """
     plain, angle = describe(around, ratio)
     pressure, gap = around[1], -around[2]
-    farther = max(around[0], 0.0) / pressure, max(-around[3], 0.0) / max(gap, 1e-300)
+    inward, outward = max(around[0], 0.0) / pressure, max(-around[3], 0.0) / max(gap, 1e-300)  # p₂/p, g₂/g
     row, share = _cell(angle * (2 / math.pi), table.shape[0]), plain
     for _ in range(_ROUNDS):
         column = _cell(share, table.shape[1])
         t = min(max(_look(table, row, column, PLACE), -0.2), 1.0)
-        inner = _bounded(_look(table, row, column, INNER) * farther[0], farthest)
-        outer = _bounded(_look(table, row, column, OUTER) * farther[1], farthest)
+        inner = _bounded(_look(table, row, column, INNER) * inward, bound)
+        outer = _bounded(_look(table, row, column, OUTER) * outward, bound)
         first = 0.6 + 0.4 * t
         b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
         a = first + 0.6 * b
@@ -122,18 +123,20 @@ def _signed(pressure: np.ndarray, gap: np.ndarray, halo: np.ndarray, i: int, j: 
 
 
 @_jit
-def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray) -> tuple[float, float, float, float]:
+def line_of_pixel(
+    fields: Fields, lookup: Lookup, i: int, j: int, around: np.ndarray
+) -> tuple[float, float, float, float]:
     """What the line adds at contact pixel (i, j): (area in pixels beyond the pixel itself, Σ cos θ over its open
     neighbours along x, the same along y, corners).  Each cosine is a length in spacings across the pair.
 
     fields: pressure, gap (nx_local, ny) and their two more rows before and after the slab (2, 4, ny)
-    form: (E'/spacing, spacing across the pair over that along it, table), each for pairs along x and along y; and
-    `farthest` of `locate`
+    lookup: (E'/spacing, spacing across the pair over that along it, table), each for pairs along x and along y; and
+    `bound` of `locate`
     corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
     over a patch is the number of its outer outlines less that of its holes.
     """
     pressure, gap, halo = fields
-    scales, ratios, tables, farthest = form
+    scales, ratios, tables, bound = lookup
     area = corners = 0.0
     length_x = length_y = 0.0
     for axis in range(2):
@@ -146,7 +149,7 @@ def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray
                 along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
                 row, column = i + along * di + across * dj, j + along * dj + across * di
                 around[k] = _signed(pressure, gap, halo, row, column, scale)
-            offset, cosine = locate(around, ratios[axis], tables[axis], farthest)
+            offset, cosine = locate(around, ratios[axis], tables[axis], bound)
             area += offset
             if axis == 0:
                 length_x += cosine
@@ -162,7 +165,7 @@ def line_of_pixel(fields: Fields, form: Form, i: int, j: int, around: np.ndarray
 
 
 @_jit
-def add_line(fields: Fields, form: Form, i: int, columns: tuple[int, int], total: np.ndarray) -> None:
+def add_line(fields: Fields, lookup: Lookup, i: int, columns: tuple[int, int], total: np.ndarray) -> None:
     """Adds `line_of_pixel` of the contact pixels of row i in columns start … stop−1 to `total` (4,)."""
     around = np.empty(8)
     pressure, halo = fields[0], fields[2]
@@ -177,7 +180,7 @@ def add_line(fields: Fields, form: Form, i: int, columns: tuple[int, int], total
         least = min(row[left], row[right], above[j], below[j])
         if min(least, above[left], above[right], below[left], below[right]) > 0:
             continue
-        area, length_x, length_y, corners = line_of_pixel(fields, form, i, j, around)
+        area, length_x, length_y, corners = line_of_pixel(fields, lookup, i, j, around)
         total[0] += area
         total[1] += length_x
         total[2] += length_y
@@ -185,15 +188,15 @@ def add_line(fields: Fields, form: Form, i: int, columns: tuple[int, int], total
 
 
 @_jit
-def add_lines_of_rows(fields: Fields, form: Form, first: int, total: np.ndarray) -> None:
+def add_lines_of_rows(fields: Fields, lookup: Lookup, first: int, total: np.ndarray) -> None:
     """`add_line` of row first + i to total[i], for each i."""
     for i in range(len(total)):
-        add_line(fields, form, first + i, (0, fields[0].shape[1]), total[i])
+        add_line(fields, lookup, first + i, (0, fields[0].shape[1]), total[i])
 
 
 @_jit
 def add_lines_of_patches(
-    fields: Fields, form: Form, runs: tuple[np.ndarray, np.ndarray], patch: np.ndarray, total: np.ndarray,
+    fields: Fields, lookup: Lookup, runs: tuple[np.ndarray, np.ndarray], patch: np.ndarray, total: np.ndarray,
     of_rows: np.ndarray,
 ) -> None:  # fmt: skip
     """`add_line` of each run to total[p] of its patch p = patch[run] and to of_rows[i] of its row i.
@@ -204,7 +207,7 @@ def add_lines_of_patches(
     for i in range(len(of_rows)):
         for k in range(first[i + 1], first[i + 2]):
             of_run = np.zeros(4)
-            add_line(fields, form, i, (columns[k, 0], columns[k, 1]), of_run)
+            add_line(fields, lookup, i, (columns[k, 0], columns[k, 1]), of_run)
             for which in range(4):
                 total[patch[k], which] += of_run[which]
                 of_rows[i, which] += of_run[which]

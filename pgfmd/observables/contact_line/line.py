@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.kernels import Form, add_lines_of_patches, add_lines_of_rows
+from pgfmd.observables.contact_line.kernels import Lookup, add_lines_of_patches, add_lines_of_rows
 from pgfmd.observables.contact_line.table import EdgeTable, edge_table
 from pgfmd.observables.patches.labelling import Labels
 from pgfmd.physics.problem import ContactProblem
@@ -30,9 +30,9 @@ SMOOTH = 2.0 * (1 + 1e-9)
 """A contact line is computed if the grid has more points than this per shortest wavelength of the surface.  Where
 roughness goes down to the pixel, there is none."""
 
-FARTHEST = 5.0
-"""Bound of P and G in `kernels.locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight
-edge of an unbounded contact is clipped to 1/FARTHEST … FARTHEST.  Where contacts or openings are about one pixel wide,
+LARGEST_RATIO = 5.0
+"""`bound` of `kernels.locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight edge of
+an unbounded contact is clipped to 1/LARGEST_RATIO … LARGEST_RATIO.  Where contacts or openings are about a pixel wide,
 this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives the smallest error on exact waves whose
 contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
 
@@ -45,15 +45,15 @@ class ContactLine:
     fields: tuple[np.ndarray, np.ndarray, np.ndarray]
     modulus: float  # E'
     tables: tuple[EdgeTable, EdgeTable]  # for pairs along x, along y
-    farthest: float = FARTHEST
+    bound: float = LARGEST_RATIO
     _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `kernels.line_of_pixel`, (nx_local, 4)
 
     @property
-    def _form(self) -> Form:
+    def _lookup(self) -> Lookup:
         """What the kernels need beside the fields."""
         ax, ay = self.grid.spacing
         values = self.tables[0].values, self.tables[1].values
-        return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), values, self.farthest
+        return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), values, self.bound
 
     def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(area beyond that of the pixels, perimeter) from sums (…, 4) of `kernels.line_of_pixel`."""
@@ -65,8 +65,8 @@ class ContactLine:
 
     def _sums(self) -> np.ndarray:
         if self._of_rows is None:
-            sums, form = np.zeros((self.grid.local_shape[0], 4)), self._form
-            self.grid.threads.deal(lambda a, b: add_lines_of_rows(self.fields, form, a, sums[a:b]), len(sums))
+            sums, lookup = np.zeros((self.grid.local_shape[0], 4)), self._lookup
+            self.grid.threads.deal(lambda a, b: add_lines_of_rows(self.fields, lookup, a, sums[a:b]), len(sums))
             self._of_rows = sums
         return self._of_rows
 
@@ -83,7 +83,7 @@ class ContactLine:
         """The same of each patch that this rank keeps; called first, it spares the others their pass.  Collective."""
         sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((self.grid.local_shape[0], 4))
         patch = labels.patch[labels.fragment]
-        add_lines_of_patches(self.fields, self._form, (labels.runs, labels.first), patch, sums, of_rows)
+        add_lines_of_patches(self.fields, self._lookup, (labels.runs, labels.first), patch, sums, of_rows)
         self._of_rows = of_rows
         np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
         return self._finish(sums[: labels.kept])

@@ -12,8 +12,8 @@ import numpy as np
 from pgfmd.observables.contact_line.kernels import describe_all
 from pgfmd.theory.lattice_edge import LatticeEdge, lattice_edge
 
-POINTS = 65  # of the table in each direction
-_SAMPLES = 400  # positions of the edge between two lines of the grid, for each direction
+POINTS = 65  # of the table in each direction; 257 change the area that the line adds by .03 %, the perimeter by 4e-5
+_SAMPLES = 400  # positions of the edge between two lines of the grid, for each direction; 1600 change areas by 5e-6
 _SLOPES = (
     Fraction(0), *(Fraction(1, n) for n in (64, 32, 20, 16, 12, 10, 8)), *(Fraction(k, 16) for k in range(3, 17)),
 )  # fmt: skip

@@ -24,12 +24,13 @@ from pgfmd.observables.patches.run_length import PeriodicSets, column_wraps, fin
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.parallel.mpi import MPI
 
+_RANK_BITS = 40  # a key is (rank << 40) + piece: keys are in the order of first pixels, and say where the patch is kept
 _NOWHERE = np.iinfo(np.int64).max  # the key of a piece of which no pixel is seen here
+
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Of pieces: key of their patch, (m, 2) cells to add to have them in its frame, (m, 2) whether it winds around the
 cell.
 """
-_RANK_BITS = 40  # a key is (rank << 40) + piece: keys are in the order of first pixels, and say where the patch is kept
 
 
 @dataclass(frozen=True)

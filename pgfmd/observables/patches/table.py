@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from pgfmd.observables.patches.labelling import Labels, label_patches
+from pgfmd.observables.patches.labelling import Labels
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.parallel.compiled import compiled
-
-__all__ = ["Labels", "PatchTable", "label_patches", "patch_table"]
 
 
 @dataclass(frozen=True)

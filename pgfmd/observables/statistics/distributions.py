@@ -19,7 +19,7 @@ from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
 DECADES = 12  # at most covered by the logarithmic bins, below the largest pressure
-BINS_PER_DECADE_SHARE = 10  # logarithmic bins per decade = linear bins / this
+LINEAR_PER_LOG = 10  # linear bins for each logarithmic bin of a decade
 FIT_BINS = 1000  # most bins of the fit, which passes over them hundreds of times; finer bins are merged
 
 Group = dict[str, np.ndarray]
@@ -33,7 +33,7 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
     """
     seen = look_over(grid, pressure)
     linear = linear_edges(0.0, max(seen.largest, 0.0), bins)
-    logarithmic = log_edges(seen.least_positive, seen.largest, max(1, bins // BINS_PER_DECADE_SHARE))
+    logarithmic = log_edges(seen.least_positive, seen.largest, max(1, bins // LINEAR_PER_LOG))
     mean = seen.total / seen.positive if seen.positive else math.nan  # over the contact
 
     def part(first: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

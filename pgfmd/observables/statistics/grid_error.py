@@ -28,7 +28,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Solve
 
-MODES = 4
+MODES = 4  # long waves that count
 FACTORS = {"area": 0.4, "perimeter": 0.5, "mean_gap": 0.32, "elastic_energy": 0.27, "mean_square_pressure": 0.42}
 """c of each number."""
 

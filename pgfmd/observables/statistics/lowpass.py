@@ -11,7 +11,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.observables.contact_line.line import line_of
-from pgfmd.observables.statistics.staircase import contact_area
+from pgfmd.observables.statistics.contact_area import contact_area
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Solve
 
@@ -26,10 +26,10 @@ def lowpass_areas(
     start: a pressure (nx_local, ny) from which contacts on the full grid start; a contact on a coarser grid starts from
     the previous one on that grid
     """
-    areas, levels = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
+    areas, by_factor = np.empty((len(cutoffs), 2)), dict[int, list[int]]()
     for index, (factor, _) in enumerate(cutoffs):
-        levels.setdefault(factor, []).append(index)
-    for factor, indices in sorted(levels.items()):
+        by_factor.setdefault(factor, []).append(index)
+    for factor, indices in sorted(by_factor.items()):
         highest = [cutoffs[index][1] for index in indices]
         if factor == 1:
             areas[indices] = _areas(problem, highest, solve, start)

@@ -107,7 +107,7 @@ def wave_number_bins(
     Raises InputError for another spacing.
     """
     if spacing == "linear":
-        top = math.hypot(*(np.pi * (n // 2 * 2) / length for n, length in zip(shape, lengths, strict=True)))
+        top = math.hypot(*(2 * np.pi * (n // 2) / length for n, length in zip(shape, lengths, strict=True)))
         top = top if q_max is None else min(q_max, top)
         return bin_edges(shape, lengths, "linear", width=top / bins or 1.0, q_max=q_max)
     return bin_edges(shape, lengths, spacing, per_decade=bins, q_max=q_max)
