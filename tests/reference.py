@@ -135,10 +135,9 @@ class Contact:
         """σ = σ_ref exp(−gap/ζ), σ_ref the contact modulus if None.  Raises Unable."""
         unit = Real(pressure) * self.pixel
         logarithms, bound = _newton(self, self.heights / unit, Real(zeta) / unit)
-        x = np.exp(logarithms)
         from_mean = np.log(Real(sigma_ref or self.solid.modulus) / Real(pressure)) * (Real(zeta) / unit)
         gap = from_mean - Real(zeta) / unit * logarithms
-        solved = Solved(self, Real(pressure), x - 1, gap, bound, gap.mean())
+        solved = Solved(self, Real(pressure), np.expm1(logarithms), gap, bound, gap.mean())
         solved.zeta, solved.logarithms = Real(zeta) / unit, logarithms
         return solved
 
@@ -241,8 +240,9 @@ class Solved:
 
     def error_of(self, pressure: np.ndarray):
         """Energy error of another feasible pressure (nx, ny), relative to ⟨p*, Gp*⟩: J(p) − J(p*) without
-        cancellation, by Bregman's distance."""
-        other = np.asarray(pressure, np.float64).astype(Real).ravel() / self.pressure
+        cancellation, by Bregman's distance.  It is first scaled to bear the load beyond the rounding of its sum."""
+        other = np.asarray(pressure, np.float64).astype(Real).ravel()
+        other /= other.mean()
         d = other - 1 - self.deviation
         if self.zeta is not None:  # far from the wall the logarithm knows more digits
             d = np.where(self.x < 0.5, other - np.exp(self.logarithms), d)
@@ -253,7 +253,7 @@ class Solved:
             error += self.zeta * np.sum(_entropy_distance(other, np.exp(self.logarithms), self.logarithms))
             residual = self.contact.compliance @ self.deviation + self.zeta * self.logarithms
             residual -= self.contact.heights / self.unit
-            error += d @ (residual - residual.mean())
+            error += d @ (residual - np.average(residual, weights=np.exp(self.logarithms)))
         work = self.scaled_work
         return error / work if work > 0 else Real(0)
 
@@ -379,14 +379,21 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
     damped Newton steps, from a large ζ down."""
     K, count = contact.stiffness, contact.count
     double, mean = K.astype(np.float64), np.float64(1) / count
+    # The unknown s is the displacement v or, under a heavy load and a short wall, the gap v − b: whichever is small.
+    heavy = max(np.ptp(b), zeta) < 1
+    b = b - b.mean() if heavy else b
+    shift = b if heavy else 0 * b  # v − s
+    full = K @ shift
 
-    def answer(v, zeta):
-        """ln x of the wall, and the objective."""
-        exponent = (b - v) / zeta
-        total = _log_mean_exp(exponent)
-        return exponent - total, v @ (K @ v) / 2 + count * zeta * total
+    def answer(s, zeta):
+        """ln x of the wall to the gap v − b, and the objective."""
+        exponent = -(s if heavy else s - b) / zeta
+        highest = exponent.max()
+        exponent = exponent - highest
+        total = np.log1p(np.mean(np.expm1(exponent)))
+        return exponent - total, (shift + s) @ (full + K @ s) / 2 + count * zeta * (highest + total)
 
-    v = np.zeros(count, Real)
+    s = -shift
     ladder = [zeta]
     while ladder[-1] < np.ptp(b):
         ladder.append(ladder[-1] * 4)
@@ -394,10 +401,10 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
             raise Unable("exponential wall: the range is too short")
     for rung in reversed(ladder):
         last, least = rung is ladder[0], np.inf
-        logarithms, value = answer(v, rung)
+        logarithms, value = answer(s, rung)
         for _ in range(200):
             x = np.exp(logarithms)
-            slope = K @ v - (x - 1)
+            slope = full + K @ s - np.expm1(logarithms)
             weight = (x / rung).astype(np.float64)
             if not np.isfinite(weight).all():
                 raise Unable("exponential wall: the range is too short")
@@ -414,21 +421,24 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
             decrement = -(slope @ step)
             length = Real(1)
             for _ in range(40):
-                new, after = answer(v + length * step, rung)
+                new, after = answer(s + length * step, rung)
                 if after <= value - length * decrement / 10 or decrement <= 1e-13 * abs(value):
                     break
                 length /= 2
-            v, logarithms, value = v + length * step, new, after
+            s, logarithms, value = s + length * step, new, after
             if decrement <= (0 if last else 1e-2 * count * rung):
                 break
-            if decrement >= 0.5 * least and decrement <= 1e-20 * np.abs(v @ (K @ v)):
+            if decrement >= 0.5 * least and decrement <= 1e-20 * np.abs((shift + s) @ (full + K @ s)):
                 break
             least = min(least, decrement)
-    logarithms = answer(v, zeta)[0]
-    x = np.exp(logarithms)
-    theirs = answer(contact.compliance @ x, zeta)[0]  # the wall's answer to the displacement that x makes
-    apart = np.sum(_entropy_distance(x, np.exp(theirs), theirs)) * zeta
-    work = x @ (contact.compliance @ x)
+    logarithms = answer(s, zeta)[0]
+    deviation = np.expm1(logarithms)
+    displacement = contact.compliance @ deviation
+    theirs = answer(displacement - shift, zeta)[0]  # the wall's answer to the displacement that x makes
+    t = logarithms - theirs
+    series = t * t * (Real(1) / 2 + t / 3 + t * t / 8 + t**3 / 30)
+    apart = np.sum(np.exp(theirs) * np.where(np.abs(t) < 1e-4, series, (t - 1) * np.exp(t) + 1)) * zeta
+    work = deviation @ displacement
     bound = apart / work if work > 0 else Real(0)
     if not bound <= 1e-18:
         raise Unable(f"exponential wall to {float(bound):.1e} only")

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from reference import Contact
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
@@ -273,6 +274,27 @@ def test_an_energy_that_rounding_hides_is_refused_at_once(comm, monkeypatch):
         problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), ExponentialWall(zeta=zeta), load)
         with pytest.raises(Uncertifiable, match="rounding in double precision|last digits"):
             solve_contact(problem, Solver(tolerance=1e-8))
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
+@pytest.mark.parametrize("method", ["newton", "gfmd"])
+@pytest.mark.parametrize("zeta", [1e-3, 0.1, 10.0, 1e3])
+def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
+    """Up to p̄ = 1e10 E' the pressures, which differ by 1e-10 of p̄, are certified to 1e-8, and their true error (slow
+    reference) is not above; beyond, their last digits hold more energy than that, which is said within fifty steps."""
+    grid, heights = SlabGrid(comm, (8, 7)), np.random.default_rng(1).standard_normal((8, 7))
+    for power in (4, 8, 10, 12, 14):
+        law, steps = ExponentialWall(zeta=zeta), []
+        problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), law, 10.0**power)
+        if power > 10:
+            with pytest.raises(Uncertifiable, match="rounding in double precision"):
+                solve_contact(problem, Solver(method=method), monitor=lambda _, state, steps=steps: steps.append(state))
+            assert len(steps) < 50
+            continue
+        found = solve_contact(problem, Solver(method=method))
+        exact = Contact(heights).exponential(10.0**power, zeta)
+        error = exact.error_of(grid.fetch(found.pressure, 0, grid.shape[0]))
+        assert error <= found.certified_error * (1 + 1e-9) <= 1e-8 and found.iterations <= 50
 
 
 def test_a_start_whose_residual_vanishes_in_single_precision(comm):

@@ -227,8 +227,8 @@ def test_rounding_is_counted(solid):
                 gaps.append(state.gap)
             wrong = grid.forward(gaps[1] - gaps[0])
             lost = np.sum(grid.hermitian_weight * solid.stiffness(q) * np.abs(wrong) ** 2) / grid.size / 2
-            assert lost <= solver.rounding(np.float32)
-            assert grid.size < 5000 or lost > solver.rounding(np.float32) / 64
+            assert lost <= solver.rounding_bound(state, np.float32)
+            assert grid.size < 5000 or lost > solver.rounding_bound(state, np.float32) / 64
 
 
 def lightly_loaded(grid):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -116,3 +117,29 @@ def test_a_heavy_load_knows_its_last_digits(comm):
         assert found.elastic_energy == pytest.approx(float(contact.hard(pressure).work / 2), rel=1e-13)
     with pytest.raises(pgfmd.SolverError, match="last digits"):
         whole(comm, heights, 1e15, method="active-set")
+
+
+def test_loads_of_any_ratio_follow_each_other(comm):
+    """From 1e54 to 1e-300 of E': their ratio underflows, and the second is solved, or refused, as if it came alone."""
+    heights, second = surface("rough"), 1e-300
+    rows = slab(N, comm.size, comm.rank)
+    contacts = pgfmd.solve(1e40 * heights[rows], [1e54, second], comm=comm, threads=1, spacing=1e-10)
+    first = next(contacts)
+    assert first.certified_error <= 1e-8
+    with pytest.raises(pgfmd.InputError, match="mean pressure / contact modulus"):
+        next(contacts)
+
+
+def test_a_plate_with_a_pit(comm):
+    """A thin free slab under 1e-70 of E', on a plane with one point below it: all points that start in contact are in
+    tension, and the answer is certified without a warning, its true error within that."""
+    heights = np.zeros((7, 3))
+    heights[6, 2] = -1.8e-6
+    spacing, load, solid = (0.382, 2.494), 1.9e-77, {"thickness": 0.0284, "base": "free"}
+    grid_rows = slab(7, comm.size, comm.rank)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = pgfmd.solve(heights[grid_rows].copy(), load, comm=comm, threads=1, spacing=spacing, **solid)
+    exact = reference.Contact(heights, spacing, reference.Solid(1.0, **solid)).hard(load)
+    pressure = np.concatenate(comm.allgather(found.pressure))
+    assert float(exact.error_of(pressure)) <= found.certified_error + 1e-30 <= 1e-8

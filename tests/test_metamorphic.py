@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+import signal
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ import pytest
 pytest.importorskip("mpi4py")
 
 import pgfmd  # noqa: E402
+from pgfmd.errors import InputError, Stopped  # noqa: E402
 from pgfmd.job import job as jobs  # noqa: E402
+from pgfmd.operation.stop import Interruptions  # noqa: E402
 from pgfmd.simulate import simulate  # noqa: E402
 
 pytestmark = pytest.mark.mpi
@@ -36,10 +40,9 @@ def heights(seed: int = 3, shape=(N, N)) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape)
 
 
-def contacts(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=None):
-    """Pressures and mean gaps of a job in units of length and pressure, over these units: one of each for a target."""
+def job_of(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=None):
+    """A job in units of length and pressure, with its heights in the folder."""
     wall, solid, control = case
-    folder = comm.bcast(folder)
     if comm.rank == 0:
         folder.mkdir(exist_ok=True)
         np.save(folder / "heights.npy", surface * length)
@@ -54,12 +57,20 @@ def contacts(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=N
         + f"[load]\n{control} = {[value * unit for value in targets]}\n[solver]\ntolerance = 1e-12\n"
         + "[output]\nfields = ['pressure', 'gap']\n"
     )  # fmt: skip
-    simulate(jobs.parse(text), comm, folder / "out")
+    return jobs.parse(text)
+
+
+def contacts(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=None):
+    """Pressures and mean gaps of a job in units of length and pressure, over these units: one of each for a target."""
+    folder = comm.bcast(folder)
+    simulate(
+        job_of(comm, folder, surface, case, length=length, pressure=pressure, targets=targets), comm, folder / "out"
+    )
     comm.Barrier()
     results = pgfmd.Results(folder / "out")
     return [
         (results.field("pressure", load=index) / pressure, float(results.loads["mean_gap"][index]) / length)
-        for index in range(len(targets))
+        for index in range(len(results))
     ]
 
 
@@ -132,3 +143,60 @@ def test_rank_count(comm, shared_tmp_path, plain, case):
 
     alone = contacts(MPI.COMM_SELF, shared_tmp_path / f"alone {comm.rank}", heights(), case)
     alike(plain(case), alone, room=room_of(case))
+
+
+class StopsIn(Interruptions):
+    """Interruptions by a signal that arrives after the first step of the load with that number, of those this run
+    solves."""
+
+    def __init__(self, comm, folder, number):
+        super().__init__(comm, folder, math.inf, math.inf)
+        self.loads_left = number
+
+    def load_begins(self, resumed):
+        self.loads_left -= 1
+        super().load_begins(resumed)
+
+    def between_steps(self, save=None):
+        if self.loads_left == 0 and save is not None:
+            self._signal = signal.SIGTERM
+        super().between_steps(save)
+
+
+def files(comm, folder) -> dict:
+    """Every file below a folder, by its path, the same on all ranks."""
+    comm.Barrier()
+    return comm.bcast({path: path.read_bytes() for path in folder.rglob("*") if path.is_file()})
+
+
+COSTS = ("iterations", "transforms", "seconds", "pressure_error", "certified_error", "max_violation")
+
+
+@pytest.mark.parametrize("case", CASES, ids=" ".join)
+def test_restart(comm, shared_tmp_path, case):
+    """A run of one load, stopped in it, continued with a load added, stopped in that, and continued again: the rows of
+    a run that never stopped.  Other heights, and another value of any key but those of [run], are refused in between,
+    and nothing is touched.
+    """
+    run, there, both = shared_tmp_path / "run", shared_tmp_path / "run" / "out", TARGETS[case[2]]
+    for number, targets in ((1, both[:1]), (2, both)):
+        job = job_of(comm, run, heights(), case, targets=targets)
+        with pytest.raises(Stopped):
+            simulate(job, comm, there, restart=True, interruptions=StopsIn(comm, there, number))
+        before = files(comm, there)
+        job_of(comm, run, 2 * heights(), case)
+        with pytest.raises(InputError, match="content of .*heights.npy has changed since"):
+            simulate(job, comm, there, restart=True)
+        for units in ({"length": 2.0}, {"pressure": 2.0}):
+            other = job_of(comm, run, heights(), case, targets=targets, **units)
+            with pytest.raises(InputError, match="cannot be continued, the job differs"):
+                simulate(other, comm, there, restart=True)
+        assert files(comm, there) == before
+    simulate(job_of(comm, run, heights(), case), comm, there, restart=True)
+    once = contacts(comm, shared_tmp_path / "once", heights(), case)
+    read, rows = pgfmd.Results(there), pgfmd.Results(shared_tmp_path / "once" / "out").loads
+    found = [(read.field("pressure", load=index), float(read.loads["mean_gap"][index])) for index in (0, 1)]
+    alike(once, found, room=room_of(case))
+    assert read.status == "complete" and read.loads.keys() == rows.keys()
+    for name in rows.keys() - set(COSTS):
+        np.testing.assert_allclose(read.loads[name], rows[name], room_of(case), room_of(case), err_msg=name)

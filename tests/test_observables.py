@@ -489,6 +489,23 @@ def test_no_contact_has_a_negative_area(comm):
     assert area.pixels == 1 and 0 < area.corrected <= area.fraction and area.perimeter > 0
 
 
+def test_no_patch_has_a_negative_area(comm):
+    """Lines around single pixels close to other patches enclosed less than nothing: such patches have the area and the
+    perimeter of their pixels, which are more than the lines give.
+    """
+    grid = SlabGrid(comm, (128, 128))
+    problem = ContactProblem(grid, self_affine(grid, 0.3, 4, 0.1, 1), Elasticity(1.0), HardWall(), 1e-3)
+    contact = Observer(problem, [], 2 * np.pi / 4).contact(solve_hard_wall(problem, 1e-10))
+    labels = contact.labels(8)
+    beyond, length = (grid.reduction.sum(part) for part in contact.line_of_patches(8))
+    table = contact.patches(labels, contact.solution.pressure)
+    if comm.rank == 0:
+        area, inside = table["area"], table["area_corrected"]
+        as_pixels = (inside == area) & (table["perimeter_corrected"] == table["perimeter"])
+        assert inside.min() > 0 and area[as_pixels].max() <= 2 and 0 < as_pixels.sum() < len(area) / 5
+        assert beyond < np.sum(inside - area) and length < np.sum(table["perimeter_corrected"])
+
+
 @pytest.mark.parametrize("failure", [SolverError, InputError])
 def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
     """If a further contact that an observable asks for cannot be certified, its number is NaN, the log says why, and

@@ -143,11 +143,11 @@ def test_units_do_not_matter(unit):
 @pytest.mark.parametrize("poisson", [-0.9, 0.0, 0.3, 0.4999])
 @pytest.mark.parametrize("base", ["bonded", "free", "sliding"])
 def test_slab_factors_keep_their_digits(base, poisson):
-    """The program's F(t) against the closed forms in decimals, from films 1e-13 of a wavelength thick to 50: to 1e-13;
-    bonded and nearly incompressible, ν itself has lost digits of 1 − 2ν."""
+    """The program's F(t) against the closed forms in decimals, from films 1e-13 of a wavelength thick to 50: to a few
+    units of the last digit, which certificates count as no more than 4."""
     from pgfmd.physics.elasticity import Elasticity
 
-    thickness = np.geomspace(1e-13, 50, 200)
+    thickness = np.geomspace(1e-13, 50, 1000)
     found = Elasticity(1.0, 1.0, base, poisson).slab_factor(thickness)
     exact = np.array([float(reference.slab_factor(Real(t), base, poisson)) for t in thickness])
-    assert np.abs(found / exact - 1).max() < (1e-11 if poisson > 0.49 else 1e-13)
+    assert np.abs(found / exact - 1).max() < 6e-16

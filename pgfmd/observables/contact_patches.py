@@ -31,8 +31,8 @@ LOADS = {
     "peak_pressure": Dataset("{pressure}", "peak pressure", PATCH),
 }
 LINES = {
-    "area_corrected": Dataset("{length}^2", "area inside the contact line between the pixels", PATCH),
-    "perimeter_corrected": Dataset("{length}", "length of the contact line", PATCH),
+    "area_corrected": Dataset("{length}^2", "area inside the contact line between pixels; area if none", PATCH),
+    "perimeter_corrected": Dataset("{length}", "length of the contact line; as perimeter if it holds none", PATCH),
 }
 
 

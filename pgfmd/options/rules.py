@@ -124,13 +124,8 @@ def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
             raise ValueError
         return values
 
-    return Rule(
-        "a list"
-        + " that is not empty," * bool(least)
-        + (" without repetition" if distinct else "")
-        + f" of: {rule.allowed}",
-        convert,
-    )
+    kind = ["a list of them", "not empty" * bool(least), "without repetition" * distinct]
+    return Rule(f"{rule.allowed}; or {', '.join(filter(None, kind))}", convert)
 
 
 def pair(rule: Rule) -> Rule:

@@ -21,6 +21,7 @@ from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
 
 BASES = ("bonded", "free", "sliding")
+SERIES, TERMS = 1.0, 10  # t below which series take over, and their terms after the first: the next is below 1e-17
 
 
 @dataclass(frozen=True)
@@ -56,21 +57,20 @@ class Elasticity:
             sliding    (sinh 2t + 2t) / (cosh 2t − 1)
 
         Numerators and denominators are multiplied by e = exp(−2t), so that nothing overflows; series take over where
-        terms of order 1 cancel.
+        terms of order 1 cancel.  So the relative error stays below 1e-15.
         """
-        t = np.minimum(np.asarray(t, dtype=np.float64), 50.0)  # F is 1 to rounding beyond 40
-        small = t < 0.05
+        t = np.minimum(np.asarray(t, dtype=np.float64), 50.0)  # where F is 1, and nothing overflows
         e = np.exp(-2 * t)
         rise = -np.expm1(-2 * t)  # 1 − e
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             if self.base == "bonded":
                 k = 3 - 4 * self.poisson
                 # k sinh 2t − 2t = k (sinh 2t − 2t) + 2t (k − 1), and k − 1 = 2(1 − 2ν) is exact where it is small.
-                divisor = k * np.where(small, _sinh_minus(2 * t) * e, rise * (1 + e) / 2 - 2 * t * e)
+                divisor = k * _with_tail(rise * (1 + e) / 2 - 2 * t * e, t, e, 3)
                 divisor = divisor + 2 * (1 - 2 * self.poisson) * 2 * t * e
                 dividend = k * (1 + e * e) / 2 + (2 * t * t + 5 - 4 * self.poisson * (3 - 2 * self.poisson)) * e
             elif self.base == "free":
-                dividend = np.where(small, _cosh_rest(2 * t) * e, rise**2 / 2 - 2 * t * t * e)
+                dividend = _with_tail(rise**2 / 2 - 2 * t * t * e, t, e, 4)
                 divisor = rise * (1 + e) / 2 + 2 * t * e
             else:
                 dividend, divisor = rise * (1 + e) / 2 + 2 * t * e, rise**2 / 2
@@ -149,11 +149,14 @@ def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], 
     return action
 
 
-def _sinh_minus(x: np.ndarray) -> np.ndarray:
-    """sinh x − x for small x, by its series."""
-    return x**3 / 6 * (1 + x**2 / 20 * (1 + x**2 / 42 * (1 + x**2 / 72)))
-
-
-def _cosh_rest(x: np.ndarray) -> np.ndarray:
-    """cosh x − 1 − x²/2 for small x, by its series."""
-    return x**4 / 24 * (1 + x**2 / 30 * (1 + x**2 / 56 * (1 + x**2 / 90)))
+def _with_tail(far: np.ndarray, t: np.ndarray, e: np.ndarray, order: int) -> np.ndarray:
+    """`far`, but where t < `SERIES` e times the series x^n/n! + x^(n+2)/(n+2)! + …, x = 2t, from n = `order` on: what
+    sinh x (order 3) or cosh x (order 4) has beyond its first two terms.
+    """
+    found, near = np.atleast_1d(far), np.atleast_1d(t < SERIES)
+    x = 2 * np.atleast_1d(t)[near]
+    total = np.ones_like(x)
+    for n in range(order + 2 * TERMS, order, -2):
+        total = 1 + x * x / (n * (n - 1)) * total
+    found[near] = x**order / math.factorial(order) * total * np.atleast_1d(e)[near]
+    return found.reshape(np.shape(t))

@@ -86,7 +86,7 @@ class LoadControl:
         before, start = self.previous, self._resumed
         self._resumed = self.previous = None
         if start is None and before is not None and before.mean_pressure > 0 and mean_pressure > 0:
-            if abs(math.log(mean_pressure / before.mean_pressure)) <= NEAR:
+            if abs(math.log(mean_pressure) - math.log(before.mean_pressure)) <= NEAR:
                 start = before.pressure
         del before
         self.previous = found = self.solver(self.problem.at(mean_pressure), start, tolerance)

@@ -18,7 +18,7 @@ from pgfmd.solvers.solution import ContactSolution, SolverState
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
-UNIFORM = 1e15  # range of a law over the rms height above which the pressure is uniform to double precision
+UNIFORM = 1e15  # range of a law over the rms height above which a pressure in double precision is uniform
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
 BEYOND = 1.01  # factor on the depth that can touch, so that points that may just touch are not raised
 UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
@@ -28,9 +28,8 @@ class Dimensionless:
     """A contact problem with heights about their mean and over their rms value, pressures over their mean.  Collective
     to make.
 
-    uniform: the solution if no solver is needed (no load, no roughness, or a law whose range is far larger than the
-    roughness), else None.  problem: the dimensionless problem, set only if `uniform` is None.  Wave numbers, and so
-    lengths in the plane, keep their unit.
+    uniform: the solution if no solver is needed (no load or no roughness), else None.  problem: the dimensionless
+    problem, set only if `uniform` is None.  Wave numbers, and so lengths in the plane, keep their unit.
 
     Under a light load, points far below the highest one cannot touch, and how far below does not matter.  They are
     raised to just below the depth that can touch: heights are then of the size of the indentation, and lose no digits.
@@ -45,9 +44,14 @@ class Dimensionless:
         self._transforms = grid.transforms
         self._heights = made = dimensionless_heights(physical, overwrite_heights)
         self.uniform: ContactSolution | None = None
-        if physical.mean_pressure == 0 or made.rms * UNIFORM <= law.range:
+        if physical.mean_pressure == 0 or made.rms == 0:
             self.uniform = self._uniform(made.field)
             return
+        if law.range >= UNIFORM * made.rms:
+            raise Uncertifiable(
+                f"wall.zeta = {law.range:g}: the rms height is {made.rms:g} only, and makes the pressure differ by no "
+                "more than its last digits: no elastic energy can be certified"
+            )
         if 0 < law.range < SHORTEST * made.unit:
             raise InputError(
                 f"wall.zeta = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can touch, here "

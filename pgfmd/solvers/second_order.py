@@ -28,6 +28,7 @@ DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from trans
 SINGLE = 1e-3  # relative error of ‖ρ‖_K, from a transform in single precision
 ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13
 # in N: measured at most .7 and 1.3
+SYMBOL = 4.0  # relative error of compliance and stiffness, in units of the last digit: measured at most 2
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
 
@@ -70,7 +71,7 @@ class Rounding:
 
     Rounding errors of transforms are white, in the input and in the output.  So ‖e‖²_K is the mean of K over all modes
     times the squared error of the displacement, plus the mean of G times that of the pressure, plus the rounding of the
-    heights themselves, in double precision.
+    heights themselves, in double precision, plus ⟨p, Gp⟩ times the squared error of G.
 
     means: of compliance and stiffness over all modes
     """
@@ -88,10 +89,18 @@ class Rounding:
         primes = any(pow(30030, 64, n) for n in grid.shape)  # whether a prime above 13 divides n
         self.factor = ROUNDING[primes] * math.sqrt(math.log2(2 * grid.size))
 
-    def bound(self, squares: np.ndarray, heights_squared: float, precision: type[np.floating] = np.float64) -> float:
-        """A bound of ½‖e‖²_K for the error e of a gap computed in that precision; squares: its Σ p² and Σ u²."""
-        unit, digits = self.factor * float(np.finfo(precision).eps) / 2, float(np.finfo(np.float64).eps)
-        return (unit**2 * float(self.means @ squares) + digits**2 * float(self.means[1]) * heights_squared) / 2
+    def bound(
+        self, squares: np.ndarray, heights_squared: float, work: float, precision: type[np.floating] = np.float64
+    ) -> float:
+        """A bound of ½‖e‖²_K for the error e of a gap computed in that precision.
+
+        squares: its Σ p² and Σ u²; heights_squared: Σ h² + (h − max h)², as heights are first measured from the highest
+        point, then from their mean; work: Σ p u.
+        """
+        digit, last = float(np.finfo(precision).eps), float(np.finfo(np.float64).eps)
+        unit, compliance, stiffness = self.factor * digit / 2, float(self.means[0]), float(self.means[1])
+        transforms = unit**2 * (compliance * float(squares[0]) + stiffness * float(squares[1]))
+        return (transforms + last**2 * stiffness * heights_squared + (SYMBOL * digit) ** 2 * work) / 2
 
 
 def last_digits(problem: ContactProblem, square: float) -> float:

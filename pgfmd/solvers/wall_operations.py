@@ -50,6 +50,7 @@ class WallOperations:
         self.compliance = {real: solid.apply_compliance(self.grid, real, scale) for real in (np.float32, np.float64)}
         self.stiffness, self.rounding = solid.apply_stiffness(self.grid, np.float32, scale), Rounding(self.grid, solid)
         self.squares = np.zeros(2)
+        self.summit = self.grid.reduction.max(self.heights)
 
     def local_compliance(self, pixels: float) -> float:
         """Compliance of a region of that diameter in pixels."""
@@ -97,9 +98,15 @@ class WallOperations:
             excess[first] = law.excess(pressure, gap, rows, compliance, level)
 
         square, change = energy_of_residual(grid, fill, self.stiffness)
-        rounding = self.rounding.bound(self.squares, grid.size)
-        bound = certified(square, rounding) + grid.reduction.sum([excess[first] for first in sorted(excess)])
         work = grid.size * state.work
+
+        def squares_of_heights(pressure: np.ndarray, heights: np.ndarray) -> float:
+            high = heights[pressure > threshold]
+            return float(high @ high + (high - self.summit) @ (high - self.summit))
+
+        (heights_squared,) = self.total(squares_of_heights, state.pressure, self.heights)
+        rounding = self.rounding.bound(self.squares, heights_squared, work)
+        bound = certified(square, rounding) + grid.reduction.sum([excess[first] for first in sorted(excess)])
         rounding += grid.size * last_digits(self.problem, self.squares[0] / grid.size)
         state.error, state.rounding = (bound / work, rounding / work) if work > 0 else (math.inf, math.inf)
         state.pressure_error = math.sqrt(change / self.squares[0])

@@ -32,8 +32,8 @@ class PatchTable:
     extent_y: np.ndarray
     percolates_x: np.ndarray  # bool: see `patch_table`
     percolates_y: np.ndarray
-    area_corrected: np.ndarray | None  # inside the contact line; None without one
-    perimeter_corrected: np.ndarray | None  # length of the contact line
+    area_corrected: np.ndarray | None  # inside the contact line, if that is > 0, else `area`; None without a line
+    perimeter_corrected: np.ndarray | None  # length of the contact line, or `perimeter` likewise
 
 
 def patch_table(
@@ -64,7 +64,12 @@ def patch_table(
         load = total * (spacing[0] * spacing[1])
         columns |= {"load": load, "mean_pressure": load / shapes["area"], "peak_pressure": peak}
     if line is not None:
-        columns |= {"area_corrected": shapes["area"] + line[0], "perimeter_corrected": line[1]}
+        inside = shapes["area"] + line[0]
+        none = inside <= 0  # of a pixel or two, close to other patches: as `statistics.staircase.contact_area` has it
+        columns |= {
+            "area_corrected": np.where(none, shapes["area"], inside),
+            "perimeter_corrected": np.where(none, shapes["perimeter"], line[1]),
+        }
     gathered: dict[str, Any] = {name: _gather(labels, columns.pop(name)) for name in list(columns)}
     return PatchTable(**gathered) if labels.comm.rank == 0 else None
 

@@ -75,9 +75,9 @@ class Relaxation:
     """Relaxation of a dimensionless problem.  exact: whether errors are certified; on coarse grids, whose solution only
     starts the next finer one, they are estimated.
 
-    Attributes: top, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, Σ h² where
-    p > 0.  precision: the one to begin with; patience: steps without halving the least error, and most_steps, before
-    giving up.
+    Attributes: top, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
+    `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
+    without halving the least error, and most_steps, before giving up.
     """
 
     precision: Precision = np.float32
@@ -91,6 +91,7 @@ class Relaxation:
         self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.size) for real in precisions}
         self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.size) for real in precisions}
         self.squares, self.heights_squared = np.zeros(2), 0.0
+        self.summit = float(grid.reduction.max(problem.heights))
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
         """Iterate until the error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
@@ -106,7 +107,8 @@ class Relaxation:
             estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
-            rounding = self.rounding_bound(precision) / (2 * state.energy) if self.exact and state.energy > 0 else 0.0
+            known = self.exact and state.energy > 0
+            rounding = self.rounding_bound(state, precision) / (2 * state.energy) if known else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
@@ -174,9 +176,9 @@ class Relaxation:
 
     def measure(self, state: State) -> None:
         """Sets the state's level, energy and counts from a pressure and its gap Gp − h, and Σ p².  Collective."""
-        pressure, gap, heights, top = state.pressure, state.gap, self.heights, self.top
+        pressure, gap, heights, tops = state.pressure, state.gap, self.heights, (self.top, self.summit)
         parts = self.grid.threads.collect(
-            lambda a, b: contact_sums(pressure, gap, heights, top, a, b), len(gap)
+            lambda a, b: contact_sums(pressure, gap, heights, tops, a, b), len(gap)
         )
         sums, most, least = zip(*parts, strict=True)
         totals = self.grid.reduction.sums(*map(math.fsum, zip(*sums, strict=True)))
@@ -213,11 +215,13 @@ class Relaxation:
 
         square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
-        return certified(square, self.rounding_bound(precision)) / (2 * state.energy)
+        return certified(square, self.rounding_bound(state, precision)) / (2 * state.energy)
 
-    def rounding_bound(self, precision: Precision) -> float:
-        """A bound of ½‖e‖²_K for the rounding error e of a gap computed in that precision.  Collective on first use."""
-        return self._rounding.bound(self.squares, self.heights_squared, precision)
+    def rounding_bound(self, state: State, precision: Precision) -> float:
+        """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in that precision.  Collective on
+        first use.
+        """
+        return self._rounding.bound(self.squares, self.heights_squared, 2 * state.energy, precision)
 
     @cached_property
     def _rounding(self) -> Rounding:
@@ -227,11 +231,14 @@ class Relaxation:
 
 @jit
 def contact_sums(
-    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, top: float, first: int, stop: int
+    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, tops: tuple[float, float], first: int, stop: int
 ) -> tuple[tuple[float, float, float, float, float, float, int], float, float]:
-    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ h² and number of points where p > 0),
-    and the largest gap where p = top and the least where p = 0, over rows first … stop−1.
+    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ h² + (h − summit)² and number of points
+    where p > 0), and the largest gap where p = top and the least where p = 0, over rows first … stop−1.
+
+    tops: the largest pressure `top`, and the largest height `summit`
     """
+    top, summit = tops
     work = load = energy = squares = heights_squared = 0.0
     between = count = 0
     most, least = -np.inf, np.inf
@@ -244,7 +251,7 @@ def contact_sums(
                 h = heights[i, u(j)]
                 energy += p * (g + h)
                 squares += p * p
-                heights_squared += h * h
+                heights_squared += h * h + (h - summit) ** 2
                 count += 1
                 if p < top:
                     work += p * g

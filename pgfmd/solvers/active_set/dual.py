@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
@@ -62,6 +63,9 @@ class GapSteps(Relaxation):
 
         self.grid.threads.share(add, len(state.gap), self.grid.band)
         total, work, self.squares[0], count = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
+        if total == 0:
+            state.pressure[...] = self.load / self.grid.size
+            raise SolverError("hard wall: all points without a gap are in tension; allow a larger tolerance")
         self.scale = self.load / total
         state.energy = (self.scale * work - self.mean * self.load) / 2
         state.contact = state.between = int(count)

@@ -22,6 +22,7 @@ from pgfmd.solvers.active_set.feasible import scale_to_load
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
+from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # of the heights that only the finer grid resolves, the start on it flattens this part
 PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
@@ -39,11 +40,14 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     stiffness = problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size)
     grid.convolve(source(heights), stiffness, sink(pressure))
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
+    squares = np.array([grid.reduction.dot(field, field) for field in (pressure, heights)])
     pressure += mean_pressure
     if grid.reduction.min(pressure) < 0 or grid.reduction.max(pressure) > problem.law.highest:
         return None
+    measured = 2 * squares[1] + grid.size * grid.reduction.max(heights) ** 2  # Σ h² + (h − max h)², as Σ h is 0
+    error = Rounding(grid, problem.solid).bound(squares, measured, 2 * energy) / (2 * energy)
     gap = np.zeros(grid.local_shape)
-    return State(pressure, gap, clipped=True, energy=energy, error=0.0, contact=grid.size, between=grid.size)
+    return State(pressure, gap, clipped=True, energy=energy, error=error, contact=grid.size, between=grid.size)
 
 
 def _least_deviation(problem: ContactProblem) -> float:

@@ -12,6 +12,7 @@ from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
+from pgfmd.solvers.exponential_wall.descent import descend
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.wall_operations import WallState
@@ -28,10 +29,10 @@ class NewtonIteration(NestedIteration[WallState]):
         """Newton from that state; should it fail, by continuation in ζ from a uniform pressure."""
         try:
             return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
-        except SolverError as failure:
-            if state.error <= LOOSE or isinstance(failure, Uncertifiable):
-                raise
-        state.pressure[...] = 1.0
+        except Uncertifiable:
+            raise
+        except SolverError:
+            state.pressure[...] = 1.0
         return self.continuation(problem, state, exact)
 
     def resume(self, problem: ContactProblem, start: np.ndarray) -> WallState:
@@ -50,13 +51,20 @@ class NewtonIteration(NestedIteration[WallState]):
         return self.continuation(problem, WallState(np.ones(shape), np.empty(shape)), exact)
 
     def continuation(self, problem: ContactProblem, state: WallState, exact: bool) -> WallState:
-        """From ζ = rms height, where a few steps suffice from any start, down to the wall's own.  Collective."""
-        law = problem.law
-        assert isinstance(law, ExponentialWall)
-        for power in range(max(0, math.ceil(math.log(1 / law.zeta, REDUCTION))), 0, -1):
+        """From ζ = rms height, where a few steps suffice from any start, down to the wall's own.  If the error stops
+        falling, the same by steps that lower the dual objective each time.  Collective.
+        """
+        tolerance, watch = self.goal(exact), self.watch(problem)
+        *softer, last = softer_walls(problem)
+        for soft in softer:
             with suppress(SolverError):  # what is reached only starts the next
-                Newton(problem.with_law(law.softer(REDUCTION**power))).relax(state, LOOSE)
-        return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
+                Newton(soft).relax(state, LOOSE)
+        try:
+            return Newton(last).relax(state, tolerance, watch)
+        except Uncertifiable:
+            raise
+        except SolverError:
+            return descend(softer, last, state, tolerance, watch)
 
     def goal(self, exact: bool) -> float:
         """The certified error at which a grid is solved."""
@@ -77,6 +85,14 @@ class NewtonIteration(NestedIteration[WallState]):
         state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
         solver.respond(state, target, solver.alpha)
         return state, False
+
+
+def softer_walls(problem: ContactProblem) -> list[ContactProblem]:
+    """The problem under walls of ζ from about the rms height down to its own, the last."""
+    law = problem.law
+    assert isinstance(law, ExponentialWall)
+    powers = range(max(0, math.ceil(math.log(1 / law.zeta, REDUCTION))), -1, -1)
+    return [problem.with_law(law.softer(REDUCTION**power)) for power in powers]
 
 
 solve_exponential_wall = NewtonIteration.contact

@@ -25,6 +25,7 @@ from functools import partial
 
 import numpy as np
 
+from pgfmd.errors import SolverError
 from pgfmd.grid.callbacks import sink
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
@@ -38,12 +39,14 @@ MOST_INNER, MOST_OUTER = 1000, 200
 LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step; MOST_CUT after one that cut the error by 10
 
 Merits = tuple[float, float]
+Precision = type[np.float32] | type[np.float64]
 
 
 class Newton(WallOperations):
     """Newton iterations for a problem under an exponential wall."""
 
     law: ExponentialWall
+    precision: Precision = np.float32  # of the linear equation
 
     def __init__(self, problem: ContactProblem):
         super().__init__(problem)
@@ -71,9 +74,13 @@ class Newton(WallOperations):
             wanted = MOST_CUT if state.error < 0.1 * before else LEAST_CUT
             if not patience.take(state.error):
                 break
+        raise self.failure(patience, state, tolerance)
+
+    def failure(self, patience: Patience, state: WallState, tolerance: float) -> SolverError:
+        """What to raise when the error stops falling."""
         if not state.rounding <= tolerance:
-            raise uncertifiable(state.rounding, tolerance)
-        raise patience.failure(self.law.kind, self.grid, state.iterations, tolerance)
+            return uncertifiable(state.rounding, tolerance)
+        return patience.failure(self.law.kind, self.grid, state.iterations, tolerance)
 
     def advance(self, state: WallState, wanted: float, before: Merits) -> Merits:
         """One Newton step, shortened while it would raise both merits; returns the new ones.  Collective."""
@@ -105,11 +112,24 @@ class Newton(WallOperations):
         return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
 
     def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
-        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Conjugate gradients in single precision reduce the residual of its
+        """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Collective."""
+        root, *sums = self.newton_step(state, wanted)
+        target = np.empty(self.grid.local_shape)
+
+        def aim(first: int, stop: int) -> None:
+            rows = slice(first, stop)
+            parts = sums[0][rows], sums[1][rows]
+            kernels.newton_target(state.pressure[rows], state.gap[rows], root[rows], parts, target[rows], self.alpha)
+
+        self.grid.threads.split(aim, len(target))
+        return target
+
+    def newton_step(self, state: WallState, wanted: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """√p̂, y and G√p̂y (nx_local, ny) of a Newton step δp̂ = √p̂ y.  Conjugate gradients reduce the residual of its
         linear equation by the factor `wanted`.  Collective.
         """
-        grid, zeta, fields = self.grid, self.zeta, (state.pressure, state.gap)
-        root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), np.float32)
+        grid, zeta, fields, real = self.grid, self.zeta, (state.pressure, state.gap), self.precision
+        root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), real)
         level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / grid.size
         start = partial(kernels.newton_start, zeta=zeta, level=level)
         (square,) = self.total(start, *fields, root, residual)
@@ -126,20 +146,12 @@ class Newton(WallOperations):
         for _ in range(MOST_INNER):
             if square <= goal:
                 break
-            self.each(partial(kernels.next_direction, beta=np.float32(beta)), residual, direction)
-            grid.convolve(fill, self.compliance[np.float32], sink(product), np.float32)
+            self.each(partial(kernels.next_direction, beta=real(beta)), residual, direction)
+            grid.convolve(fill, self.compliance[real], sink(product), real)
             curved, norm, along = self.total(kernels.curvature_sums, root, direction, product)
             length = square / (curved + zeta * norm)
-            numbers = np.float32(along / grid.size), np.float32(zeta), np.float32(length)
+            numbers = real(along / grid.size), real(zeta), real(length)
             new = grid.reduction.sum(grid.threads.collect(step, len(root)))
             beta, square = new / square, new
             state.iterations += 1
-        target = np.empty(grid.local_shape)
-
-        def aim(first: int, stop: int) -> None:
-            rows = slice(first, stop)
-            sums = change[rows], response[rows]
-            kernels.newton_target(state.pressure[rows], state.gap[rows], root[rows], sums, target[rows], self.alpha)
-
-        grid.threads.split(aim, len(target))
-        return target
+        return root, change, response

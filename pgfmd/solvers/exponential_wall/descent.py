@@ -1,0 +1,111 @@
+"""Newton's method on the displacement, each step of which lowers the dual objective: for contacts on which the steps of
+`newton` go round in circles, as under thin slabs, which bend like plates.
+
+The dual of the problem in `newton` is to minimise, without constraints,
+
+    Φ(v) = ½⟨v, Kv⟩ + ζ ln⟨exp((h − v)/ζ)⟩    over the displacements v = Gq of sources q of mean 1 and of either sign.
+
+Its gradient is q − σ, with the wall's answer σ = exp((h − v)/ζ)/⟨exp((h − v)/ζ)⟩, and its Newton step leads to the
+source σ + δp̂, where δp̂ is the step of `newton` at p̂ = σ.  Φ is convex, so that a step that is short enough lowers it.
+Few steps are needed if ζ is reduced from the rms height on.  σ is feasible, and is certified.
+
+The linear equations are solved in double precision: under a thin slab long waves of σ − q move the surface by far more
+than the step does, and conjugate gradients must take that back.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.exponential_wall.newton import Newton
+from pgfmd.solvers.patience import Patience
+from pgfmd.solvers.wall_operations import WallState
+
+CUT = 1e-8  # factor on the linear residual in a step: with 1e-2 in single precision, a third of the tests never ended
+CLOSE = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
+ENOUGH = 0.1  # a step is shortened if it gains less than this part of what the slope promises
+ROUNDING = 1e-13  # of the objective: smaller gains cannot be seen
+MOST, SHORTEST = 100, 40  # steps for one ζ; times that a step is halved
+
+
+def descend(
+    softer: Iterable[ContactProblem], problem: ContactProblem, state: WallState, tolerance: float,
+    monitor: Callable[[WallState], None] | None,
+) -> WallState:  # fmt: skip
+    """Solves `problem`, from a flat displacement on through the same one under softer walls.  Overwrites and returns
+    `state`.  Collective.  Raises SolverError as `Newton.relax` does.
+    """
+    source = WallState(np.ones_like(problem.heights), -problem.heights)
+    for soft in softer:
+        solver = Descent(soft, source)
+        solver.answer(state)
+        for _ in range(MOST):
+            if solver.advance_source(state) <= CLOSE * solver.zeta * soft.grid.size:
+                break
+    return Descent(problem, source).relax(state, tolerance, monitor)
+
+
+class Descent(Newton):
+    """Steps of a source q and its gap Gq − h, which are overwritten."""
+
+    precision = np.float64
+
+    def __init__(self, problem: ContactProblem, source: WallState) -> None:
+        super().__init__(problem)
+        self.source = source
+
+    def relax(
+        self, state: WallState, tolerance: float, monitor: Callable[[WallState], None] | None = None
+    ) -> WallState:
+        """Steps until the certified error of the wall's answer is at most `tolerance`.  Overwrites and returns `state`.
+        Collective.  Raises SolverError as `Newton.relax` does.
+        """
+        patience = Patience(MOST // 2)
+        self.answer(state)
+        for _ in range(MOST):
+            self.certify(state)
+            if monitor is not None:
+                monitor(state)
+            if self.arrived(state, tolerance):
+                return state
+            if not patience.take(state.error):
+                break
+            self.advance_source(state)
+        raise self.failure(patience, state, tolerance)
+
+    def answer(self, state: WallState) -> None:
+        """Sets the state to the wall's answer σ to the source's gap, and its gap to Gσ − h.  Collective."""
+        gap = self.source.gap
+        np.exp((self.grid.reduction.min(gap) - gap) / self.zeta, out=state.pressure)
+        state.pressure *= self.grid.size / self.grid.reduction.sum(state.pressure)
+        self.compute_gap(state)
+
+    def advance_source(self, state: WallState) -> float:
+        """One step of the source, and the answer to it; returns what the slope promised to gain.  Collective."""
+        source, dot = self.source, self.grid.reduction.dot
+        root, change, _ = self.newton_step(state, CUT)
+        new = WallState(state.pressure + root * change, np.empty_like(state.gap))
+        self.compute_gap(new)
+        way, apart = new.pressure - source.pressure, new.gap - source.gap
+        promised = dot(state.pressure - source.pressure, apart)
+        linear, square = dot(source.pressure, apart), dot(way, apart)
+        before, step = self.free_energy(source.gap), 1.0
+        for _ in range(SHORTEST):
+            gain = before - self.free_energy(source.gap + step * apart) - step * linear - step**2 / 2 * square
+            if gain >= ENOUGH * step * promised or promised <= ROUNDING * abs(before):
+                break
+            step /= 2
+        source.pressure += step * way
+        source.gap += step * apart
+        self.answer(state)
+        return promised
+
+    def free_energy(self, gap: np.ndarray) -> float:
+        """ζ N ln⟨exp(−g/ζ)⟩.  Collective."""
+        least, count = self.grid.reduction.min(gap), self.grid.size
+        weight = self.grid.reduction.sum(np.exp((least - gap) / self.zeta))
+        return count * (self.zeta * math.log(weight / count) - least)
