@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
-# Strong and weak scaling on this machine, through shared memory and in messages; a model of a big one from the parts.
+# How a solve scales: seconds, messages and memory of runs on this machine, one rank's share of big ones, and from these
+# a model of a big machine.
 #
-#   bash jobs/scaling.sh [RANKS…]          # default: 1 2 4; sizes from SIZES="512 1024 2048"
+#   bash jobs/scaling.sh [RANKS…]          # default: 2 4 8 16; SIZES="256 512 1024 2048" on one rank, N=1024 on several
 #
-# Writes results/scaling/: measured.jsonl, scaling-measured.csv, scaling-model.csv, scaling.png.
+# Writes results/scaling/: measured.jsonl, scaling-{model,parts,runs}.csv, scaling.png.
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -12,15 +13,22 @@ folder=results/scaling
 mkdir -p "$folder"
 rm -f "$folder/measured.jsonl"
 ranks=("$@")
-[ $# -gt 0 ] || ranks=(1 2 4)
-for n in ${SIZES:-512 1024 2048}; do
-    for count in "${ranks[@]}"; do
-        ways=("")
-        [ "$count" = 1 ] || ways=("" --exchanged)
-        for way in "${ways[@]}"; do
-            # shellcheck disable=SC2086
-            mpirun -n "$count" .venv/bin/python -m mpi4py tools/scaling.py measure "$folder/measured.jsonl" --n "$n" $way
-        done
-    done
+[ $# -gt 0 ] || ranks=(2 4 8 16)
+n=${N:-1024}
+
+tool() { # RANKS COMMAND OPTIONS…
+    mpirun -n "$1" .venv/bin/python -m mpi4py tools/scaling.py "$2" "$folder/measured.jsonl" "${@:3}"
+}
+
+for size in ${SIZES:-256 512 1024 2048}; do
+    tool 1 measure --n "$size"
+done
+tool 4 measure --n "$size" --exchanged # the last and largest: its messages are counted
+for count in "${ranks[@]}"; do
+    tool "$count" measure --n "$n"
+    tool "$count" memory --n "$n"
+done
+for share in "2048 1" "4096 512" "16384 512" "65536 4096" "32768 4096"; do
+    .venv/bin/python tools/scaling.py emulate "$folder/measured.jsonl" --n "${share% *}" --ranks "${share#* }"
 done
 .venv/bin/python tools/scaling.py draw "$folder/measured.jsonl" --output "$folder"

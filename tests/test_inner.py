@@ -6,7 +6,8 @@ from mpi4py import MPI
 
 from pgfmd.grid import holders
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.layout import Layout, RowWindow
+from pgfmd.parallel import layout
+from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -91,9 +92,9 @@ def test_window_of_rows(beyond, count):
     """Rows around the own ones, from as many ranks and periods as it takes, each time anew, also where some ranks have
     none of their own; and back to those that hold them, where all are added up.
     """
-    layout, rank = Layout.spread(comm, 23, count), comm.rank
-    rows = layout.rows
-    window = RowWindow(layout, (23 * rank // comm.size + beyond[0], 23 * (rank + 1) // comm.size + beyond[1]), 4)
+    held, rank = Layout.spread(comm, 23, count), comm.rank
+    rows = held.rows
+    window = RowWindow(held, (23 * rank // comm.size + beyond[0], 23 * (rank + 1) // comm.size + beyond[1]), 4)
     numbers = np.arange(window.low, window.low + len(window.rows)) % 23
     for shift in (0, 1000):
         window.own[...] = shift + 10 * np.arange(rows.start, rows.stop)[:, None] + np.arange(4)
@@ -103,6 +104,34 @@ def test_window_of_rows(beyond, count):
     window.add()
     expected = np.bincount(np.concatenate(comm.allgather(numbers)), minlength=23)
     assert np.array_equal(window.own, np.repeat(expected[rows, None], 4, axis=1))
+
+
+@pytest.mark.parametrize("joined", [layout.JOINED, 0])
+def test_rows_travel_together(monkeypatch, joined):
+    """What several plans bring and take back in one exchange is what each does alone, with at most one message to each
+    partner and one from each; parts too large to be copied go by themselves.
+    """
+    monkeypatch.setattr(layout, "JOINED", joined)
+    grid = SlabGrid(comm, (23, 6))
+    first, stop = grid.rows.start, grid.rows.stop
+    whole = np.arange(23.0)[:, None] * np.ones(6)
+    few = Layout.spread(comm, 23, (comm.size + 1) // 2)
+    plans = [RowPlan(grid.layout, [(first - 2, first), (stop, stop + 3)]), RowPlan(few, [(first, stop)])]
+    targets = [np.empty((5, 6)), np.empty((stop - first, 6), np.float32)]
+    exchange = Exchange(comm)
+    exchange.fetch(plans[0], whole[first:stop], targets[0])
+    exchange.fetch(plans[1], whole[few.rows].astype(np.float32), targets[1])
+    back = np.ones((stop - first, 6), np.int64)
+    pieces = exchange.give(plans[1], back)
+    exchange.carry_out()
+    assert np.array_equal(targets[0][:, 0], np.r_[first - 2 : first, stop : stop + 3] % 23)
+    assert np.array_equal(targets[1], whole[first:stop])
+    found = np.zeros(few.rows.stop - few.rows.start)
+    for at, rows in pieces:
+        found[at : at + len(rows)] += rows[:, 0]
+    assert (found == 1).all()
+    if joined:
+        assert len(exchange.requests) <= 2 * (comm.size - 1)
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (96, 80), (61, 67), (50, 128)])

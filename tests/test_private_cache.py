@@ -236,3 +236,55 @@ def test_a_failed_compilation_holds_up_nobody(tmp_path):
     command = [sys.executable, tmp_path / "fail.py"]
     run = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert run.stdout == "free\n", run.stderr
+
+
+EDITED = """
+import sys, time
+import numpy as np
+from pgfmd.parallel import private_cache
+private_cache.keep_compiled_code()
+from numba.core import caching
+sys.path.insert(0, sys.argv[1])
+import loop
+save = caching.IndexDataCacheFile._save_index
+
+def slow(self, overloads):
+    save(self, overloads)
+    print("saved", flush=True)
+    time.sleep(2)
+
+loop.other(1.0)  # so that the call below has nothing else to wait for
+if sys.argv[2] == "slow":
+    caching.IndexDataCacheFile._save_index = slow
+print("ready", flush=True)
+sys.stdin.readline()
+print(loop.total(np.ones(3, sys.argv[3])), flush=True)
+"""
+
+
+def test_code_of_an_older_source_is_not_run(tmp_path):
+    """While a process compiles a loop whose source has changed, and has written its index but not yet its code, another
+    that needs the loop waits for the new code: it neither runs the old one nor fails for its types.
+    """
+    environment, source = os.environ | {"PGFMD_CACHE": str(tmp_path)}, tmp_path / "loop.py"
+    text = "from pgfmd.parallel.compiled import compiled\n@compiled()\ndef other(x):\n    return x\n"
+    text += "@compiled()\ndef total(a):\n    return {} * a.sum()\n"
+
+    def start(speed: str, dtype: str) -> subprocess.Popen:
+        words = [sys.executable, "-c", EDITED, str(tmp_path), speed, dtype]
+        run = subprocess.Popen(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert run.stdout.readline() == "ready\n"
+        return run
+
+    def result(run: subprocess.Popen) -> str:
+        return run.communicate("go\n", timeout=60)[0]
+
+    source.write_text(text.format(2))
+    assert result(start("fast", "float64")) == "6.0\n"
+    source.write_text(text.format(10))  # of another length: files are told apart by that, too
+    slow, other = start("slow", "float32"), start("fast", "float32")
+    slow.stdin.write("go\n")
+    slow.stdin.flush()
+    assert slow.stdout.readline() == "saved\n"
+    assert result(other) == "30.0\n"
+    assert slow.communicate(timeout=60)[0] == "30.0\n"

@@ -10,7 +10,7 @@ DFT convention: `forward` is the plain sum over points, `backward` carries 1/(nx
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -21,7 +21,7 @@ from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
 from pgfmd.parallel.collectives import Reduction, slab, slab_starts
-from pgfmd.parallel.layout import Layout, RowPlan
+from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads, threads_per_rank
 
@@ -188,9 +188,14 @@ class SlabGrid:
             self._around[margin, between] = RowPlan(self.layout, ranges, (0, margin + between))
         return self._around[margin, between]
 
-    def neighbours(self, field: np.ndarray) -> np.ndarray:
-        """The row before this rank's and the one after them, (2, ny), of a field.  Collective."""
-        return self.around(1).fetch(field, np.empty((2, *field.shape[1:]), field.dtype))
+    def neighbours(self, fields: Sequence[np.ndarray], margin: int = 1) -> list[np.ndarray]:
+        """The `margin` rows before this rank's and those after them, (2 margin, ny), of each field.  Collective."""
+        exchange = Exchange(self.comm)
+        found = [np.empty((2 * margin, *field.shape[1:]), field.dtype) for field in fields]
+        for field, rows in zip(fields, found, strict=True):
+            exchange.fetch(self.around(margin), field, rows)
+        exchange.carry_out()
+        return found
 
     def free(self) -> None:
         """Free the memory of the transforms; the next use allocates it again.  Collective."""

@@ -10,7 +10,7 @@ from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.collectives import slab_starts
-from pgfmd.parallel.layout import Layout
+from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 
 
 def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -58,7 +58,11 @@ class Interpolation:
         margin = 2
         positions = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
         low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
-        self._fields = [coarse.layout.fetch(field, low, high, fine.threads) for field in fields]
+        self._fields = [np.empty((high - low, coarse.shape[1]), field.dtype) for field in fields]
+        plan, exchange = RowPlan(coarse.layout, [(low, high)]), Exchange(fine.comm)
+        for field, rows in zip(fields, self._fields, strict=True):
+            exchange.fetch(plan, field, rows, threads=fine.threads)
+        exchange.carry_out()
         self._x = _weights(positions - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
         self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))

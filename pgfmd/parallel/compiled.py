@@ -64,7 +64,17 @@ class _SharedCache(caching.FunctionCache):
             found = self._load_overload(sig, target_context)
             if found is not None:
                 self.release()
+            elif not self._cache_file._load_index():
+                self._remove_outdated()
         return found
+
+    def _remove_outdated(self) -> None:
+        """Removes code of an older version of the source.  Numba writes the index of the new version before it replaces
+        the files that this names; who reads in between would run the old code, of other types perhaps ("can't unbox
+        array from PyObject into native value").  A file that is missing is waited for instead.
+        """
+        for outdated in Path(self.cache_path).glob(f"{self._impl.filename_base}.*.nbc"):
+            outdated.unlink(missing_ok=True)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the compiled code; whoever waits for it goes on."""

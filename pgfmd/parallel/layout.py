@@ -24,6 +24,8 @@ Offsets = tuple[np.ndarray, np.ndarray]
 Piece = tuple[int, np.ndarray]
 """First row, and the rows."""
 
+JOINED = 1 << 20  # bytes up to which rows of several arrays go to a rank in one message
+
 
 class Layout:
     """Rank r of `comm` holds rows starts[r] … starts[r+1]−1 of an array, or none; `rows`: those of this rank."""
@@ -76,43 +78,86 @@ class RowPlan:
                     self.receives.append((owner, at, at + stop - first))
             self.sends += (piece for piece in _askers(wanted[:, which], layout) if piece[0] != rank)
 
-    @property
-    def partners(self) -> set[int]:
-        """Other ranks with which this one exchanges rows."""
-        return {rank for rank, *_ in self.sends + self.receives}
-
     def fetch(self, source: np.ndarray, target: np.ndarray, threads: Threads | None = None) -> np.ndarray:
         """Brings rows of `source`, this rank's, to the `target`s of the ranks that need them; returns this rank's."""
-        MPI.Request.Waitall(self.start(source, target, threads=threads))
+        exchange = Exchange(self.comm)
+        exchange.fetch(self, source, target, threads=threads)
+        exchange.carry_out()
         return target
 
-    def start(
+
+class Exchange:
+    """Rows of one plan or of several, on their way together: at most one message to each partner and one from each.
+
+    All ranks add the same plans in the same order, then `start`, then `finish`.  Arrays may be used again after that.
+    """
+
+    def __init__(self, comm: MPI.Comm) -> None:
+        self.comm = comm
+        self._sent: dict[int, list[np.ndarray]] = {}
+        self._received: dict[int, list[np.ndarray]] = {}
+        self.requests: list[MPI.Request] = []
+        self._joined: list[tuple[np.ndarray, list[np.ndarray]]] = []
+
+    def fetch(
         self,
+        plan: RowPlan,
         source: np.ndarray,
         target: np.ndarray,
         offsets: Offsets | None = None,
         threads: Threads | None = None,
-    ) -> list[MPI.Request]:
-        """Begins to `fetch`; both arrays may be used when the requests are complete."""
+    ) -> None:
+        """Adds: rows of `source`, this rank's, to the `target`s of the ranks that need them.
+
+        threads: they copy the rows that the rank holds itself.
+        """
         here, there = (_part(known) for known in offsets or (None, None))
-        requests = [self.comm.Irecv(_items(target[there(at, end)]), owner) for owner, at, end in self.receives]
-        requests += [self.comm.Isend(_items(source[here(*rows)]), rank) for rank, *rows in self.sends]
-        for first, stop, at in self.copies:
+        for owner, at, end in plan.receives:
+            self._received.setdefault(owner, []).append(target[there(at, end)])
+        for rank, *rows in plan.sends:
+            self._sent.setdefault(rank, []).append(source[here(*rows)])
+        for first, stop, at in plan.copies:
             part, to = source[here(first, stop)], target[there(at, at + stop - first)]
             (threads or Threads(1)).split(partial(_copy, part, to), len(part))
-        return requests
 
-    def start_back(self, target: np.ndarray) -> tuple[list[MPI.Request], list[Piece]]:
-        """Begins to bring the rows of `target` back to the ranks that hold them.  Returns what to wait for, and what
-        then has come: (first local row, rows), which are to be added up.
+    def give(self, plan: RowPlan, target: np.ndarray) -> list[Piece]:
+        """Adds: the rows of `target` back to the ranks that hold them.  Returns what will have come to this one, those
+        of its own `target` included: (first local row, rows), which are to be added up.
         """
-        pieces = [(first, np.empty((stop - first, *target.shape[1:]), target.dtype)) for _, first, stop in self.sends]
-        requests = [
-            self.comm.Irecv(_items(rows), rank)
-            for (rank, *_), (_, rows) in zip(self.sends, pieces, strict=True)
-        ]  # fmt: skip
-        requests += [self.comm.Isend(_items(target[at:end]), owner) for owner, at, end in self.receives]
-        return requests, pieces + [(first, target[at : at + stop - first]) for first, stop, at in self.copies]
+        pieces = [(first, np.empty((stop - first, *target.shape[1:]), target.dtype)) for _, first, stop in plan.sends]
+        for (rank, *_), (_, rows) in zip(plan.sends, pieces, strict=True):
+            self._received.setdefault(rank, []).append(rows)
+        for owner, at, end in plan.receives:
+            self._sent.setdefault(owner, []).append(target[at:end])
+        return pieces + [(first, target[at : at + stop - first]) for first, stop, at in plan.copies]
+
+    def start(self) -> None:
+        """Sends what was added."""
+        messages: list[tuple[int, np.ndarray]] = []
+        for rank, parts in self._received.items():
+            whole = _one_message(parts)
+            messages += ((rank, each) for each in (parts if whole is None else [whole]))
+            if whole is not None and len(parts) > 1:
+                self._joined.append((whole, parts))
+        self.requests = [self.comm.Irecv(_items(rows), rank) for rank, rows in messages if rows.size]
+        for rank, parts in self._sent.items():
+            whole = _one_message(parts)
+            if whole is not None and len(parts) > 1:
+                _scatter(whole, parts, True)
+            for rows in parts if whole is None else [whole]:
+                if rows.size:
+                    self.requests.append(self.comm.Isend(_items(rows), rank))
+
+    def finish(self) -> None:
+        """Waits until all has come and gone."""
+        MPI.Request.Waitall(self.requests)
+        for whole, parts in self._joined:
+            _scatter(whole, parts, False)
+
+    def carry_out(self) -> None:
+        """Sends what was added, and waits."""
+        self.start()
+        self.finish()
 
 
 class RowWindow:
@@ -143,17 +188,12 @@ class RowWindow:
         """Fills the window from this rank's rows and those of the ranks that hold the others.  Collective."""
         self.plan.fetch(self.own, self.rows)
 
-    def give(self) -> list[Piece]:
-        """Brings the rows that are not this rank's to those that hold them.  Returns what came from others: (first row
-        of `own`, rows), to be added.  Collective.
-        """
-        requests, pieces = self.plan.start_back(self.rows)
-        MPI.Request.Waitall(requests)
-        return pieces
-
     def add(self) -> None:
         """Adds to each rank's own rows what the others have in their windows.  Collective."""
-        for first, rows in self.give():
+        exchange = Exchange(self.plan.comm)
+        pieces = exchange.give(self.plan, self.rows)
+        exchange.carry_out()
+        for first, rows in pieces:
             self.own[first : first + len(rows)] += rows
 
 
@@ -190,6 +230,28 @@ def _part(offsets: np.ndarray | None) -> Callable[[int, int], slice]:
 
 def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None:
     target[first:stop] = source[first:stop]
+
+
+def _one_message(parts: list[np.ndarray]) -> np.ndarray | None:
+    """The only part, or room for all of them one after the other; None if they are so large that a copy takes longer
+    than a message.
+    """
+    if len(parts) == 1:
+        return parts[0]
+    size = sum(part.nbytes for part in parts)
+    return np.empty(size, np.uint8) if size <= JOINED else None
+
+
+def _scatter(whole: np.ndarray, parts: list[np.ndarray], gather: bool) -> None:
+    """The parts from the bytes in which they follow one another, or these from the parts."""
+    at = 0
+    for part in parts:
+        raw, here = part.reshape(-1).view(np.uint8), whole[at : at + part.nbytes]
+        at += part.nbytes
+        if gather:
+            here[:] = raw
+        else:
+            raw[:] = here
 
 
 def _items(rows: np.ndarray) -> list:

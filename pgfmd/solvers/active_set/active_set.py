@@ -207,7 +207,7 @@ class Relaxation:
         144 solutions the true error was .2 to 1.1 of it, in the median .9 (`tests/test_hard_wall`).
         """
         fields, level, top = (state.pressure, state.gap), state.level, self.top
-        pressure, gap = map(self.grid.neighbours, fields)
+        pressure, gap = self.grid.neighbours(fields)
         edges = np.where((pressure > 0) & (pressure < top), gap - level, 0.0)
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:

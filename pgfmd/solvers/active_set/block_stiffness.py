@@ -17,6 +17,7 @@ from pgfmd.grid import kernels
 from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.parallel.layout import Exchange, Layout, Piece, RowPlan, RowWindow
 from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many per side
@@ -37,19 +38,29 @@ class Blocks:
 
     A residual is split: its means over blocks are answered by the stiffness between blocks, the rest by the caller.
     Then the sum of the caller's answer over each block is replaced by the load of the block.  Both times `window`
-    receives what the caller is to subtract from each point: an entry for each block that has points of this rank.
+    receives what the caller is to subtract from each point: an entry for each block that has points of this rank.  The
+    rank that has the first row of a block sums over it; the ranks that hold the grid of blocks answer.
 
     Attributes: low, first row of blocks in the window.  transformed: points of the transforms in one application.
     """
+
+    _counts: list[Piece] | None
+    _residuals: list[Piece]
+    _answers: Exchange | None
 
     def __init__(self, grid: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
         """side: of a block, in pixels; pixel: side of a pixel; stiffness(|q|): of the solid."""
         nx, ny = shape = larger(grid.shape)
         lengths = nx * FACTOR * grid.spacing[0], ny * FACTOR * grid.spacing[1]
         self.place, self.threads = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS), grid.threads
-        self.window = self.place.window((grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)))
+        layout = Layout(grid.comm, -(-grid.starts // FACTOR))
+        self.window = RowWindow(layout, (grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)), ny)
         self.low, self._start = self.window.low, grid.rows.start
-        self.loads = np.empty_like(self.window.own)
+        self.plan = RowPlan(self.place.layout, [(layout.rows.start, layout.rows.stop)])
+        # together: who sums over a block answers for it, too, everywhere
+        self.together = np.array_equal(layout.starts, self.place.layout.starts)
+        self.together &= len(np.flatnonzero(np.diff(layout.starts))) == grid.comm.size
+        self.inverse_counts, self.sums, self.loads = (np.zeros_like(self.window.own) for _ in range(3))
         self.stiffness = None
         if self.place.grid is not None:
             self.stiffness = BlockStiffness(self.place.grid, side, stiffness, pixel)
@@ -57,31 +68,48 @@ class Blocks:
         while not self.transformed or min(shape) >= FEWEST:
             self.transformed, shape = self.transformed + math.prod(shape), larger(shape)
 
-    def begin(self, counts: Sums) -> None:
-        """Prepares for a new set, from the number of its points in each block.  Collective."""
-        self._sum(counts)
-        if self.stiffness is not None:
-            self.stiffness.begin(self.window.own.copy())
+    def split(self, residuals: Sums, exchange: Exchange, counts: Sums | None, answered: bool = True) -> None:
+        """Sets the window to the means of the residuals.  If they are to be answered, adds to the exchange what
+        `respond` needs; if not, the loads for `join` are 0.  Collective.
 
-    def split(self, residuals: Sums, unanswered: bool = False) -> None:
-        """Sets the window to the means of the residuals; keeps the loads that answer them, or 0, for `join`.
-        Collective.
+        counts: number of points in each block, if the set is new.
         """
+        window, self._answers, self._counts = self.window, None, None
+        if counts is not None:
+            self._sum(counts)
+            np.divide(1, np.maximum(window.own, 1), out=self.inverse_counts)
+            self._counts = exchange.give(self.plan, window.own.copy()) if answered else None
         self._sum(residuals)
+        if answered:
+            self.sums[...] = window.own
+            self._residuals = exchange.give(self.plan, self.sums)
+            if self.together:
+                self._split_larger(exchange)
+        else:
+            self.loads[...] = 0
+        window.own *= self.inverse_counts
+        window.fetch()
+
+    def respond(self) -> None:
+        """Begins to answer the sums of `split`, whose exchange has been carried out.  Collective."""
+        loads = np.empty(self.place.local_shape, np.float32)
         if self.stiffness is not None:
-            if unanswered:
-                self.loads[...] = 0
-            else:
-                self.stiffness.respond(self.window.own, self.loads)
-            self.window.own *= self.stiffness.inverse_counts
-        self.window.fetch()
+            if not self.together:
+                exchange = Exchange(self.stiffness.blocks.comm)
+                self._split_larger(exchange)
+                exchange.carry_out()
+            self.stiffness.respond(loads)
+        self._answers = Exchange(self.plan.comm)
+        self._answers.fetch(self.plan, loads, self.loads)
+        self._answers.start()
 
     def join(self, answers: Sums) -> None:
         """Sets the window to the excess per point of the answers' sums over the kept loads.  Collective."""
         self._sum(answers)
-        if self.stiffness is not None:
-            self.window.own -= self.loads
-            self.window.own *= self.stiffness.inverse_counts
+        if self._answers is not None:
+            self._answers.finish()
+        self.window.own -= self.loads
+        self.window.own *= self.inverse_counts
         self.window.fetch()
 
     def free(self) -> None:
@@ -101,10 +129,24 @@ class Blocks:
         self.threads.deal(part, len(rows), 256 // FACTOR)
         self.window.add()
 
+    def _split_larger(self, exchange: Exchange) -> None:
+        """Splits what came of the sums, on the ranks that answer them.  Collective over these."""
+        assert self.stiffness is not None
+        counts = None if self._counts is None else _whole(self._counts)
+        self.stiffness.split(_whole(self._residuals), exchange, counts)
+
+
+def _whole(pieces: list[Piece]) -> np.ndarray:
+    """The rows of a rank from pieces, in one of which each row is."""
+    if len(pieces) == 1:
+        return pieces[0][1]
+    return np.concatenate([rows for _, rows in sorted(pieces, key=lambda piece: piece[0])])
+
 
 class BlockStiffness:
     """The map from residuals of blocks to their loads: symmetric, positive, accurate for waves of any length."""
 
+    residuals: np.ndarray
     counts: np.ndarray
     inverse_counts: np.ndarray
     weights: np.ndarray
@@ -125,20 +167,24 @@ class BlockStiffness:
         if self.coarser is not None:
             self.coarser.free()
 
-    def begin(self, counts: np.ndarray) -> None:
-        """Prepares for a new set; counts: number of its points in each of this rank's blocks.  Collective."""
-        self.counts, self.inverse_counts = counts, 1 / np.maximum(counts, 1)
-        # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
-        self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
+    def split(self, residuals: np.ndarray, exchange: Exchange, counts: np.ndarray | None) -> None:
+        """Takes residuals, which are sums over the points of each block, and for a new set the counts of these points;
+        adds to the exchange what larger blocks need of them.  Collective.
+        """
+        if counts is not None:
+            self.counts, self.inverse_counts = counts, 1 / np.maximum(counts, 1)
+            # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
+            self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
+        self.residuals = residuals
         if self.coarser is not None:
-            self.coarser.begin(self._sums(counts))
+            self.coarser.split(self._sums(residuals), exchange, None if counts is None else self._sums(counts))
 
-    def respond(self, residuals: np.ndarray, loads: np.ndarray) -> None:
-        """loads of the blocks = K_blocks · residuals, which are sums over the points of each block.  Collective."""
-        threads, coarser = self.blocks.threads, self.coarser
+    def respond(self, loads: np.ndarray) -> None:
+        """loads of the blocks = K_blocks · residuals, which `split` took.  Collective."""
+        residuals, threads, coarser = self.residuals, self.blocks.threads, self.coarser
         size, start, smooth = max(self.blocks.shape), 0, self._no_means
         if coarser is not None:
-            coarser.split(self._sums(residuals))
+            coarser.respond()
             size, start, smooth = FACTOR, self.blocks.rows.start - coarser.low * FACTOR, coarser.window.rows
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:

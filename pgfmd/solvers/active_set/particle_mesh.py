@@ -23,8 +23,7 @@ from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.parallel.layout import Piece
-from pgfmd.parallel.mpi import MPI
+from pgfmd.parallel.layout import Exchange, Piece
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
 
@@ -82,11 +81,12 @@ class MeshResponse:
             self.stencil.apply(points, values.exchange(), out)
             return
         window = self.window
-        halo = values.start()
+        exchange = Exchange(self.grid.comm)
+        values.send(exchange)
         for first, stop in window.around:
             self._spread(points, values, first, window.rows[first:stop])
-        spread, pieces = window.plan.start_back(window.rows)
-        MPI.Request.Waitall(halo + spread)
+        pieces = exchange.give(window.plan, window.rows)
+        exchange.carry_out()
         self.stencil.apply(points, values.all, out)
         if self.place.grid is not None:
             self._respond(self.place.grid, points, values, pieces)

@@ -16,6 +16,7 @@ import numpy as np
 
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.layout import Exchange
 from pgfmd.solvers.active_set.block_stiffness import FACTOR, FEWEST, Blocks, Sums
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
@@ -43,7 +44,7 @@ class MultilevelStiffness:
             self.near.apply(points, residual.exchange(), out.own)
             return
         rest = self.far.split(points, residual, self.near_only)
-        self.near.apply(points, rest.exchange(), out.own)
+        self.near.apply(points, rest.all, out.own)
         self.far.join(points, out)
 
     def free(self) -> None:
@@ -60,18 +61,25 @@ class FarPart:
         self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing))
         row_block = np.arange(grid.rows.start, grid.rows.stop) // FACTOR - self.blocks.low
         self.block_of = row_block, np.arange(grid.shape[1]) // FACTOR
-        self.points: Unknowns | None = None
+        self.known: tuple[Unknowns, bool] | None = None  # the set for which the blocks are prepared
         self.rest: SetVector
 
     def split(self, points: Unknowns, residual: SetVector, near_only: bool) -> SetVector:
-        """The residual less its means over blocks, whose loads are kept for `join`.  Collective."""
-        if points is not self.points:
-            self.points, self.rest = points, SetVector(points)
-            self.blocks.begin(self._sums(points, np.ones(points.count, np.float32)))
-        self.blocks.split(self._sums(points, residual.own), near_only)
-        if not near_only:
-            self.grid.transforms += 0.5 * self.blocks.transformed / self.grid.size
+        """The residual less its means over blocks, with its halo.  The loads that answer these means are kept for
+        `join`, or none if `near_only`.  Collective.
+        """
+        counts = None
+        if self.known is None or points is not self.known[0] or near_only != self.known[1]:
+            self.known, self.rest = (points, near_only), SetVector(points)
+            counts = self._sums(points, np.ones(points.count, np.float32))
+        exchange = Exchange(self.grid.comm)
+        self.blocks.split(self._sums(points, residual.own), exchange, counts, not near_only)
         self._subtract(points, residual.own, self.rest.own)
+        self.rest.send(exchange)
+        exchange.carry_out()
+        if not near_only:
+            self.blocks.respond()
+            self.grid.transforms += 0.5 * self.blocks.transformed / self.grid.size
         return self.rest
 
     def join(self, points: Unknowns, values: SetVector) -> None:

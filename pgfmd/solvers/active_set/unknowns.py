@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 
 from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.mpi import MPI
+from pgfmd.parallel.layout import Exchange
 
 HALO = 2  # rows of neighbouring ranks on either side: the radius of a stencil
 LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
@@ -39,23 +39,21 @@ class Unknowns:
     def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, top: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid, rows = grid, grid.local_shape[0]
-        pressure, gap = fields
+        self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO)
 
-        def choose(first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-            p, g = pressure[first:stop], gap[first:stop]
-            chosen = ((p > 0) | (g < level)) & ((p < top) | (g > level))
+        def choose(pressure: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            chosen = ((pressure > 0) | (gap < level)) & ((pressure < top) | (gap > level))
             return np.count_nonzero(chosen, axis=1), np.nonzero(chosen)[1].astype(np.int32)
 
-        counts, columns = zip(*grid.threads.collect(choose, rows), strict=True)
-        self.halo = grid.around(HALO, rows)
-        with_halo = np.empty(rows + 2 * HALO, np.int64)
-        self.halo.fetch(np.concatenate(counts, out=with_halo[HALO : HALO + rows]), with_halo)
-        self.extended_offsets = np.concatenate([[0], np.cumsum(with_halo)])
+        parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows)
+        before, after = (choose(*(field[part] for field in around)) for part in (slice(HALO), slice(HALO, None)))
+        counts, columns = zip(before, *parts, after, strict=True)
+        self.extended_offsets = np.concatenate([[0], *counts]).cumsum()
         own = self.extended_offsets[HALO : HALO + rows + 1]
         self.first, self.offsets, self.count = int(own[0]), own - own[0], int(own[-1] - own[0])
         extended = SetVector(self, np.int32)
-        self.columns = np.concatenate(columns, out=extended.own)
-        self.extended: Points = extended.exchange(), self.extended_offsets
+        self.columns = extended.own
+        self.extended: Points = np.concatenate(columns, out=extended.all), self.extended_offsets
 
     @property
     def lists(self) -> Points:
@@ -113,11 +111,13 @@ class SetVector:
         self.all = np.empty(points.extended_offsets[-1], dtype)
         self.own = self.all[points.first : points.first + points.count]
 
-    def start(self) -> list[MPI.Request]:
-        """Begins to `exchange`.  `own` may be read meanwhile."""
-        return self.points.halo.start(self.own, self.all, (self.points.offsets, self.points.extended_offsets))
+    def send(self, exchange: Exchange) -> None:
+        """Adds to an exchange what brings the present values of the halo.  `own` may be read meanwhile."""
+        exchange.fetch(self.points.halo, self.own, self.all, (self.points.offsets, self.points.extended_offsets))
 
     def exchange(self) -> np.ndarray:
         """The vector with the present values of its halo.  Collective."""
-        MPI.Request.Waitall(self.start())
+        exchange = Exchange(self.points.grid.comm)
+        self.send(exchange)
+        exchange.carry_out()
         return self.all

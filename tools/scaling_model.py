@@ -1,0 +1,234 @@
+"""The model of `scaling.py`: seconds of a solve on many ranks, from parts that were measured on few."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from plotting import COLOURS, PAGE, plt
+
+from pgfmd.grid.holders import holders
+
+
+class Machine(NamedTuple):
+    """cores: of a node; bandwidth: bytes per second of a node; latency: seconds of a message between nodes; step: of a
+    message within a node; costs: seconds of a (reduction, exchange of halos) where that was measured for all ranks.
+    """
+
+    name: str
+    cores: int
+    bandwidth: float
+    latency: float
+    step: float
+    costs: tuple[float, float] | None = None
+
+
+# Two 64-core AMD EPYC 7763 per node, one 200 Gb/s HPE Slingshot-11 port, half of which an all-to-all of all nodes gets.
+ASSUMED = Machine("LUMI-C, Slingshot-11", 128, 0.5 * 25e9, 2e-6, 0.5e-6)
+SMALLEST = 256  # points per side from which on a grid has a mesh and blocks; smaller ones are taken together
+COMPUTED = ("transforms", "contact", "other")
+PHASES = ("transforms", "contact", "other", "coarse grids", "overhead", "all-to-alls", "latency")
+LABELS = {"other": "other loops", "overhead": "per call, whatever the size", "latency": "reductions and halos"}
+RANKS = [2**k for k in range(4, 15)]
+STRONG, WEAK = (4096, 16384, 65536), 1024  # points per side; points per side of a rank
+LARGEST = 131072
+
+
+class Parts(NamedTuple):
+    """What was measured here.
+
+    costs[finest or coarser][phase]: seconds of a level, (whatever its size, per point); small: seconds of all levels
+    smaller than `SMALLEST`; counts[level]: of a solve, by kind; bytes: sent per point of the grid; imbalance: contact
+    of the fullest slab over the mean, by number of slabs.
+    """
+
+    costs: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]]
+    small: float
+    counts: list[dict[str, float]]
+    bytes: float
+    imbalance: dict[int, float]
+
+
+def levels_of(n: int) -> list[int]:
+    """Points per side of the grids that are treated one by one."""
+    return [n >> level for level in range(max(1, int(math.log2(n / SMALLEST)) + 1))]
+
+
+def parts_of(rows: list[dict], imbalance: dict[int, float] | None = None) -> Parts:
+    """The parts, from runs of one rank on several grids, and of one on several ranks that sent messages."""
+    one = [row for row in rows if row.get("solve") and row["ranks"] == 1 and row["threads"] == 1]
+    sent = [row for row in rows if row.get("exchanged") and row["ranks"] > 1]
+    masks = [row for row in rows if "imbalance" in row]
+    if not one or not sent:
+        raise SystemExit("scaling: needs runs of `measure` on one rank, and one with --exchanged on several")
+    most = max(sent, key=lambda row: (row["n"], -abs(row["ranks"] - 4)))
+    costs: tuple[dict, dict] = ({}, {})
+    for phase in COMPUTED:
+        for which, known in enumerate(costs):
+            seen = [
+                ((row["n"] >> level) ** 2, row.get(f"seconds {level} {phase}", 0.0))
+                for row in one for level in range(len(levels_of(row["n"]))) if bool(level) == bool(which)
+            ]  # fmt: skip
+            known[phase] = _line(seen)
+    small = [
+        sum(row[name] for name in row if name.startswith("seconds ") and _level(name) >= len(levels_of(row["n"])))
+        for row in one
+    ]
+    depth = 1 + max(_level(name) for name in most if name.startswith("count "))
+    counts = [
+        {kind: most.get(f"count {level} {kind}", 0) for kind in ("all-to-alls", "reductions", "halos")}
+        for level in range(depth)
+    ]
+    largest = max(masks, key=lambda row: row["imbalance"])
+    known = {int(name): value for name, value in largest.items() if name.isdigit()}
+    sent_all = most["bytes"] * most["ranks"] / (most["ranks"] - 1)  # if all went to other ranks
+    return Parts(costs, float(np.median(small)), [each for each in counts if any(each.values())],
+                 sent_all * most["ranks"] / most["n"] ** 2, imbalance or {1: 1.0} | known)  # fmt: skip
+
+
+def _level(name: str) -> int:
+    return int(name.split()[1])
+
+
+def _line(seen: list[tuple[float, float]]) -> tuple[float, float]:
+    """a, b ≥ 0 of a + b x, with the least sum of squares of relative deviations."""
+    x, y = np.array([pair for pair in seen if pair[1] > 0]).T
+    weights = 1 / y
+    a, b = np.linalg.lstsq(np.stack([weights, x * weights], axis=1), np.ones_like(x), rcond=None)[0]
+    if a < 0:
+        a, b = 0.0, float(np.sum(x / y) / np.sum((x / y) ** 2))
+    if b < 0:
+        a, b = float(np.sum(1 / y) / np.sum(1 / y**2)), 0.0
+    return float(a), float(b)
+
+
+def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[str, float]:
+    """Seconds of the phases of one solve (certified error 1e-6) of n × n points on `ranks` ranks.
+
+    The levels follow one another, each on as many ranks as `holders` says.  A rank's points and its contact take the
+    time that they took here on one rank; the fullest slab is waited for.  Where a node has fewer cores than ranks,
+    these take turns.  All-to-alls send one message to each other node and share its port; reductions take 2 log₂ P
+    messages one after the other, halos two.
+    """
+    phases = dict.fromkeys(PHASES, 0.0)
+    nodes = -(-ranks // machine.cores) if machine.costs is None else 1
+    for level, side in enumerate(levels_of(n)):
+        count = ranks if level == 0 else holders((side, side), ranks)
+        share = -(-side // count) * side
+        turns = max(1.0, count / machine.cores) if nodes == 1 else 1.0
+        for phase, (fixed, each) in known.costs[level > 0].items():
+            most = _at(known.imbalance, count) if phase == "contact" else 1.0
+            # Who has less waits for the fullest slab, unless its core has others to run.
+            time = each * share * max(turns, most)
+            phases["coarse grids" if level else phase] += time
+            phases["overhead"] += fixed * turns
+        counts = known.counts[min(level, len(known.counts) - 1)]
+        if count == 1:
+            continue
+        if machine.costs is not None:
+            phases["latency"] += sum(
+                counts[kind] * cost for kind, cost in zip(("reductions", "halos"), machine.costs, strict=True)
+            )
+            phases["all-to-alls"] += counts["all-to-alls"] * machine.costs[0]
+            continue
+        here = min(count, nodes)
+        wait = machine.latency if here > 1 else machine.step
+        phases["latency"] += counts["reductions"] * 2 * (
+            math.log2(here) * machine.latency + math.log2(min(count, machine.cores)) * machine.step
+        ) + counts["halos"] * 2 * wait
+        phases["all-to-alls"] += counts["all-to-alls"] * ((here - 1) * machine.latency + machine.step)
+    phases["overhead"] += known.small
+    if machine.costs is None:
+        on_node = min(ranks, machine.cores)
+        port = machine.bandwidth / on_node
+        phases["all-to-alls"] += known.bytes * n * n / ranks * (1 - on_node / ranks) / port
+    return phases
+
+
+def _at(imbalance: dict[int, float], slabs: int) -> float:
+    """By how much the fullest of so many slabs has more contact than the mean; beyond what was measured, the last."""
+    known = sorted(imbalance)
+    return float(np.interp(math.log2(slabs), np.log2(known), [imbalance[each] for each in known]))
+
+
+def draw(rows: list[dict], folder: Path) -> None:
+    """The model beside the runs, as CSV files, a picture, and words."""
+    folder.mkdir(parents=True, exist_ok=True)
+    known = parts_of(rows)
+    table = [_row(n, ranks, known) for n in (*STRONG, LARGEST) for ranks in RANKS if ranks <= n // 2]
+    weak = [_row(round(WEAK * math.sqrt(ranks)), ranks, known) for ranks in RANKS[::2]]
+    _write(folder / "scaling-model.csv", table + [row | {"weak": 1} for row in weak if row["n"] <= LARGEST])
+    checked = compare(rows)
+    _write(folder / "scaling-runs.csv", checked)
+    _write(folder / "scaling-parts.csv", _constants(known))
+    figure, axes = plt.subplots(1, 3, figsize=(PAGE, 2.6))
+    for colour, n in zip(COLOURS, (*STRONG, LARGEST), strict=False):
+        mine = [row for row in table if row["n"] == n]
+        axes[0].loglog([row["ranks"] for row in mine], [row["total"] for row in mine], color=colour, label=f"{n}²")
+    axes[0].set(xlabel="ranks", ylabel="seconds per solve", title="strong scaling")
+    for axis, mine, title in (
+        (axes[1], [row for row in table if row["n"] == STRONG[2]], f"{STRONG[2]}²"),
+        (axes[2], weak, f"{WEAK}² points per rank"),
+    ):
+        ranks = [row["ranks"] for row in mine]
+        for colour, name in zip(COLOURS, PHASES, strict=False):
+            axis.loglog(ranks, [max(row[name], 1e-6) for row in mine], color=colour, label=LABELS.get(name, name))
+        axis.loglog(ranks, [row["total"] for row in mine], "k", lw=1.8, label="total")
+        axis.set(xlabel="ranks", title=title, ylim=(1e-3, None))
+    axes[0].legend()
+    figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.savefig(folder / "scaling.png")
+    for row in checked:
+        print(f"{row['n']:6}² {row['ranks']:5} ranks here: {row['run']:.3g} s, model {row['model']:.3g} s")
+    for row in table + weak:
+        worst = max(PHASES, key=row.__getitem__)
+        print(f"{row['n']:6}² {row['ranks']:5} ranks: {row['total']:8.3g} s; {worst} {row[worst] / row['total']:.0%}")
+
+
+def _row(n: int, ranks: int, known: Parts) -> dict:
+    phases = model(n, ranks, known)
+    return {"n": n, "ranks": ranks} | phases | {"total": sum(phases.values())}
+
+
+def compare(rows: list[dict]) -> list[dict]:
+    """Runs of several ranks on this machine beside the model of it, in which ranks take turns on its cores."""
+    found = []
+    for row in rows:
+        if not row.get("solve") or row["ranks"] == 1:
+            continue
+        costs = tuple(row[f"cost of {kind}"] for kind in ("reductions", "halos"))
+        here = Machine("this machine", row["cores"], math.inf, 0.0, 0.0, costs)
+        phases = model(row["n"], row["ranks"], parts_of(rows), here)
+        found.append({"n": row["n"], "ranks": row["ranks"], "exchanged": row["exchanged"], "run": row["solve"],
+                      "model": sum(phases.values())})  # fmt: skip
+    return found
+
+
+def _constants(known: Parts) -> list[dict]:
+    """Every constant of the model, and where it is from."""
+    here, assumed = "measured here", f"assumed: {ASSUMED.name}"
+    table = []
+    for name, costs in zip(("finest grid", "coarser grid"), known.costs, strict=True):
+        for phase, (fixed, each) in costs.items():
+            table.append({"constant": f"{phase}, {name}", "value": fixed, "unit": "s per solve", "from": here})
+            table.append({"constant": f"{phase}, {name}", "value": each, "unit": "s per point", "from": here})
+    table.append({"constant": f"grids below {SMALLEST}²", "value": known.small, "unit": "s", "from": here})
+    table.append({"constant": "bytes in all-to-alls", "value": known.bytes, "unit": "per point", "from": here})
+    for level, counts in enumerate(known.counts):
+        table += [{"constant": f"{kind}, level {level}", "value": value, "unit": "per solve", "from": here}
+                  for kind, value in counts.items()]  # fmt: skip
+    table += [{"constant": f"contact of the fullest of {slabs} slabs", "value": value, "unit": "of the mean",
+               "from": here} for slabs, value in known.imbalance.items()]  # fmt: skip
+    for name, unit in (("cores", "per node"), ("bandwidth", "B/s per node"), ("latency", "s"), ("step", "s")):
+        table.append({"constant": name, "value": getattr(ASSUMED, name), "unit": unit, "from": assumed})
+    return table
+
+
+def _write(path: Path, rows: list[dict]) -> None:
+    with open(path, "w", newline="") as file:
+        writer = csv.DictWriter(file, list(dict.fromkeys(name for row in rows for name in row)))
+        writer.writeheader()
+        writer.writerows(rows)
