@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import h5py
@@ -11,11 +12,15 @@ import pytest
 import pgfmd
 from pgfmd import simulate as runner
 from pgfmd.errors import InputError, SolverError, Stopped
-from pgfmd.io.ensemble import Column, folders
-from pgfmd.io.info import summary_of_ensemble
+from pgfmd.io.ensemble import Column, folders, mean_loads, solved_runs
+from pgfmd.io.info import as_json, summary_of_ensemble
+from pgfmd.io.provenance import Origin
 from pgfmd.io.results import Results
+from pgfmd.io.schema import Form
+from pgfmd.io.writer import ResultWriter
 from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.operation.estimate import rank_groups
+from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
 
@@ -99,6 +104,27 @@ def test_standard_errors_leave_out_what_is_missing():
         column.add(np.array(values))
     np.testing.assert_array_equal(column.mean, [2, 2, np.nan])
     np.testing.assert_array_equal(column.error, [1, np.nan, np.nan])
+
+
+def test_means_leave_out_loads_that_were_not_solved(comm, shared_tmp_path):
+    """Where a seed could not reach a load, the means of all numbers and curves are those of the other seeds."""
+    folder = shared_tmp_path / "out"
+    others = pgfmd.run(with_seeds([3, 5]), folder, comm=comm).load(1)
+    pgfmd.run(with_seeds([3, 4, 5]), folder, comm=comm, restart=True)
+    rows, origin = slab(32, comm.size, comm.rank), Origin(loads=2)
+    with ResultWriter(comm, folder / "seed_0004", origin, Form((32, 32), (32.0, 32.0), rows), "overwrite") as writer:
+        for index in range(2):
+            writer.write_load(index, {"target": 0.02})
+    comm.Barrier()
+    found = pgfmd.Ensemble(folder)
+    assert found.load(1).keys() == others.keys()
+    for title, group in others.items():
+        for name, values in group.items():
+            np.testing.assert_array_equal(found.load(1)[title][name], values)
+    iterations = [run.loads["iterations"][1] for run in (found.runs[0], found.runs[2])]
+    assert mean_loads(found.runs)["iterations"].mean[1] == np.mean(iterations) > 0
+    assert json.loads(as_json(found.runs[1]))["loads"][1]["iterations"] is None
+    assert list(solved_runs(found.runs)) == [2, 2]
 
 
 def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monkeypatch):

@@ -146,11 +146,15 @@ def folders(directory: str | os.PathLike) -> list[Path]:
 
 def solved_runs(runs: Iterable[Results]) -> np.ndarray:
     """How many of the runs have solved each load."""
-    solved = [np.isfinite(run.loads["mean_pressure"]) for run in runs]
+    solved = [_solved(run) for run in runs]
     count = np.zeros(max(map(len, solved), default=0), int)
     for each in solved:
         count[: len(each)] += each
     return count
+
+
+def _solved(run: Results) -> np.ndarray:
+    return np.isfinite(run.loads["mean_pressure"])
 
 
 def mean_loads(runs: list[Results]) -> dict[str, Column]:
@@ -167,9 +171,9 @@ def mean_loads(runs: list[Results]) -> dict[str, Column]:
 
 
 def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Column]]:
-    """The groups of curves of one load that all runs have with equal axes."""
+    """The groups of curves of one load that all runs which have solved it have with equal axes."""
     found: dict[str, dict[str, Column]] = {}
-    for number, run in enumerate(run for run in runs if index < len(run)):
+    for number, run in enumerate(run for run in runs if index < len(run) and _solved(run)[index]):
         with h5py.File(run.directory / OBSERVABLES_FILE, "r", locking=False) as file:
             groups: Mapping = file.get(load_name(index), {})
             if number == 0:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.io import atomic
 from pgfmd.io.dimensions import name_axes
-from pgfmd.io.schema import LIBVER, LOADS, OBSERVABLES_FILE, Form, Groups, load_name
+from pgfmd.io.schema import LIBVER, LOADS, MISSING, OBSERVABLES_FILE, Form, Groups, load_name
 from pgfmd.io.small_hdf5 import Change, revise
 
 
@@ -52,7 +52,7 @@ def add_columns(group: h5py.Group, completed: int, units: Mapping[str, str]) -> 
     columns = {"load": ("1", "number of the load, counted from 0")} | LOADS
     for name, (unit, description) in columns.items():
         if name not in group:
-            kind, missing = (np.int64, -1) if name in ("load", "iterations") else (np.float64, np.nan)
+            kind, missing = (np.int64, MISSING) if name in ("load", "iterations") else (np.float64, np.nan)
             column = group.create_dataset(name, (completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing)
             if name == "load":
                 column[:] = np.arange(completed)

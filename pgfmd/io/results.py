@@ -14,7 +14,16 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
-from pgfmd.io.schema import ENSEMBLE_FILE, FIELDS, FIELDS_FOLDER, FORMAT_VERSION, LOADS, OBSERVABLES_FILE, load_name
+from pgfmd.io.schema import (
+    ENSEMBLE_FILE,
+    FIELDS,
+    FIELDS_FOLDER,
+    FORMAT_VERSION,
+    LOADS,
+    MISSING,
+    OBSERVABLES_FILE,
+    load_name,
+)  # fmt: skip
 from pgfmd.io.text_table import text_table
 
 if TYPE_CHECKING:
@@ -63,7 +72,7 @@ class Results:
             )
             loads = file["loads"]
             columns = {name: loads[name] for name in LOADS if name in loads}
-            self.loads = {name: column[:] for name, column in columns.items()}
+            self.loads = {name: _known(column[:]) for name, column in columns.items()}
             self.units = {name: column.attrs["units"] for name, column in columns.items()}
 
     def __len__(self) -> int:
@@ -242,6 +251,12 @@ class Runs:
 
         names = [run.directory.name for run in self.runs]
         return pandas.concat([run.to_dataframe() for run in self.runs], keys=names, names=["run"])
+
+
+def _known(column: np.ndarray) -> np.ndarray:
+    """A column with NaN for whole numbers that are missing, too: those of loads that were not solved."""
+    missing = column == MISSING
+    return np.where(missing, np.nan, column) if column.dtype.kind == "i" and missing.any() else column
 
 
 def _plain(value: Any) -> Any:

@@ -56,6 +56,8 @@ class Form:
         return {"length": self.length_unit, "pressure": self.pressure_unit}
 
 
+MISSING = -1  # a whole number of LOADS that is not known; a real one is NaN
+
 # One row per load, in group `loads` of observables.h5, in this order.
 LOADS = {
     "target": ("as asked", "what was asked for: the entry of the list in [load], in its unit"),
