@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
+from pgfmd.grid.aligned import ALIGNMENT, aligned, with_padding
 from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.fftw import plan
-from pgfmd.grid.transpose import ALIGNMENT, Strips, aligned, with_padding
+from pgfmd.grid.transpose import Strips
 from pgfmd.parallel.threads import Threads
 
 ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it stays in the second-level cache beside its transform

@@ -17,15 +17,14 @@ from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
+from pgfmd.grid.aligned import ALIGNMENT, aligned_bytes, row_stride
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.mpi import MPI, datatype
 from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
-ALIGNMENT = 64  # bytes: a cache line and the widest vector register
 WIDE = 16 * ALIGNMENT  # bytes of a row from which its padding does not count
 Counts = tuple[np.ndarray, np.ndarray]
 """Items of each rank's part of a buffer, and where the parts begin."""
@@ -39,55 +38,6 @@ class Parts(NamedTuple):
     flat: np.ndarray
     table: np.ndarray
     height: int
-
-
-def row_stride(count: int, itemsize: int) -> int:
-    """Items from one row of `count` items to the next: padded to an odd number of cache lines.
-
-    Rows then start on cache lines, and rows a power of two apart do not fall on the same cache sets.
-    """
-    lines = -(-max(count, 1) * itemsize // ALIGNMENT) | 1
-    return lines * ALIGNMENT // itemsize
-
-
-def padded(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
-    """The bytes `raw` seen as rows of that shape, each padded to `row_stride`."""
-    return _rows_and_padding(raw, shape, dtype)[:, : shape[1]]
-
-
-def _rows_and_padding(raw: np.ndarray, shape: tuple[int, int], dtype: DTypeLike) -> np.ndarray:
-    """The bytes `raw` seen as rows of that shape with their padding.  The array is contiguous, so that compiled loops
-    know its strides.
-    """
-    dtype = np.dtype(dtype)
-    stride = row_stride(shape[1], dtype.itemsize)
-    return raw[: shape[0] * stride * dtype.itemsize].view(dtype).reshape(shape[0], stride)
-
-
-def aligned_bytes(count: int) -> np.ndarray:
-    """`count` bytes of new memory that begin on a cache line."""
-    return _from_cache_line(np.empty(count + ALIGNMENT, np.uint8))[:count]
-
-
-def _from_cache_line(raw: np.ndarray) -> np.ndarray:
-    return raw[-raw.ctypes.data % ALIGNMENT :]
-
-
-def aligned(shape: tuple[int, int], dtype: DTypeLike, apart: bool = True) -> np.ndarray:
-    """A new array of that shape whose rows start on cache lines.
-
-    apart: rows are padded, so that they start on different cache sets.  Without it, rows that fill whole cache lines
-    are not padded: compiled loops are faster on a contiguous array.
-    """
-    dtype = np.dtype(dtype)
-    if not apart and shape[1] * dtype.itemsize % ALIGNMENT == 0:
-        return aligned_bytes(shape[0] * shape[1] * dtype.itemsize).view(dtype).reshape(shape)
-    return padded(aligned_bytes(shape[0] * row_stride(shape[1], dtype.itemsize) * dtype.itemsize), shape, dtype)
-
-
-def with_padding(array: np.ndarray) -> np.ndarray:
-    """A `padded` array together with its padding: contiguous, so that compiled loops know its strides."""
-    return np.lib.stride_tricks.as_strided(array, (len(array), array.strides[0] // array.itemsize))
 
 
 class Strips(ABC):

@@ -1,0 +1,40 @@
+"""Arrays whose rows start on cache lines, and on different cache sets."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+ALIGNMENT = 64  # bytes: a cache line and the widest vector register
+
+
+def aligned_bytes(count: int) -> np.ndarray:
+    """`count` bytes of new memory that begin on a cache line."""
+    raw = np.empty(count + ALIGNMENT, np.uint8)
+    return raw[-raw.ctypes.data % ALIGNMENT :][:count]
+
+
+def row_stride(count: int, itemsize: int) -> int:
+    """Items from one row of `count` items to the next: padded to an odd number of cache lines.
+
+    Rows then start on cache lines, and rows a power of two apart do not fall on the same cache sets.
+    """
+    lines = -(-max(count, 1) * itemsize // ALIGNMENT) | 1
+    return lines * ALIGNMENT // itemsize
+
+
+def aligned(shape: tuple[int, int], dtype: DTypeLike, apart: bool = True) -> np.ndarray:
+    """A new array of that shape whose rows start on cache lines.
+
+    apart: rows are padded, so that they start on different cache sets.  Without it, rows that fill whole cache lines
+    are not padded: compiled loops are faster on a contiguous array.
+    """
+    itemsize = np.dtype(dtype).itemsize
+    whole = shape[1] * itemsize % ALIGNMENT == 0
+    stride = shape[1] if whole and not apart else row_stride(shape[1], itemsize)
+    return aligned_bytes(shape[0] * stride * itemsize).view(dtype).reshape(shape[0], stride)[:, : shape[1]]
+
+
+def with_padding(array: np.ndarray) -> np.ndarray:
+    """An `aligned` array together with its padding: contiguous, so that compiled loops know its strides."""
+    return np.lib.stride_tricks.as_strided(array, (len(array), array.strides[0] // array.itemsize))
