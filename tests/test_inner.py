@@ -15,7 +15,7 @@ from pgfmd.solvers.active_set import block_stiffness, preconditioner
 from pgfmd.solvers.active_set.dual import NearCompliance
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-from pgfmd.solvers.active_set.particle_mesh import MeshResponse
+from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.active_set.unknowns import HALO, SetVector, Unknowns
@@ -70,7 +70,7 @@ def test_unknowns(shape):
         block *= np.float32(1 / grid.size)
 
     out = np.empty_like(values)
-    points.convolve(values, unchanged, out)
+    FullResponse(unchanged).apply(points, on(points, values), out)
     assert np.allclose(out, values, rtol=0, atol=1e-6)
 
 
@@ -174,7 +174,7 @@ def deviation(grid: SlabGrid, density: float, mesh: MeshResponse, action) -> tup
     values = field[grid.rows][mask[grid.rows]]
     exact, found = np.empty_like(values), np.empty_like(values)
     mesh.apply(points, on(points, values), found)
-    points.convolve(values, action, exact)
+    FullResponse(action).apply(points, on(points, values), exact)
     exact, found = (everywhere(grid, points, part)[mask] for part in (exact, found))
     return found - exact, exact
 

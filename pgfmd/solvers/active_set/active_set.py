@@ -42,7 +42,6 @@ LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
 MARGIN = 0.4  # the last step aims at this part of the tolerance
 WITHIN = 0.3  # a step aims at the tolerance if the factor for that is at least this part of the one that seems useful
-MOST_RAISED = 100.0  # factor by which one certificate may raise later estimates
 STUCK = 3  # steps without halving the least error, before double precision is taken
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
@@ -75,7 +74,7 @@ class Relaxation:
     """Relaxation of a dimensionless problem.  exact: whether errors are certified; on coarse grids, whose solution only
     starts the next finer one, they are estimated.
 
-    Attributes: top, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
+    Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
     without halving the least error, and most_steps, before giving up.
     """
@@ -86,7 +85,7 @@ class Relaxation:
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
         self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
-        self.top, self.solid, self.kind = problem.law.highest, solid, problem.law.kind
+        self.highest, self.solid, self.kind = problem.law.highest, solid, problem.law.kind
         precisions: tuple[Precision, Precision] = (np.float32, np.float64)
         self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.size) for real in precisions}
         self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.size) for real in precisions}
@@ -100,11 +99,11 @@ class Relaxation:
         Uncertifiable if that is due to rounding in double precision.
         """
         precision, patience = self.precision, Patience(self.patience)
-        before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
+        before = math.inf  # the last estimate
         for step in range(self.most_steps):
             system = self.linearise(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
+            estimate = system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
             known = self.exact and state.energy > 0
@@ -113,7 +112,6 @@ class Relaxation:
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
-                raised *= min(max(1.0, state.error / max(estimate, MARGIN * tolerance)), MOST_RAISED)
             self.settle(state)
             if monitor is not None:
                 monitor(state)
@@ -176,9 +174,9 @@ class Relaxation:
 
     def measure(self, state: State) -> None:
         """Sets the state's level, energy and counts from a pressure and its gap Gp − h, and Σ p².  Collective."""
-        pressure, gap, heights, tops = state.pressure, state.gap, self.heights, (self.top, self.summit)
+        pressure, gap, heights, limits = state.pressure, state.gap, self.heights, (self.highest, self.summit)
         parts = self.grid.threads.collect(
-            lambda a, b: contact_sums(pressure, gap, heights, tops, a, b), len(gap)
+            lambda a, b: contact_sums(pressure, gap, heights, limits, a, b), len(gap)
         )
         sums, most, least = zip(*parts, strict=True)
         totals = self.grid.reduction.sums(*map(math.fsum, zip(*sums, strict=True)))
@@ -206,12 +204,12 @@ class Relaxation:
         Sets `state.pressure_error` = ‖Kρ‖/‖p‖.  If every point is an unknown, p* − p = −Kρ; else it is an estimate: in
         144 solutions the true error was .2 to 1.1 of it, in the median .9 (`tests/test_hard_wall`).
         """
-        fields, level, top = (state.pressure, state.gap), state.level, self.top
+        fields, level, highest = (state.pressure, state.gap), state.level, self.highest
         pressure, gap = self.grid.neighbours(fields)
-        edges = np.where((pressure > 0) & (pressure < top), gap - level, 0.0)
+        edges = np.where((pressure > 0) & (pressure < highest), gap - level, 0.0)
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            residual_rows(fields, level, top, edges, first, rows)
+            residual_rows(fields, level, highest, edges, first, rows)
 
         square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
@@ -231,14 +229,14 @@ class Relaxation:
 
 @jit
 def contact_sums(
-    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, tops: tuple[float, float], first: int, stop: int
+    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, limits: tuple[float, float], first: int, stop: int
 ) -> tuple[tuple[float, float, float, float, float, float, int], float, float]:
-    """(Σ p g, Σ p and number of points where 0 < p < top; Σ p (g + h), Σ p², Σ h² + (h − summit)² and number of points
-    where p > 0), and the largest gap where p = top and the least where p = 0, over rows first … stop−1.
+    """(Σ p g, Σ p and number of points where 0 < p < highest; Σ p (g + h), Σ p², Σ h² + (h − summit)² and number of
+    points where p > 0), and the largest gap where p = highest and the least where p = 0, over rows first … stop−1.
 
-    tops: the largest pressure `top`, and the largest height `summit`
+    limits: the largest pressure `highest`, and the largest height `summit`
     """
-    top, summit = tops
+    highest, summit = limits
     work = load = energy = squares = heights_squared = 0.0
     between = count = 0
     most, least = -np.inf, np.inf
@@ -253,7 +251,7 @@ def contact_sums(
                 squares += p * p
                 heights_squared += h * h + (h - summit) ** 2
                 count += 1
-                if p < top:
+                if p < highest:
                     work += p * g
                     load += p
                     between += 1
@@ -265,10 +263,10 @@ def contact_sums(
 
 
 @jit
-def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, first: int, out: np.ndarray) -> None:
-    """ρ of the certificate for rows first … of pressure and gap: gap − level where 0 < p < top.  Elsewhere the mean of
-    that over the eight neighbours, of which the others count as 0, but at most gap − level where p = 0, and at least
-    that where p = top.  edges: the same, or 0, of the rows before and after those of this rank.
+def residual_rows(fields: Fields, level: float, highest: float, edges: np.ndarray, first: int, out: np.ndarray) -> None:
+    """ρ of the certificate for rows first … of pressure and gap: gap − level where 0 < p < highest.  Elsewhere the mean
+    of ρ over the eight neighbours where 0 < p < highest, with 0 for the others, but at most gap − level where p = 0,
+    and at least that where p = highest.  edges: gap − level, or 0, of the rows before and after those of this rank.
     """
     pressure, gap = fields
     rows, ny = pressure.shape
@@ -280,13 +278,13 @@ def residual_rows(fields: Fields, level: float, top: float, edges: np.ndarray, f
                 line[j] = edges[0 if i < 0 else 1, j]
         else:
             for j in range(ny):
-                line[j] = gap[i, j] - level if 0 < pressure[i, j] < top else 0.0
+                line[j] = gap[i, j] - level if 0 < pressure[i, j] < highest else 0.0
         if i <= first:
             continue
         p, g, target = pressure[i - 1], gap[i - 1], out[i - 1 - first]
         here = lines[i % 3]
         for j in range(ny):
-            if 0 < p[j] < top:
+            if 0 < p[j] < highest:
                 target[j] = here[j]
                 continue
             left, right = j - 1 if j > 0 else ny - 1, j + 1 if j + 1 < ny else 0

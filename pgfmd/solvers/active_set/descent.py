@@ -41,13 +41,13 @@ class Descent(PressureSteps):
         reduction, pressure, gap = self.grid.reduction, state.pressure.copy(), state.gap - state.level
         points, direction = self._direction(state)
         with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(direction < 0, pressure / -direction, (self.top - pressure) / direction)
+            room = np.where(direction < 0, pressure / -direction, (self.highest - pressure) / direction)
         room[direction == 0] = np.inf  # the step at which each point meets a bound
         furthest, promised = reduction.min(room), -reduction.dot(gap, direction) / 2
         step = 1.0
         for trial in range(TRIALS + 1):
             np.add(pressure, step * direction, out=state.pressure)
-            state.pressure[room <= step] = np.where(direction < 0, 0.0, self.top)[room <= step]
+            state.pressure[room <= step] = np.where(direction < 0, 0.0, self.highest)[room <= step]
             self.feasible.make(points, (state.pressure, state.gap), self.load)
             if step <= furthest:
                 return
@@ -64,9 +64,9 @@ class Descent(PressureSteps):
         """
         pressure, gap, level = state.pressure, state.gap, state.level
         # shown: the gap by which unknowns are chosen, infinite at points that stay at their bound
-        low, high, shown = pressure <= 0, pressure >= self.top, gap.copy()
+        low, high, shown = pressure <= 0, pressure >= self.highest, gap.copy()
         while True:
-            points = Unknowns(self.grid, (pressure, shown), level, self.top)
+            points = Unknowns(self.grid, (pressure, shown), level, self.highest)
             system = ConjugateGradients(points.below(level, gap), self.inner, self.preconditioner)
             change, steps = system.solve(CUT)
             state.iterations += steps

@@ -29,9 +29,9 @@ Change = tuple[float, float, float]
 class Feasible:
     """Makes pressures on one grid feasible.  Collective to make."""
 
-    def __init__(self, grid: SlabGrid, top: float, stiffness: float) -> None:
-        """top: the largest pressure; stiffness: of a pixel, about."""
-        self.grid, self.top, self.stiffness = grid, top, stiffness
+    def __init__(self, grid: SlabGrid, highest: float, stiffness: float) -> None:
+        """highest: the largest pressure; stiffness: of a pixel, about."""
+        self.grid, self.highest, self.stiffness = grid, highest, stiffness
         start, stop = grid.rows.start, grid.rows.stop
         # The rank that has the first row of a block holds it.
         layout = Layout(grid.comm, grid.starts + (1 << SHIFT) - 1 >> SHIFT)
@@ -44,7 +44,7 @@ class Feasible:
         The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
         (`scale_to_load`).
         """
-        pressure, top, threads = fields[0], self.top, self.grid.threads
+        pressure, highest, threads = fields[0], self.highest, self.grid.threads
         start, end = self.grid.rows.start, self.grid.rows.stop
         # Of each block: its load, and that of its pressures cut to their bounds; then the factor on these.
         blocks = self.window.rows.reshape(-1, 2, self.width)
@@ -59,13 +59,13 @@ class Feasible:
         def measure(_: int, first: int, last: int) -> None:
             for block in range(first, last):
                 field, at, column = part(block)
-                for which, p in enumerate((field[at], np.clip(field[at], 0.0, top))):
+                for which, p in enumerate((field[at], np.clip(field[at], 0.0, highest))):
                     blocks[block, which] = np.bincount(column, p, self.width)
 
         def cut(_: int, first: int, last: int) -> None:
             for block in range(first, last):
                 field, at, column = part(block)
-                field[at] = np.minimum(blocks[block, 0, column] * np.maximum(field[at], 0.0), top)
+                field[at] = np.minimum(blocks[block, 0, column] * np.maximum(field[at], 0.0), highest)
 
         threads.share(measure, len(blocks), 1)
         self.window.add()
@@ -75,25 +75,25 @@ class Feasible:
         if sums[0] <= CANCELLED * sums[1]:
             loads, sums[0] = bounded, sums[1]
         own[:, 0] = loads / np.where(bounded > 0, bounded, 1)
-        if math.isinf(top):
+        if math.isinf(highest):
             own[:, 0] *= load / sums[0]
         self.window.fetch()
         threads.share(cut, len(blocks), 1)
-        if math.isfinite(top):
-            scale_to_load(self.grid, fields, load, top, self.stiffness)
+        if math.isfinite(highest):
+            scale_to_load(self.grid, fields, load, highest, self.stiffness)
 
 
-def scale_to_load(grid: SlabGrid, fields: Fields, load: float, top: float, stiffness: float) -> None:
-    """Multiplies the pressures below `top`, and limits them to that, so that all sum to `load`.  Collective.
+def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, stiffness: float) -> None:
+    """Multiplies the pressures below `highest`, and limits them to that, so that all sum to `load`.  Collective.
 
-    If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and `top`,
-    with the level that makes the sum `load`, a projected gradient step.
+    If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and
+    `highest`, with the level that makes the sum `load`, a projected gradient step.
     """
     pressure, gap = fields
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
 
     def excess(change: Change) -> tuple[float, float]:
-        parts = threads.collect(lambda a, b: changed_sums(fields, change, top, a, b), len(gap))
+        parts = threads.collect(lambda a, b: changed_sums(fields, change, highest, a, b), len(gap))
         total, slope = reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         return float(total) - load, float(slope)
 
@@ -103,7 +103,7 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, top: float, stiff
         high = reduction.max(gap) + load / grid.size / stiffness
         bracket = low, (low + high) / 2, high
         change = 0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)
-    threads.deal(lambda a, b: change_rows(fields, change, top, a, b), len(gap))
+    threads.deal(lambda a, b: change_rows(fields, change, highest, a, b), len(gap))
 
 
 def _root(
@@ -126,18 +126,18 @@ def _root(
 
 
 @jit
-def _changed(p: float, g: float, change: Change, top: float) -> float:
-    """factor · p where p < top, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `top`."""
+def _changed(p: float, g: float, change: Change, highest: float) -> float:
+    """factor · p where p < highest, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `highest`."""
     factor, stiffness, level = change
     if stiffness > 0:
         p += stiffness * (level - g)
-    elif p < top:
+    elif p < highest:
         p *= factor
-    return min(max(p, 0.0), top)
+    return min(max(p, 0.0), highest)
 
 
 @jit
-def changed_sums(fields: Fields, change: Change, top: float, first: int, stop: int) -> tuple[float, float]:
+def changed_sums(fields: Fields, change: Change, highest: float, first: int, stop: int) -> tuple[float, float]:
     """Σ p after the change, over rows first … stop−1, and its derivative by the level, or by the factor if there is no
     stiffness.
     """
@@ -145,17 +145,17 @@ def changed_sums(fields: Fields, change: Change, top: float, first: int, stop: i
     total = slope = 0.0
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
-            p = _changed(pressure[i, j], gap[i, j], change, top)
+            p = _changed(pressure[i, j], gap[i, j], change, highest)
             total += p
-            if 0 < p < top:
+            if 0 < p < highest:
                 slope += change[1] if change[1] > 0 else pressure[i, j]
     return total, slope
 
 
 @jit
-def change_rows(fields: Fields, change: Change, top: float, first: int, stop: int) -> None:
+def change_rows(fields: Fields, change: Change, highest: float, first: int, stop: int) -> None:
     """Changes the pressure of rows first … stop−1."""
     pressure, gap = fields
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
-            pressure[i, j] = _changed(pressure[i, j], gap[i, j], change, top)
+            pressure[i, j] = _changed(pressure[i, j], gap[i, j], change, highest)

@@ -1,7 +1,4 @@
-"""Nested iteration by active sets: what starts on each grid, and what can be answered at once.
-
-`solve_hard_wall` is the solver that the rest of the program calls.
-"""
+"""Nested iteration by active sets: what starts on each grid, and what can be answered at once."""
 
 from __future__ import annotations
 
@@ -70,11 +67,11 @@ class ActiveSetIteration(NestedIteration[State]):
         """Full contact, or else from the pressure made feasible."""
         if (state := _full_contact(problem)) is not None:
             return state
-        grid, top = problem.grid, problem.law.highest
-        state = State(np.minimum(start * (problem.load / grid.reduction.sum(start)), top), -problem.heights)
+        grid, highest = problem.grid, problem.law.highest
+        state = State(np.minimum(start * (problem.load / grid.reduction.sum(start)), highest), -problem.heights)
         fields = state.pressure, state.gap
-        scale_to_load(grid, fields, problem.load, top, problem.solid.contact_modulus / max(grid.spacing))
-        state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < top)))
+        scale_to_load(grid, fields, problem.load, highest, problem.solid.contact_modulus / max(grid.spacing))
+        state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))
         return self.relax(problem, state)
 
     def energy(self, state: State, size: int) -> float:
@@ -125,7 +122,7 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
     to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
     (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
     """
-    grid, top = problem.grid, problem.law.highest
+    grid, highest = problem.grid, problem.law.highest
     found.gap -= found.level
     interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
     compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
@@ -137,7 +134,7 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
         start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
 
     grid.threads.share(part, grid.local_shape[0], grid.band)
-    scale_to_load(grid, (pressure, gap), problem.load, top, 1 / compliance)
+    scale_to_load(grid, (pressure, gap), problem.load, highest, 1 / compliance)
     return State(pressure, gap, estimated=True, between=round(found.between / coarse.place.size * grid.size))
 
 

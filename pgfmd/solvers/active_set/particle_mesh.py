@@ -175,7 +175,17 @@ class FullResponse:
 
     def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`.  Collective."""
-        points.convolve(values.own, self.action, out)
+
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
+            part, at = points.places(first, stop)
+            rows[...] = 0
+            rows[at] = values.own[part]
+
+        def drain(first: int, stop: int, rows: np.ndarray) -> None:
+            part, at = points.places(first, stop)
+            out[part] = rows[at]
+
+        points.grid.convolve(fill, self.action, drain, np.float32)
 
     def free(self) -> None:
         """There is nothing to free."""

@@ -28,7 +28,7 @@ class PressureSteps(Relaxation):
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
-        self.feasible = Feasible(grid, self.top, solid.contact_modulus / max(grid.spacing))
+        self.feasible = Feasible(grid, self.highest, solid.contact_modulus / max(grid.spacing))
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
     def free(self) -> None:
@@ -48,7 +48,7 @@ class PressureSteps(Relaxation):
         of the error.  Collective.
         """
         if isinstance(self.inner, MeshResponse):
-            points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.top)
+            points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.highest)
             self.inner.near_only = self.preconditioner.near_only = True
             system = ConjugateGradients(points.below(0.0, state.gap), self.inner, self.preconditioner)
             self.improve(state, system, 0.5)
@@ -58,7 +58,7 @@ class PressureSteps(Relaxation):
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
         self.compute_gap(state, precision)
         self.measure(state)
-        points = Unknowns(self.grid, (state.pressure, state.gap), state.level, self.top)
+        points = Unknowns(self.grid, (state.pressure, state.gap), state.level, self.highest)
         return ConjugateGradients(points.below(state.level, state.gap), self.inner, self.preconditioner)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:

@@ -10,7 +10,6 @@ import math
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Exchange
 
@@ -28,21 +27,21 @@ Part = tuple[int, int]
 class Unknowns:
     """The unknowns of this rank.
 
-    These are points whose pressure lies between its bounds 0 and `top`, or at a bound from which the gap drives it
-    (below `level` at 0, above it at `top`).  For gaps as unknowns, the pressure and the gap change places.
+    These are points whose pressure lies between its bounds 0 and `highest`, or at a bound from which the gap drives it
+    (below `level` at 0, above it at `highest`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; columns (count,) int32, and offsets (nx_local + 1,) of each row in it.
     `lists` and `extended` are `Points`, without and with a halo of `HALO` rows.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
-    def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, top: float = math.inf) -> None:
+    def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, highest: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid, rows = grid, grid.local_shape[0]
         self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO)
 
         def choose(pressure: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            chosen = ((pressure > 0) | (gap < level)) & ((pressure < top) | (gap > level))
+            chosen = ((pressure > 0) | (gap < level)) & ((pressure < highest) | (gap > level))
             return np.count_nonzero(chosen, axis=1), np.nonzero(chosen)[1].astype(np.int32)
 
         parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows)
@@ -85,20 +84,6 @@ class Unknowns:
             field[first:stop][at] += values[part]
 
         self.grid.threads.deal(add, len(field))
-
-    def convolve(self, values: np.ndarray, action: ColumnAction, out: np.ndarray) -> None:
-        """out = (kernel ∗ values) on the set, by full transforms.  Collective."""
-
-        def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            part, at = self.places(first, stop)
-            rows[...] = 0
-            rows[at] = values[part]
-
-        def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            part, at = self.places(first, stop)
-            out[part] = rows[at]
-
-        self.grid.convolve(fill, action, drain, np.float32)
 
 
 class SetVector:
