@@ -70,9 +70,10 @@ def simulate(
     Raises InputError (wrong input, nothing written), SolverError (completed loads stay written) or Stopped (asked to
     stop; what was done is kept for `restart`) on all ranks together.
     """
-    phases = _Phases()
-    memory = from_root(comm, estimate, job, comm.size).memory  # may read the surface's table
-    machine.refuse_too_large(comm, memory)
+    phases, alone = _Phases(), interruptions is None
+    if alone:
+        memory = from_root(comm, estimate, job, comm.size).memory  # may read the surface's table
+        machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     output = job.output
     inputs = dict.fromkeys(job.surface.files, job.surface.fingerprint(comm))
@@ -83,7 +84,7 @@ def simulate(
     with (
         LogFile(comm.rank) as log_file,
         ResultWriter(
-            comm, directory, origin, form, _mode(overwrite, restart), HELD_BACK if interruptions else 0.0
+            comm, directory, origin, form, _mode(overwrite, restart), 0.0 if alone else HELD_BACK
         ) as writer,
         nullcontext(interruptions)
         if interruptions
@@ -92,7 +93,8 @@ def simulate(
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
-        machine.report(comm, memory)  # only now: after a wrong input the error is the only line
+        if alone:
+            machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         observer = Observer(problem, job.output.asked, cutoff)

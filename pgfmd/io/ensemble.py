@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 
 from pgfmd.errors import InputError
+from pgfmd.io import columns
 from pgfmd.io.atomic import holder
 from pgfmd.io.dimensions import name_axes
 from pgfmd.io.results import Results, Runs
@@ -165,8 +166,9 @@ def mean_loads(runs: list[Results]) -> dict[str, Column]:
         for name, values in run.loads.items():
             padded = np.full(longest, np.nan)
             padded[: len(values)] = values
-            column = found.setdefault(name, Column({"units": run.units[name], "description": LOADS[name][1]}))
-            column.add(padded)
+            if name not in found:
+                found[name] = Column({"units": run.units[name], "description": LOADS[name][1]})
+            found[name].add(padded)
     return found
 
 
@@ -203,6 +205,15 @@ def _fits(group: Mapping[str, Column], values: Mapping[str, np.ndarray]) -> bool
     )
 
 
+class _LoadsOnly(Results):
+    """A result folder that was written a moment ago: nothing is read but the table of loads."""
+
+    def __init__(self, directory: Path):
+        self.directory = directory
+        with h5py.File(directory / OBSERVABLES_FILE, "r", locking=False) as file:
+            self.loads = columns.get(file["loads"], LOADS)
+
+
 def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:
     """Write ensemble.h5 anew: provenance, with the seeds, and the means over what is there.  Raises OSError."""
     path = directory / ENSEMBLE_FILE
@@ -212,7 +223,7 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
         file.attrs.update(status=status, failed=json.dumps(failed))
 
     def add_means(file: h5py.File) -> None:
-        runs = [Results(folder) for folder in folders(directory)]
+        runs = [_LoadsOnly(folder) for folder in folders(directory)]
         _put(file.create_group("loads"), mean_loads(runs))
         count = file["loads"].create_dataset("seeds", data=solved_runs(runs))
         count.attrs.update(description=COUNT, units="1")
@@ -225,15 +236,15 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
         revise(path, add_means)
 
 
-def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
+def _put(group: h5py.Group, found: Mapping[str, Column]) -> None:
     """Write columns with their errors into a group."""
-    for key, column in columns.items():
-        for name, values in column.named(key, columns):
+    for key, column in found.items():
+        for name, values in column.named(key, found):
             what = "" if name == key else "standard error over the seeds: "
             dataset = group.create_dataset(name, data=values)
             dataset.attrs.update(column.about | {"description": what + column.about["description"]})
-    for key, column in columns.items():
-        for name, _ in column.named(key, columns):
+    for key, column in found.items():
+        for name, _ in column.named(key, found):
             name_axes(group, name, column.axes)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgfmd.io import atomic
+from pgfmd.io import atomic, columns
 from pgfmd.io.dimensions import name_axes
 from pgfmd.io.schema import LIBVER, LOADS, MISSING, OBSERVABLES_FILE, Form, Groups, load_name
 from pgfmd.io.small_hdf5 import Change, revise
@@ -49,8 +49,8 @@ class ObservablesFile:
 
 def add_columns(group: h5py.Group, completed: int, units: Mapping[str, str]) -> None:
     """Make the columns of the table of loads that are not there: an earlier version may not have written all."""
-    columns = {"load": ("1", "number of the load, counted from 0")} | LOADS
-    for name, (unit, description) in columns.items():
+    wanted = {"load": ("1", "number of the load, counted from 0")} | LOADS
+    for name, (unit, description) in wanted.items():
         if name not in group:
             kind, missing = (np.int64, MISSING) if name in ("load", "iterations") else (np.float64, np.nan)
             column = group.create_dataset(name, (completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing)
@@ -65,11 +65,7 @@ def add_row(group: h5py.Group, index: int, row: Mapping[str, float]) -> None:
     unknown = row.keys() - LOADS.keys()
     if unknown:
         raise ValueError(f"not in schema.LOADS: {', '.join(sorted(unknown))}")
-    for name, value in {"load": index, **dict.fromkeys(LOADS), **row}.items():
-        column = group[name]
-        column.resize((max(index + 1, len(column)),))
-        if value is not None:
-            column[index] = value
+    columns.put(group, index, {"load": index, **dict.fromkeys(LOADS), **row})
 
 
 def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.Group:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ import h5py
 import numpy as np
 
 from pgfmd.errors import InputError
+from pgfmd.io import columns
 from pgfmd.io.atomic import holder
 from pgfmd.io.formats import modern
 from pgfmd.io.schema import (
@@ -70,10 +72,8 @@ class Results:
             self.phases = (
                 {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
             )
-            loads = file["loads"]
-            columns = {name: loads[name] for name in LOADS if name in loads}
-            self.loads = {name: _known(column[:]) for name, column in columns.items()}
-            self.units = {name: column.attrs["units"] for name, column in columns.items()}
+            found = columns.get(file["loads"], LOADS)
+            self.loads = {name: _known(values) for name, values in found.items()}
 
     def __len__(self) -> int:
         """Number of completed loads."""
@@ -97,6 +97,12 @@ class Results:
         import pandas
 
         return pandas.DataFrame([load.numbers for load in self]).rename_axis("load")
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """Unit of each column of `loads`."""
+        with self._open(OBSERVABLES_FILE) as file:
+            return {name: file["loads"][name].attrs["units"] for name in self.loads}
 
     @property
     def status(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -121,7 +122,7 @@ def _run_seeds(
 ) -> tuple[Failures, Stopped | NoProgress | None]:
     """Run the seeds, in groups of ranks; which of them failed, and why the run was stopped, if it was.  Collective."""
     failed: Failures = {}
-    written: list[Path] = []
+    synced: list[Future[None]] = []
     seeds = job.surface.seeds
     stopped: Stopped | NoProgress | None = None
     own = comm.rank * groups // comm.size  # the number of this rank's group
@@ -129,6 +130,7 @@ def _run_seeds(
     with (
         _quiet(group),
         Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
+        ThreadPoolExecutor(1) as disk,  # it takes a folder while the next surface is solved
     ):
         comm.Barrier()  # from here on a file that asks to stop is meant for this run
         for position in range(own, len(seeds), groups):
@@ -142,7 +144,8 @@ def _run_seeds(
                 anew = mode == "overwrite" or there == "stale"
                 goes_on = mode == "restart" and not anew
                 simulate(member, group, folder, overwrite=anew, restart=goes_on, interruptions=interruptions)
-                written.append(folder)
+                if group.rank == 0:
+                    synced.append(disk.submit(sync_files, folder))
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
             except (Stopped, NoProgress) as reason:
@@ -154,9 +157,8 @@ def _run_seeds(
                 failed[seed] = error
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds), error)
     with raise_together(comm):
-        if group.rank == 0:
-            for folder in written:  # all at once: a disk syncs many small files in little more time than one
-                sync_files(folder)
+        for each in synced:
+            each.result()
     found = comm.allgather((failed, stopped))
     if comm.rank == 0:
         interruptions.batch_stop_file.unlink(missing_ok=True)
