@@ -223,7 +223,7 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
         file.attrs.update(status=status, failed=json.dumps(failed))
 
     def add_means(file: h5py.File) -> None:
-        runs = [_LoadsOnly(folder) for folder in folders(directory)]
+        runs: list[Results] = [_LoadsOnly(folder) for folder in folders(directory)]
         _put(file.create_group("loads"), mean_loads(runs))
         count = file["loads"].create_dataset("seeds", data=solved_runs(runs))
         count.attrs.update(description=COUNT, units="1")
