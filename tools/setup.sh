@@ -179,6 +179,7 @@ print(*(name for name in names if not name.startswith(compiled)), sep="\n")' "$r
     rm -rf "$folder"/downloading.*
     staging=$(mktemp -d "$folder/downloading.XXXXXX")
     pip download -q --no-cache-dir --only-binary :all: --dest "$staging" "${names[@]}" >>"$log" 2>&1 </dev/null || return
+    [ -z "$hdf5" ] || rm -f "$staging"/h5py-*.whl # other packages ask for it, and pip would take this one
     mv -f "$staging"/*.whl "$folder/"
     rmdir "$staging"
     touch "$mark"
