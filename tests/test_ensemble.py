@@ -256,6 +256,16 @@ def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeyp
         pgfmd.run(JOB, shared_tmp_path / "small", comm=comm)
 
 
+def test_too_many_ranks_are_told_of_in_a_check(comm, tmp_path, capsys):
+    """An ensemble takes a rank for each row of each surface, not more; the line names rows and surfaces."""
+    from pgfmd.cli import main
+
+    (tmp_path / "job.toml").write_text(tables_as_toml(JOB))
+    assert main(["check", str(tmp_path / "job.toml"), "--ranks", "160"]) == 0
+    assert main(["check", str(tmp_path / "job.toml"), "--ranks", "161"]) == 2
+    assert comm.rank or "the 32 rows of the grid, of each of 5 surfaces" in capsys.readouterr().err
+
+
 def test_a_disk_that_fails_at_the_end_ends_all_ranks(comm, shared_tmp_path, monkeypatch):
     """Files of the seeds are synced by one rank of each group: if one cannot, all ranks say so, and none waits."""
     from pgfmd.operation import ensemble

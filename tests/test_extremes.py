@@ -54,3 +54,15 @@ def test_the_judge_sees_what_is_wrong(extremes, monkeypatch, change, verdict):
     found, _, _, right = extremes.judge(case, 1e-6)
     assert not right
     assert any(word in found for word in verdict.split("|"))
+
+
+def test_a_refusal_is_right_only_where_it_is_expected(extremes, monkeypatch):
+    """A case that ought to be solved is wrong if it is refused, in however clear a line."""
+    by_name = {case.name: case for case in extremes.cases()}
+
+    def refused(*_):
+        raise extremes.InputError("nothing is solved here")
+
+    monkeypatch.setattr(extremes, "solve_contact", refused)
+    assert not extremes.judge(by_name["load 1e-1 E'g"], 1e-6)[3]
+    assert extremes.judge(by_name["no load, exponential"], 1e-6)[3]
