@@ -252,3 +252,28 @@ def test_areas_below_first_contact_are_not_reachable(comm):
         assert counted.solves == 0
         found = counted.solution(1.5 * least if least < 0.1 else 0.3)
         assert grid.reduction.sum(found.pressure > 0) / grid.size >= least
+
+
+def test_heights_far_from_zero_keep_their_mean_gap(comm):
+    """Heights of 7e9 rms heights above 0, and the same without that constant, which is subtracted without rounding: at
+    a mean gap that is met to 1e-7 the mean pressures agree, though the mean of the heights is known to 1e-6 only.
+    """
+    grid = SlabGrid(comm, (14, 13))
+    heights = (np.random.default_rng(4).standard_normal(grid.shape) + 7.3e9)[grid.rows]
+    found = []
+    for surface in (heights, heights - 7.3e9):
+        problem = ContactProblem(grid, surface, Elasticity(1.0), HardWall())
+        control = LoadControl(Load(mean_gap=(0.3,), gap_tolerance=1e-7), problem, 1e-14)
+        found.append(control.solution(0.3))
+        assert found[-1].mean_gap == pytest.approx(0.3, rel=1e-7)
+    assert found[1].mean_pressure == pytest.approx(found[0].mean_pressure, rel=1e-6)
+
+
+def test_a_flat_surface_is_flat_whatever_its_height(comm):
+    """Heights of 1.689… everywhere, whose mean rounds to another number, are no roughness of 2e-16."""
+    grid = SlabGrid(comm, (4, 3))
+    problem = ContactProblem(
+        grid, np.full(grid.local_shape, 1.6893293747974671), Elasticity(1.0), ExponentialWall(zeta=1.0)
+    )
+    with pytest.raises(InputError, match="flat"):
+        LoadControl(Load(displacement=(1.0,)), problem).check_targets([1.0])

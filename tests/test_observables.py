@@ -489,6 +489,19 @@ def test_no_contact_has_a_negative_area(comm):
     assert area.pixels == 1 and 0 < area.corrected <= area.fraction and area.perimeter > 0
 
 
+def test_cross_spectra_in_any_units(comm):
+    """Lengths × 1e-90 and pressures × 1e80, whose squares have a ratio beyond the range of doubles: the same sums over
+    the bins, in these units, of contacts solved to 1e-12."""
+    found = []
+    for length, pressure in ((1.0, 1.0), (1e-90, 1e80)):
+        grid = SlabGrid(comm, (16, 12), (16 * length, 12 * length))
+        heights = np.random.default_rng(3).standard_normal(grid.shape)[grid.rows] * length
+        problem = ContactProblem(grid, heights, Elasticity(pressure), HardWall(), 0.05 * pressure)
+        contact = Observer(problem, asked(["spectra"])).contact(solve_hard_wall(problem, 1e-12))
+        found.append(contact.cross_power / pressure / length)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-4 * np.abs(found[0]).max())
+
+
 def test_no_patch_has_a_negative_area(comm):
     """Lines around single pixels close to other patches enclosed less than nothing: such patches have the area and the
     perimeter of their pixels, which are more than the lines give.

@@ -83,7 +83,7 @@ class SolvedContact:
         α makes both fields equally large, so that the difference loses few digits.
         """
         stress, height = self.stress.power, self.surface.correlations.power
-        alpha = math.sqrt(stress[1:].sum() / (height[1:].sum() or math.inf))
+        alpha = math.sqrt(stress[1:].sum()) / (math.sqrt(height[1:].sum()) or math.inf)
         if alpha == 0:
             return np.zeros_like(stress)
         heights, pressure = self.surface.heights, self.solution.pressure
@@ -92,7 +92,8 @@ class SolvedContact:
             np.multiply(heights[first:stop], alpha, out=rows)
             rows += pressure[first:stop]
 
-        return (correlate(self.grid, weighted_sum, self.surface.modes).power - stress - alpha**2 * height) / (2 * alpha)
+        both = correlate(self.grid, weighted_sum, self.surface.modes).power
+        return (both - stress - alpha * (alpha * height)) / (2 * alpha)
 
     def labels(self, connectivity: int) -> Labels:
         """The contact patches for that connectivity (4 or 8); found on the first call for it."""

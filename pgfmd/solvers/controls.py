@@ -31,10 +31,13 @@ class Control:
     def __init__(self, problem: ContactProblem, load: Load):
         self.problem, self.options, self.grid = problem, load, problem.grid
         heights, reduce = problem.heights, problem.grid.reduction
-        mean = reduce.sum(heights) / self.grid.size
         self.top = reduce.max(heights)
-        self.summit = self.top - mean
-        self.rms_height = math.sqrt(reduce.sum((heights - mean) ** 2) / self.grid.size)
+        # Depths below the highest point keep their digits, however far from 0 heights are; their squares may underflow.
+        self.summit = reduce.sum(self.top - heights) / self.grid.size
+        size = self.top - reduce.min(heights) or 1.0
+        self.rms_height = size * math.sqrt(
+            reduce.sum(((self.top - heights - self.summit) / size) ** 2) / self.grid.size
+        )
         stiffness = problem.solid.mean_stiffness()
         self.mean_compliance = 1 / stiffness if stiffness > 0 else 0.0
 
@@ -88,13 +91,14 @@ class Control:
     def stress(self) -> float:
         """Rms of the stress of full contact, Kh (Persson's s).  Collective."""
         grid, stiffness, parts = self.grid, self.problem.solid.stiffness, dict[int, float]()
+        stiffest, height = float(stiffness(np.array(math.hypot(*(math.pi / a for a in grid.spacing))))), self.rms_height
 
         def measure(block: np.ndarray, first: int, stop: int) -> None:
-            stress = np.abs(block) * stiffness(np.sqrt(grid.q_squared(first, stop)))
+            stress = np.abs(block) / height * (stiffness(np.sqrt(grid.q_squared(first, stop))) / stiffest)
             parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
 
         grid.read_spectrum(source(self.problem.heights), measure)
-        return math.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)])) / grid.size
+        return height * stiffest * math.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)])) / grid.size
 
 
 class Pressure(Control):

@@ -20,6 +20,7 @@ LARGEST = 1e120  # of heights over the grid spacing, of pressures over the conta
 STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
 UNIFORM = 1e15  # range of a law over the rms height above which a pressure in double precision is uniform
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
+SUMS = 1e-12  # relative error of sums over the grid that a certified error is made of
 BEYOND = 1.01  # factor on the depth that can touch, so that points that may just touch are not raised
 UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
 
@@ -118,13 +119,14 @@ class Dimensionless:
             )
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
         lowered, work = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
+        lost = work / (2 * energy * units.pressure * units.height) if work else 0.0
         return ContactSolution(
             pressure=pressure,
             gap=gap,
             mean_pressure=self.physical.mean_pressure,
             mean_gap=units.offset - level * units.height + lowered,
             elastic_energy=energy * units.pressure * units.height,
-            certified_error=error + (work / (2 * energy * units.pressure * units.height) if work else 0.0),
+            certified_error=(1 + SUMS) * (error + lost),
             max_violation=violation * (units.height / self._heights.rms),
             iterations=state.iterations,
             transforms=grid.transforms - self._transforms + coarse_transforms,
