@@ -9,6 +9,8 @@ from collections.abc import Iterable, Mapping
 import h5py
 import numpy as np
 
+from pgfmd.io.schema import MISSING
+
 
 def put(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
     """Write entry `index` of the columns that `row` names, which become as long as that; None leaves the fill value."""
@@ -23,11 +25,15 @@ def put(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
 
 
 def get(group: h5py.Group, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """The columns of those names that are there, whole."""
+    """The columns of those names that are there, whole; NaN also for whole numbers that are missing, those of loads that
+    were not solved.
+    """
     found = {}
     for name in names:
         if group.id.links.exists(name.encode()):
             column = h5py.h5d.open(group.id, name.encode())
-            found[name] = np.empty(column.shape, column.dtype)
-            column.read(h5py.h5s.ALL, h5py.h5s.ALL, found[name])
+            values = np.empty(column.shape, column.dtype)
+            column.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+            missing = values == MISSING
+            found[name] = np.where(missing, np.nan, values) if values.dtype.kind == "i" and missing.any() else values
     return found

@@ -22,7 +22,6 @@ from pgfmd.io.schema import (
     FIELDS_FOLDER,
     FORMAT_VERSION,
     LOADS,
-    MISSING,
     OBSERVABLES_FILE,
     load_name,
 )  # fmt: skip
@@ -72,8 +71,7 @@ class Results:
             self.phases = (
                 {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
             )
-            found = columns.get(file["loads"], LOADS)
-            self.loads = {name: _known(values) for name, values in found.items()}
+            self.loads = columns.get(file["loads"], LOADS)
 
     def __len__(self) -> int:
         """Number of completed loads."""
@@ -257,12 +255,6 @@ class Runs:
 
         names = [run.directory.name for run in self.runs]
         return pandas.concat([run.to_dataframe() for run in self.runs], keys=names, names=["run"])
-
-
-def _known(column: np.ndarray) -> np.ndarray:
-    """A column with NaN for whole numbers that are missing, too: those of loads that were not solved."""
-    missing = column == MISSING
-    return np.where(missing, np.nan, column) if column.dtype.kind == "i" and missing.any() else column
 
 
 def _plain(value: Any) -> Any:
