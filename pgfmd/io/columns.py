@@ -25,8 +25,8 @@ def put(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
 
 
 def get(group: h5py.Group, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """The columns of those names that are there, whole; NaN also for whole numbers that are missing, those of loads that
-    were not solved.
+    """The columns of those names that are there, whole.  Whole numbers that are missing, those of loads that were not
+    solved, are NaN, too.
     """
     found = {}
     for name in names:
