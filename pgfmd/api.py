@@ -216,13 +216,11 @@ def _law(wall: ContactLaw | Mapping[str, Any] | None, zeta: float | None) -> Con
 
 def _contacts(control: LoadControl, targets: Sequence[float]) -> Generator[Contact, None, None]:
     """The contacts at the targets, one after another.  Collective."""
-    try:
+    with control.grid.freed():
         for target in targets:
             found = control.solution(target)
             problem = control.problem.at(found.mean_pressure)
             yield Contact(**vars(found), problem=problem, displacement=control.displacement(found))
-    finally:
-        control.grid.free()
 
 
 def _solve(
@@ -262,10 +260,8 @@ def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None)
         job = {"load": {"pressure": 1.0}} | dict(job)
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
-    try:
+    with grid.freed():
         return job.surface.heights(grid, job.output.length_unit)
-    finally:
-        grid.free()
 
 
 def run(

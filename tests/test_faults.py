@@ -87,6 +87,30 @@ def test_failure_on_one_rank_ends_all(tmp_path, where):
     assert Results(tmp_path / "out").status in ("failed", "interrupted")
 
 
+FAULTY_SOLVE = """
+import numpy as np, pgfmd
+from mpi4py.MPI import COMM_WORLD as comm
+from pgfmd.grid.transforms import Transform
+original = Transform.rows_forward
+def failing(self, fill):
+    if comm.rank == 1:
+        raise MemoryError("the last straw")
+    original(self, fill)
+Transform.rows_forward = failing
+heights = np.cos(2 * np.pi * np.arange(320) / 320)[:, None] + np.zeros(320)
+pgfmd.solve(np.split(heights, 2)[comm.rank], 0.1, comm=comm)
+"""
+
+
+def test_failure_on_one_rank_ends_a_script(mpirun, tmp_path):
+    """An exception of one rank in `pgfmd.solve` leaves it there, without waiting for the others, so that
+    `python -m mpi4py` ends them all.
+    """
+    (tmp_path / "script.py").write_text(FAULTY_SOLVE)
+    run = mpirun(2, tmp_path / "script.py", timeout=120)
+    assert run.returncode != 0 and "the last straw" in run.stderr
+
+
 def test_lost_folder(tmp_path):
     """The output folder is removed during the run: an error that names it, no hang."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=[1e-3 + 1e-6 * n for n in range(1000)])

@@ -10,7 +10,8 @@ DFT convention: `forward` is the plain sum over points, `backward` carries 1/(nx
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -20,7 +21,7 @@ from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
-from pgfmd.parallel.collectives import Reduction, slab, slab_starts
+from pgfmd.parallel.collectives import TOGETHER, Reduction, slab, slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads, threads_per_rank
@@ -196,6 +197,20 @@ class SlabGrid:
             exchange.fetch(self.around(margin), field, rows)
         exchange.carry_out()
         return found
+
+    @contextmanager
+    def freed(self) -> Iterator[None]:
+        """Frees the memory of the transforms after a block, also after an error that all ranks raise.  Collective.
+
+        After any other error it does not: the ranks that have none would not come.
+        """
+        try:
+            yield
+        except BaseException as error:
+            if self.comm.size == 1 or isinstance(error, (*TOGETHER, GeneratorExit)):
+                self.free()
+            raise
+        self.free()
 
     def free(self) -> None:
         """Free the memory of the transforms; the next use allocates it again.  Collective."""

@@ -8,9 +8,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.holders import LEAST_ROWS, holders
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.collectives import TOGETHER
 from pgfmd.parallel.layout import Layout, Range, RowWindow
 from pgfmd.parallel.teams import team_of
 
@@ -59,8 +59,8 @@ class SubGrid:
         """`work(grid)` on the ranks that hold the grid; the others receive what `without_rows` makes of the value of
         rank 0.  Collective.
 
-        InputError and SolverError, which those that hold it raise together, are raised on all ranks; any other error at
-        once by the rank that has it, since the others may wait for it in `work`.
+        Errors that those that hold it raise together (`TOGETHER`) are raised on all ranks; any other at once by the
+        rank that has it, since the others may wait for it in `work`.
         """
         if self.grid is not None and self.grid.comm.size == self.comm.size:
             return work(self.grid)
@@ -70,7 +70,7 @@ class SubGrid:
             try:
                 value = work(self.grid)
             except Exception as error:
-                if self.grid.comm.size > 1 and not isinstance(error, (InputError, SolverError)):
+                if self.grid.comm.size > 1 and not isinstance(error, TOGETHER):
                     raise
                 failure = error
         sent = None if value is None else without_rows(value), failure

@@ -17,6 +17,9 @@ from pgfmd.parallel.mpi import MPI
 
 T = TypeVar("T")
 
+TOGETHER = (InputError, SolverError)
+"""Errors that all ranks raise together; any other may be of one rank alone."""
+
 
 def slab(count: int, size: int, rank: int) -> slice:
     """Rows of `rank` when `count` rows (or columns) are split over `size` ranks: the remainder goes to the first ranks,
