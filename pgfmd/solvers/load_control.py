@@ -97,10 +97,11 @@ class LoadControl:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
         control, tolerance = self.control, max(LOOSE, self.tolerance)
         sharpest = min(self.tolerance, SHARP) if control.jumps else self.tolerance
-        search = _Search(self._first_guess(target), math.log(self.problem.law.highest))
+        highest = self.problem.law.highest
+        search = _Search(self._first_guess(target), math.log(highest))
         best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
-            found = self._tried(math.exp(search.at), tolerance, target)
+            found = self._tried(min(math.exp(search.at), math.nextafter(highest, 0.0)), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
                 if control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
