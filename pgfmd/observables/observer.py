@@ -57,7 +57,7 @@ class Observer:
         lags = lag_rings(grid, acf.edges(cell)) if isinstance(acf, Acf) else None
         self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
         options = Solver(method=problem.law.methods[0], tolerance=LOWPASS_TOLERANCE)
-        self._solver = solve or partial(solve_contact, options=options, overwrite_heights=True)
+        self._given_solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable
 
     def contact(self, solution: ContactSolution) -> SolvedContact:
@@ -69,7 +69,7 @@ class Observer:
         Collective.
         """
         try:
-            return self._solver(problem, **options)
+            return self._given_solve(problem, **options)
         except (InputError, SolverError) as failure:
             if self.problem.grid.comm.rank == 0:
                 log.warning("an observable lacks a contact that it asks for: %s", failure)

@@ -4,7 +4,8 @@ A field has shape (nx, ny) on a cell of lengths (lx, ly).  Its Fourier coefficie
 N = nx·ny, so that Σ_q |f̃|² is the mean square of the field: this is the normalisation of every spectrum in this
 package and in the result files.  Half spectra have shape (nx, ny//2+1), ky ≥ 0.
 
-Sums take blocks of modes or of points, in any layout, and may be added up over blocks and over ranks.
+`bin_edges` and `lag_edges` make bins of a given width; `wave_number_bins` and `lag_bins` those that the keys of a job
+ask for.  Sums take blocks of modes or of points, in any layout, and may be added up over blocks and over ranks.
 """
 
 from __future__ import annotations
