@@ -57,8 +57,7 @@ class ResultWriter:
     comm : communicator; directory : the folder, made if missing; origin : what is written about the run;  form : the
     form of its files
     mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
-    patience : seconds for which changes of observables.h5 are gathered, since short runs would spend their time on it;
-    they then also leave it to the caller to sync the folder
+    patience : as of `ObservablesFile`, for runs so short that writing it after each load would take most of their time
 
     Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
     written, is in use, or holds results or files that are not to be replaced.
@@ -82,7 +81,7 @@ class ResultWriter:
         self._lock: atomic.OutputFolder | None = None
         self.earlier, self.replacing, folder = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
-        self._written = self.earlier.fields.keys() - self.earlier.damaged
+        self._written = self.earlier.fields.keys() - self.earlier.damaged  # names of loads, all files of which are good
         self._provenance = cache(self._gather)
         self._observables = ObservablesFile(self.directory, form, patience)
         self._fields = FieldFiles(comm, self.directory, folder, form, self._provenance)

@@ -143,7 +143,7 @@ class Exchange:
         for rank, parts in self._sent.items():
             whole = _one_message(parts)
             if whole is not None and len(parts) > 1:
-                _scatter(whole, parts, True)
+                _copy_parts(whole, parts, join=True)
             for rows in parts if whole is None else [whole]:
                 if rows.size:
                     self.requests.append(self.comm.Isend(_items(rows), rank))
@@ -152,7 +152,7 @@ class Exchange:
         """Waits until all has come and gone."""
         MPI.Request.Waitall(self.requests)
         for whole, parts in self._joined:
-            _scatter(whole, parts, False)
+            _copy_parts(whole, parts, join=False)
 
     def carry_out(self) -> None:
         """Sends what was added, and waits."""
@@ -242,13 +242,13 @@ def _one_message(parts: list[np.ndarray]) -> np.ndarray | None:
     return np.empty(size, np.uint8) if size <= JOINED else None
 
 
-def _scatter(whole: np.ndarray, parts: list[np.ndarray], gather: bool) -> None:
-    """The parts from the bytes in which they follow one another, or these from the parts."""
+def _copy_parts(whole: np.ndarray, parts: list[np.ndarray], join: bool) -> None:
+    """Copies the parts into the bytes `whole`, one after the other; without `join` back from there."""
     at = 0
     for part in parts:
         raw, here = part.reshape(-1).view(np.uint8), whole[at : at + part.nbytes]
         at += part.nbytes
-        if gather:
+        if join:
             here[:] = raw
         else:
             raw[:] = here

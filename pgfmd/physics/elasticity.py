@@ -150,8 +150,8 @@ def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], 
 
 
 def _with_tail(far: np.ndarray, t: np.ndarray, e: np.ndarray, order: int) -> np.ndarray:
-    """`far`, but where t < `SERIES` e times the series x^n/n! + x^(n+2)/(n+2)! + …, x = 2t, from n = `order` on: what
-    sinh x (order 3) or cosh x (order 4) has beyond its first two terms.
+    """`far`; but where t < `SERIES`, e times x^n/n! + x^(n+2)/(n+2)! + … with x = 2t and n = `order`: sinh x − x for
+    order 3, cosh x − 1 − x²/2 for order 4.
     """
     found, near = np.atleast_1d(far), np.atleast_1d(t < SERIES)
     x = 2 * np.atleast_1d(t)[near]
