@@ -71,8 +71,8 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases, alone = _Phases(), interruptions is None
+    memory = from_root(comm, estimate, job, comm.size).memory  # may read the surface's table
     if alone:
-        memory = from_root(comm, estimate, job, comm.size).memory  # may read the surface's table
         machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     output = job.output
@@ -93,8 +93,7 @@ def simulate(
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
-        if alone:
-            machine.report(comm, memory)  # only now: after a wrong input the error is the only line
+        machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         observer = Observer(problem, job.output.asked, cutoff)

@@ -225,7 +225,8 @@ def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: i
         sheet.panels[2].text(0.5, 0.5, "no self-affine surface", transform=sheet.panels[2].transAxes, ha="center")
         return
     hursts = np.array([group.hurst for group, _ in with_hurst])
-    sheet.curve(2, [hursts.min(), hursts.max()], [1 + hursts.min(), 1 + hursts.max()], "$1 + H$", color=GREY)
+    ends = np.array([max(hursts.min() - 0.05, 0.0), min(hursts.max() + 0.05, 1.0)])  # also of a single H
+    sheet.curve(2, ends, 1 + ends, "$1 + H$", color=GREY)
     sizes = sorted({max(group.results.shape) for group, _ in with_hurst})
     for number, size in enumerate(sizes):
         chosen = [(group, sheet.findings[name]) for group, name in with_hurst

@@ -109,6 +109,8 @@ def _show(sheet: Sheet, panel: int, load: Load, values: np.ndarray, label: str |
     if label is not None:
         bar = axes.figure.colorbar(image, ax=axes, label=label, orientation="horizontal", pad=0.02, shrink=0.9)
         bar.ax.tick_params(which="both", top=False)
+        if "norm" not in style or style["norm"] is None:
+            bar.ax.locator_params(nbins=4)  # numbers of four digits would touch
 
 
 def draw_surface(sheet: Sheet, panel: int, load: Load):
