@@ -24,7 +24,7 @@ def test_points_are_divided_and_contact_is_not():
     """Without messages and without what a call costs, a grid on P ranks takes 1/P of its time on one, but for contact,
     which takes as many times more as its fullest slab has.
     """
-    known = Parts((COSTS, COSTS), 0.0, [NONE], 0.0, {1: 1.0, 16: 3.0})
+    known = Parts((COSTS, COSTS), 0.0, [NONE], 0.0, {1: 1.0, 16: 3.0}, {256: 1.0})
     one, many = model(1024, 1, known, FREE), model(1024, 16, known, FREE)
     assert one["transforms"] == pytest.approx(1024**2 * 1e-9) == one["contact"]
     assert many["transforms"] == pytest.approx(one["transforms"] / 16)
@@ -35,7 +35,7 @@ def test_points_are_divided_and_contact_is_not():
 def test_ranks_take_turns_on_cores():
     """Sixteen ranks on four cores: points take a quarter of the time of one rank, what a call costs four times that."""
     costs = {phase: (1e-3, 1e-9) for phase in COMPUTED}
-    known = Parts((costs, costs), 0.0, [NONE], 0.0, {1: 1.0})
+    known = Parts((costs, costs), 0.0, [NONE], 0.0, {1: 1.0}, {256: 1.0})
     here = FREE._replace(cores=4, costs=(0.0, 0.0))
     one, many = model(512, 1, known, here), model(512, 16, known, here)
     assert many["transforms"] == pytest.approx(one["transforms"] / 4)
@@ -48,7 +48,8 @@ def test_messages_are_counted():
     the port that the ranks of a node share.
     """
     nothing = {phase: (0.0, 0.0) for phase in COMPUTED}
-    known = Parts((nothing, nothing), 0.0, [{"all-to-alls": 3, "reductions": 5, "halos": 7}], 18.0, {1: 1.0})
+    counts = {"all-to-alls": 3, "reductions": 5, "halos": 7}
+    known = Parts((nothing, nothing), 0.0, [counts], 18.0, {1: 1.0}, {256: 1.0})
     machine = Machine("two nodes", 4, 1e9, 1e-3, 0.0)
     found = model(256, 8, known, machine)
     assert found["latency"] == pytest.approx(1e-3 * (5 * 2 + 7 * 2))

@@ -28,14 +28,14 @@ SLABS = (2, 4, 8, 16, 32, 64, 128, 256, 512)  # among which contact is counted
 
 
 class Clock:
-    """Seconds and counts of a run by (level, phase).  Level 0 is the grid, 1 the next coarser one, and so on; a phase
-    is what runs innermost of the methods that are watched, else "other".
+    """Processor seconds and counts of a run by (level, phase).  Level 0 is the grid, 1 the next coarser one, and so on;
+    a phase is what runs innermost of the methods that are watched, else "other".
     """
 
     def __init__(self) -> None:
         self.seconds: defaultdict[tuple[int, str], float] = defaultdict(float)
         self.counts: defaultdict[tuple[int, str], int] = defaultdict(int)
-        self.level, self.phase, self.last = 0, "other", time.perf_counter()
+        self.level, self.phase, self.last = 0, "other", time.process_time()
 
     def watch(
         self, kind: type, names: tuple[str, ...], phase: str | None, count: Callable[..., int] = lambda *_: 0
@@ -61,7 +61,7 @@ class Clock:
         return timed
 
     def _turn(self) -> None:
-        now = time.perf_counter()
+        now = time.process_time()
         self.seconds[max(self.level, 0), self.phase] += now - self.last
         self.last = now
 
@@ -69,7 +69,7 @@ class Clock:
         """Forgets what was before."""
         self.seconds.clear()
         self.counts.clear()
-        self.level, self.last = -1, time.perf_counter()
+        self.level, self.last = -1, time.process_time()
 
 
 def problem_of(comm, n: int, shared: bool = True):
@@ -124,6 +124,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
         "cores": len(os.sched_getaffinity(0)),
         "solve": time.perf_counter() - began, "transforms": solution.transforms, "iterations": solution.iterations,
         "bytes": sum(sent.counts.values()),
+        "computed": sum(value for (_, phase), value in clock.seconds.items() if phase in scaling_model.COMPUTED),
     } | costs  # fmt: skip
     for what, each in (("seconds", clock.seconds), ("count", clock.counts)):
         found |= {f"{what} {level} {phase}": value for (level, phase), value in each.items()}

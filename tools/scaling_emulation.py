@@ -63,8 +63,8 @@ def _team(comm, holders: int):
 
 
 def emulate(n: int, ranks: int) -> dict[str, float]:
-    """Nanoseconds per point of the share of rank 0, which has most, in one transform pair of n × n points (double
-    precision), and in one application of the mesh and of the blocks; on one rank, of its whole grid.
+    """Processor nanoseconds per point of the share of rank 0, which has most, in one transform pair of n × n points
+    (double precision), and in one application of the mesh and of the blocks; on one rank, of its whole grid.
     """
     RowPlan.__init__ = _planned
     sub_grid.team_of = _team
@@ -109,11 +109,11 @@ def _inner(grid: SlabGrid) -> dict[str, float]:
 
 
 def _best(work, least: int = 3) -> float:
-    """Seconds of the fastest of some repetitions."""
+    """Processor seconds of the fastest of some repetitions."""
     work()
-    best, began, count = math.inf, time.perf_counter(), 0
-    while count < least or time.perf_counter() - began < SECONDS:
-        before = time.perf_counter()
+    best, began, count = math.inf, time.process_time(), 0
+    while count < least or time.process_time() - began < SECONDS:
+        before = time.process_time()
         work()
-        best, count = min(best, time.perf_counter() - before), count + 1
+        best, count = min(best, time.process_time() - before), count + 1
     return best

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from plotting import COLOURS, PAGE, plt
+from plotting import COLOURS, GREY, PAGE, plt
 
 from pgfmd.grid.holders import holders
 
@@ -30,6 +30,7 @@ class Machine(NamedTuple):
 ASSUMED = Machine("LUMI-C, Slingshot-11", 128, 0.5 * 25e9, 2e-6, 0.5e-6)
 SMALLEST = 256  # points per side from which on a grid has a mesh and blocks; smaller ones are taken together
 COMPUTED = ("transforms", "contact", "other")
+MESSAGES = ("reductions", "halos", "all-to-alls")
 PHASES = ("transforms", "contact", "other", "coarse grids", "overhead", "all-to-alls", "latency")
 LABELS = {"other": "other loops", "overhead": "per call, whatever the size", "latency": "reductions and halos"}
 RANKS = [2**k for k in range(4, 15)]
@@ -42,7 +43,8 @@ class Parts(NamedTuple):
 
     costs[finest or coarser][phase]: seconds of a level, (whatever its size, per point); small: seconds of all levels
     smaller than `SMALLEST`; counts[level]: of a solve, by kind; bytes: sent per point of the grid; imbalance: contact
-    of the fullest slab over the mean, by number of slabs.
+    of the fullest slab over the mean, by number of slabs; longer: time of a point in transforms of rows and columns of
+    so many points, one rank's share of many, over that on one rank.
     """
 
     costs: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]]
@@ -50,6 +52,7 @@ class Parts(NamedTuple):
     counts: list[dict[str, float]]
     bytes: float
     imbalance: dict[int, float]
+    longer: dict[int, float]
 
 
 def levels_of(n: int) -> list[int]:
@@ -57,7 +60,7 @@ def levels_of(n: int) -> list[int]:
     return [n >> level for level in range(max(1, int(math.log2(n / SMALLEST)) + 1))]
 
 
-def parts_of(rows: list[dict], imbalance: dict[int, float] | None = None) -> Parts:
+def parts_of(rows: list[dict]) -> Parts:
     """The parts, from runs of one rank on several grids, and of one on several ranks that sent messages."""
     one = [row for row in rows if row.get("solve") and row["ranks"] == 1 and row["threads"] == 1]
     sent = [row for row in rows if row.get("exchanged") and row["ranks"] > 1]
@@ -67,26 +70,29 @@ def parts_of(rows: list[dict], imbalance: dict[int, float] | None = None) -> Par
     most = max(sent, key=lambda row: (row["n"], -abs(row["ranks"] - 4)))
     costs: tuple[dict, dict] = ({}, {})
     for phase in COMPUTED:
-        for which, known in enumerate(costs):
-            seen = [
-                ((row["n"] >> level) ** 2, row.get(f"seconds {level} {phase}", 0.0))
+        watched = (phase, *MESSAGES) if phase == "other" else (phase,)  # one rank sends none, but calls them
+        for which, line in enumerate(costs):
+            line[phase] = _line([
+                ((row["n"] >> level) ** 2, sum(row.get(f"seconds {level} {name}", 0.0) for name in watched))
                 for row in one for level in range(len(levels_of(row["n"]))) if bool(level) == bool(which)
-            ]  # fmt: skip
-            known[phase] = _line(seen)
+            ])  # fmt: skip
     small = [
         sum(row[name] for name in row if name.startswith("seconds ") and _level(name) >= len(levels_of(row["n"])))
         for row in one
     ]
     depth = 1 + max(_level(name) for name in most if name.startswith("count "))
     counts = [
-        {kind: most.get(f"count {level} {kind}", 0) for kind in ("all-to-alls", "reductions", "halos")}
+        {kind: most.get(f"count {level} {kind}", 0) for kind in MESSAGES}
         for level in range(depth)
     ]
     largest = max(masks, key=lambda row: row["imbalance"])
-    known = {int(name): value for name, value in largest.items() if name.isdigit()}
+    imbalance = {1: 1.0} | {int(name): value for name, value in largest.items() if name.isdigit()}
+    pairs = {(row["emulated"], row["ranks"]): row["pair"] for row in rows if "emulated" in row}
+    alone = [pair for (_, ranks), pair in pairs.items() if ranks == 1]
+    longer = {SMALLEST: 1.0} | {n: max(1.0, pair / min(alone)) for (n, ranks), pair in pairs.items() if ranks > 1}
     sent_all = most["bytes"] * most["ranks"] / (most["ranks"] - 1)  # if all went to other ranks
-    return Parts(costs, float(np.median(small)), [each for each in counts if any(each.values())],
-                 sent_all * most["ranks"] / most["n"] ** 2, imbalance or {1: 1.0} | known)  # fmt: skip
+    counts = [each for each in counts if any(each.values())]
+    return Parts(costs, float(np.median(small)), counts, sent_all * most["ranks"] / most["n"] ** 2, imbalance, longer)
 
 
 def _level(name: str) -> int:
@@ -121,6 +127,8 @@ def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[
         turns = max(1.0, count / machine.cores) if nodes == 1 else 1.0
         for phase, (fixed, each) in known.costs[level > 0].items():
             most = _at(known.imbalance, count) if phase == "contact" else 1.0
+            if phase == "transforms" and count > 1:
+                most = _at(known.longer, side)
             # Who has less waits for the fullest slab, unless its core has others to run.
             time = each * share * max(turns, most)
             phases["coarse grids" if level else phase] += time
@@ -148,10 +156,10 @@ def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[
     return phases
 
 
-def _at(imbalance: dict[int, float], slabs: int) -> float:
-    """By how much the fullest of so many slabs has more contact than the mean; beyond what was measured, the last."""
-    known = sorted(imbalance)
-    return float(np.interp(math.log2(slabs), np.log2(known), [imbalance[each] for each in known]))
+def _at(known: dict[int, float], number: int) -> float:
+    """What was measured for that number, or between two others; beyond them, the first or the last."""
+    numbers = sorted(known)
+    return float(np.interp(math.log2(number), np.log2(numbers), [known[each] for each in numbers]))
 
 
 def draw(rows: list[dict], folder: Path) -> None:
@@ -174,7 +182,7 @@ def draw(rows: list[dict], folder: Path) -> None:
         (axes[2], weak, f"{WEAK}² points per rank"),
     ):
         ranks = [row["ranks"] for row in mine]
-        for colour, name in zip(COLOURS, PHASES, strict=False):
+        for colour, name in zip((*COLOURS[:-1], GREY), PHASES, strict=True):
             axis.loglog(ranks, [max(row[name], 1e-6) for row in mine], color=colour, label=LABELS.get(name, name))
         axis.loglog(ranks, [row["total"] for row in mine], "k", lw=1.8, label="total")
         axis.set(xlabel="ranks", title=title, ylim=(1e-3, None))
@@ -182,7 +190,8 @@ def draw(rows: list[dict], folder: Path) -> None:
     figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.savefig(folder / "scaling.png")
     for row in checked:
-        print(f"{row['n']:6}² {row['ranks']:5} ranks here: {row['run']:.3g} s, model {row['model']:.3g} s")
+        print(f"{row['n']:6}² {row['ranks']:5} ranks here: {row['run']:.3g} s, model {row['model']:.3g} s; the busiest "
+              f"computes {row['computed']:.3g} s, model {row['model computed']:.3g} s")  # fmt: skip
     for row in table + weak:
         worst = max(PHASES, key=row.__getitem__)
         print(f"{row['n']:6}² {row['ranks']:5} ranks: {row['total']:8.3g} s; {worst} {row[worst] / row['total']:.0%}")
@@ -194,16 +203,22 @@ def _row(n: int, ranks: int, known: Parts) -> dict:
 
 
 def compare(rows: list[dict]) -> list[dict]:
-    """Runs of several ranks on this machine beside the model of it, in which ranks take turns on its cores."""
-    found = []
+    """Runs of several ranks on this machine beside the model of it, in which ranks take turns on its cores: seconds of
+    the run, which other programs on the machine prolong, and processor seconds of what the busiest rank computed.
+    """
+    found, known = [], parts_of(rows)
     for row in rows:
         if not row.get("solve") or row["ranks"] == 1:
             continue
-        costs = tuple(row[f"cost of {kind}"] for kind in ("reductions", "halos"))
+        costs = row["cost of reductions"], row["cost of halos"]
         here = Machine("this machine", row["cores"], math.inf, 0.0, 0.0, costs)
-        phases = model(row["n"], row["ranks"], parts_of(rows), here)
-        found.append({"n": row["n"], "ranks": row["ranks"], "exchanged": row["exchanged"], "run": row["solve"],
-                      "model": sum(phases.values())})  # fmt: skip
+        phases = model(row["n"], row["ranks"], known, here)
+        alone = model(row["n"], row["ranks"], known, here._replace(cores=row["ranks"]))
+        computed = sum(value for name, value in alone.items() if name not in ("all-to-alls", "latency"))
+        found.append({
+            "n": row["n"], "ranks": row["ranks"], "exchanged": row["exchanged"], "run": row["solve"],
+            "model": sum(phases.values()), "computed": row["computed"], "model computed": computed,
+        })  # fmt: skip
     return found
 
 
@@ -222,6 +237,8 @@ def _constants(known: Parts) -> list[dict]:
                   for kind, value in counts.items()]  # fmt: skip
     table += [{"constant": f"contact of the fullest of {slabs} slabs", "value": value, "unit": "of the mean",
                "from": here} for slabs, value in known.imbalance.items()]  # fmt: skip
+    table += [{"constant": f"transforms of {n}² on many ranks", "value": value, "unit": "of one rank's, per point",
+               "from": "emulated here"} for n, value in known.longer.items()]  # fmt: skip
     for name, unit in (("cores", "per node"), ("bandwidth", "B/s per node"), ("latency", "s"), ("step", "s")):
         table.append({"constant": name, "value": getattr(ASSUMED, name), "unit": unit, "from": assumed})
     return table
