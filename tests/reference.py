@@ -240,9 +240,10 @@ class Solved:
 
     def error_of(self, pressure: np.ndarray):
         """Energy error of another feasible pressure (nx, ny), relative to ⟨p*, Gp*⟩: J(p) − J(p*) without
-        cancellation, by Bregman's distance.  It is first scaled to bear the load beyond the rounding of its sum."""
+        cancellation, by Bregman's distance.  Under an exponential wall it is first scaled to bear the load beyond the
+        rounding of its sum, which that distance would count."""
         other = np.asarray(pressure, np.float64).astype(Real).ravel()
-        other /= other.mean()
+        other /= self.pressure if self.zeta is None else other.mean()
         d = other - 1 - self.deviation
         if self.zeta is not None:  # far from the wall the logarithm knows more digits
             d = np.where(self.x < 0.5, other - np.exp(self.logarithms), d)

@@ -115,6 +115,7 @@ def report(seed: int, first: int, count: int, log=None) -> int:
             print(f"--- seed {seed}, {found['verdict']}: {found['detail']}\n{found['minimal']}", flush=True)
         if log is not None:
             log.write(json.dumps(found) + "\n")
+            log.flush()
     print(*(f"{number:6}  {name}" for name, number in kinds.most_common()), sep="\n")
     total = ", ".join(f"{verdicts[name]} {name}" for name in VERDICTS)
     print(f"seed {seed}: {sum(verdicts.values())} jobs: {total}; {time.perf_counter() - began:.0f} s")

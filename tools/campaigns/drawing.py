@@ -31,10 +31,10 @@ def draw(seed: int, number: int) -> Case:
     if heights is not None and heights.size:
         with np.errstate(all="ignore"):
             size = float(np.std(heights) or size)
-    law = _wall(chance, size)
+    stress = modulus * size / float(min(spacing))
+    law = _wall(chance, size, stress)
     if law:
         document["wall"] = law
-    stress = modulus * size / float(min(spacing))
     document["load"] = _load(chance, stress, size, shape, law)
     document["solver"] = _solver(chance, law)
     document["output"] = _output(chance, shape, spacing)
@@ -157,9 +157,12 @@ def draw_heights(chance, shape) -> np.ndarray:
     return noise
 
 
-def _wall(chance, size: float) -> dict:
-    if chance.random() < 0.65:
-        return {} if chance.random() < 0.8 else {"kind": "hard"}
+def _wall(chance, size: float, stress: float) -> dict:
+    kind = chance.choice(["", "hard", "hardness", "exponential"], p=[0.5, 0.1, 0.1, 0.3])
+    if kind in ("", "hard"):
+        return {"kind": "hard"} if kind else {}
+    if kind == "hardness":
+        return {"kind": "hardness", "hardness": float(stress * 10 ** chance.uniform(-2, 2))}
     tail = chance.random() < 0.1
     table = {"kind": "exponential", "zeta": size * 10 ** (chance.uniform(-100, 100) if tail else chance.uniform(-4, 3))}
     if chance.random() < 0.3:

@@ -72,6 +72,8 @@ def _by_solve(case: Case, folder: Path, comm):
     ]
     options = {key: solid[key] for key in ("contact_modulus", "thickness", "base", "poisson") if key in solid}
     options |= {key: solver[key] for key in ("tolerance", "method") if key in solver}
+    if wall.get("kind") == "hardness":
+        options["wall"] = wall
     if wall.get("kind") == "exponential":
         options["zeta"] = wall["zeta"]
     heights = case.heights
