@@ -9,9 +9,11 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
 from pgfmd.job import job as config
 
 JOBS = Path(__file__).resolve().parent.parent / "jobs"
@@ -42,6 +44,12 @@ def test_values_and_defaults():
     assert job.wall.kind == "hard" and job.solid.thickness == math.inf and job.solver.tolerance == 1e-8
     assert job.output.fields == () and job.output.patches.connectivity == 8
     assert job.surface.wavelengths(job.grid) == (16.0, 64.0, 64.0)
+
+
+def test_arrays_without_axes_are_refused_in_one_line():
+    """A section made in Python says what is allowed where an array has no entries to go through."""
+    with pytest.raises(InputError, match=r"^grid\.n = ndarray: must be a whole number ≥ 1, or two"):
+        Cell(n=np.array(32))
 
 
 def test_cell_from_length_or_spacing():

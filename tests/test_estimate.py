@@ -10,6 +10,7 @@ from job_texts import rough_job
 
 from pgfmd.job import job
 from pgfmd.operation import estimate
+from pgfmd.operation.memory import readable
 
 
 def text_of(n: int, pressure: float, wall: dict, **solver) -> str:
@@ -79,6 +80,19 @@ def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     text = text_of(1024, pressure, wall, **solver)
     expected = estimate.estimate(job.parse(text), 1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
+
+
+@pytest.mark.parametrize(
+    "seconds, expected", [(1.234, "1.2 s"), (105, "100 s"), (119, "120 s"), (7000, "120 min"), (5e8, "5790 days")]
+)
+def test_times_have_no_exponent(seconds, expected):
+    """A time is a number as people write it, to two digits, days to three."""
+    assert estimate.duration(seconds) == expected
+
+
+def test_bytes_have_no_exponent():
+    """999.7 MB, to three digits, are 1000 MB."""
+    assert (readable(999.7e6), readable(1.234e9)) == ("1000 MB", "1.23 GB")
 
 
 def test_dynamics_take_longer():

@@ -9,6 +9,7 @@ import pytest
 
 import pgfmd
 from pgfmd.errors import InputError
+from pgfmd.io.results import Runs
 from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.parallel.collectives import slab
 
@@ -137,6 +138,7 @@ def test_results_can_be_iterated_joined_and_shown(results):
     assert isinstance(frame, pandas.DataFrame) and list(frame["mean_pressure"]) == [0.004, 0.02]
     assert (frame["contact_area_corrected_error"] >= 0).all()
     assert len(both.to_dataframe()) == 4
+    assert Runs([]).to_dataframe().empty
 
 
 def test_fields_have_named_axes(comm, heights, results):

@@ -169,7 +169,7 @@ class SlabGrid:
         transform.rows_backward(drain)
 
     def like(self, comm: MPI.Comm, shape: tuple[int, int], lengths: tuple[float, float]) -> SlabGrid:
-        """Another grid with the threads and transforms of this one.  Collective over `comm`."""
+        """Another grid, on the ranks of `comm`, with as many threads and the same kind of transforms as this one."""
         return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, self._shared)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
@@ -179,9 +179,9 @@ class SlabGrid:
         return self.layout.fetch(field, first, stop, self.threads)
 
     def around(self, margin: int, between: int = 0) -> RowPlan:
-        """The plan for as many rows before this rank's and after them, around the cell.  Collective at first.
+        """The plan to fetch `margin` rows before this rank's and as many after, periodic.  Collective on first use.
 
-        between: rows that an array has between the two parts.
+        between: number of rows that the target has between the two parts.
         """
         if (margin, between) not in self._around:
             first, stop = self.rows.start, self.rows.stop

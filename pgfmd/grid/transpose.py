@@ -71,10 +71,10 @@ class Strips(ABC):
         self.window = window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=MPI.Intracomm(node))
         window.Lock_all(MPI.MODE_NOCHECK)
         buffers = [window.Shared_query(rank)[0] for rank in range(node.size)]
-        places = np.array([(buffer.address, buffer.address + buffer.nbytes) for buffer in buffers])
-        first = -(-int(places.min()) // ALIGNMENT) * ALIGNMENT
-        self.flat = np.asarray(type(buffers[0]).fromaddress(first, int(places.max() - first))).view(np.uint8)
-        self.begins = -(-places[:, 0] // ALIGNMENT) * ALIGNMENT - first
+        spans = np.array([(buffer.address, buffer.address + buffer.nbytes) for buffer in buffers])
+        first = -(-int(spans.min()) // ALIGNMENT) * ALIGNMENT
+        self.flat = np.asarray(type(buffers[0]).fromaddress(first, int(spans.max() - first))).view(np.uint8)
+        self.begins = -(-spans[:, 0] // ALIGNMENT) * ALIGNMENT - first
 
     def put(self, parts: Parts, first: int, half: np.ndarray) -> None:
         """Copy the row-transformed rows `half`, the first of which is local row `first`, into their parts."""
@@ -162,12 +162,12 @@ class ExchangedStrips(Strips):
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int], node: MPI.Comm, peers: MPI.Comm) -> None:
         """node: the ranks that share memory, consecutive in `comm`, as many on each node; peers: those of the same
-        place in each node.
+        place in each node, in the order of the nodes.
         """
         super().__init__(comm, shape)
-        self.peers, self.place = peers, peers.rank
+        self.peers, self.node_number = peers, peers.rank
         self.node_starts = self.column_starts[:: node.size]
-        self.first_column = int(self.column_starts[comm.rank] - self.node_starts[self.place])
+        self.first_column = int(self.column_starts[comm.rank] - self.node_starts[self.node_number])
         sizes = [[counts * kind for counts in self._sizes(kind)] for kind in (8, 16)]
         strip, packed = (max(each) for each in zip(*sizes, strict=True))
         self._packed = strip + node.rank * packed  # bytes before this rank's packed rows
@@ -182,7 +182,7 @@ class ExchangedStrips(Strips):
         """Items of the strip of this node, and of the packed rows of one rank (those with most rows)."""
         strides, lines = self._strides(itemsize), ALIGNMENT // itemsize
         most = int(np.diff(self.row_starts).max())
-        counts = self.nx * int(strides[self.place]), most * int(strides.sum() - strides[self.place])
+        counts = self.nx * int(strides[self.node_number]), most * int(strides.sum() - strides[self.node_number])
         return -(-counts[0] // lines) * lines, -(-counts[1] // lines) * lines
 
     def _layout(self, dtype: np.dtype) -> tuple[Counts, Counts]:
@@ -190,21 +190,21 @@ class ExchangedStrips(Strips):
         strides = self._strides(dtype.itemsize)
         mine = slice(self.node.rank, self.comm.size, self.node.size)
         rows, first = np.diff(self.row_starts)[mine], self.row_starts[mine]
-        packed, strip = self.rows * strides, rows * strides[self.place]
-        packed[self.place] = strip[self.place] = 0  # they are put in their place at once
+        packed, strip = self.rows * strides, rows * strides[self.node_number]
+        packed[self.node_number] = strip[self.node_number] = 0  # `put` writes them straight into the strip
         begin = self._packed // dtype.itemsize
-        return (packed, begin + np.cumsum(packed) - packed), (strip, first * strides[self.place])
+        return (packed, begin + np.cumsum(packed) - packed), (strip, first * strides[self.node_number])
 
     def parts(self, dtype: np.dtype) -> Parts:
         """The packed rows for the other nodes, and this rank's rows of the strip."""
         offsets, strides = self._layout(dtype)[0][1], self._strides(dtype.itemsize)
-        offsets[self.place] = self.row_starts[self.comm.rank] * strides[self.place]
+        offsets[self.node_number] = self.row_starts[self.comm.rank] * strides[self.node_number]
         table = np.stack([self.node_starts[:-1], self.node_starts[1:], offsets, np.maximum(strides, 1)], axis=1)
         return Parts(_items(self.flat, dtype), table, self.rows)
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this node."""
-        stride = int(self._strides(dtype.itemsize)[self.place])
+        stride = int(self._strides(dtype.itemsize)[self.node_number])
         return _items(self.flat, dtype)[: self.nx * stride].reshape(1, self.nx, stride)
 
     def to_columns(self, dtype: np.dtype) -> None:

@@ -118,7 +118,9 @@ def add_seal(path: Path, arrays: dict[str, SealedArray]) -> None:
 
 
 def read_seal(path: Path) -> tuple[Seal | None, str | None]:
-    """The seal of a file, or what is wrong with it, its length, or the bytes outside of arrays; arrays are not read."""
+    """(seal, None) or, if the seal, the length or a byte outside of arrays is wrong, (None, what is wrong).  Arrays are
+    not read.
+    """
     total = os.path.getsize(path)
     with open(path, "rb") as file:
         file.seek(total - min(total, _FOOTER))

@@ -191,6 +191,7 @@ def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Colu
 
 
 def _column(dataset: h5py.Dataset) -> Column:
+    """An empty column for a dataset of several runs, of its shape, which `_fits` compares."""
     axes = tuple(next(iter(axis.keys())) for axis in dataset.dims if len(axis))
     about = {name: str(dataset.attrs[name]) for name in ("description", "units")}
     return Column(about, axes, dataset.is_scale, np.zeros(dataset.shape))

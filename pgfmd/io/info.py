@@ -26,8 +26,8 @@ def damage(results: Results) -> dict[Path, str]:
 
 
 def as_csv(results: Results | Runs) -> str:
-    """The table of loads, one line each after one of names, in full precision, with the errors that were measured; of
-    several runs one below the other, with the name of the folder.
+    """The table of loads as CSV in full precision: a line of names, then a line for each load, with the errors that
+    were measured.  The tables of several runs stand one below the other; their first column is the folder's name.
     """
     rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
     if isinstance(results, Runs):

@@ -253,6 +253,8 @@ class Runs:
         """The tables of loads one below the other, indexed by the name of the folder and the number of the load."""
         import pandas
 
+        if not self.runs:
+            return pandas.DataFrame()
         names = [run.directory.name for run in self.runs]
         return pandas.concat([run.to_dataframe() for run in self.runs], keys=names, names=["run"])
 

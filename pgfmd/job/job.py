@@ -102,14 +102,15 @@ def parse(
             sections[section] = build(SECTIONS[section], table)
         for section in ("grid", "surface", "load"):
             if section not in sections:
-                raise InputError(f"[{section}] is missing: it must say {MISSING[section]}")
+                raise InputError(f"[{section}] is missing: it must say {NEEDED[section]}")
         return Job(**sections, text=source)
     except InputError as error:
+        # A message begins with the key.
         at_fault = "--set" if str(error).split(" ")[0].rstrip(":") in overridden else printable(name, 400)
         raise InputError(f"{at_fault}: {error}") from None
 
 
-MISSING = {
+NEEDED = {
     "grid": "n, the points per side",
     "surface": "kind, the sort of heights",
     "load": f"one of {', '.join(CONTROLS)}",

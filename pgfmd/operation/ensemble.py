@@ -130,7 +130,7 @@ def _run_seeds(
     with (
         _quiet(group),
         Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
-        ThreadPoolExecutor(1) as disk,  # it takes a folder while the next surface is solved
+        ThreadPoolExecutor(1) as disk,  # syncs a folder while the next surface is solved
     ):
         comm.Barrier()  # from here on a file that asks to stop is meant for this run
         for position in range(own, len(seeds), groups):

@@ -83,6 +83,7 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
         return wide <= nx and BASE_BYTES + peak(largest_shares((nx, ny), narrow), bytes_per_point(job)) <= room
 
     most = min(ranks, surfaces)
+    # If nothing fits, one group takes least memory on each rank; it needs a row for each.
     return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
 
 
@@ -141,8 +142,8 @@ def report(job: Job, ranks: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in the unit that reads best."""
+    """A time in the unit that reads best, to two digits; days to three."""
     for limit, divisor, unit in ((120, 1, "s"), (7200, 60, "min"), (172800, 3600, "h")):
         if seconds < limit:
-            return f"{seconds / divisor:.2g} {unit}"
-    return f"{seconds / 86400:.3g} days"
+            return f"{float(f'{seconds / divisor:.2g}'):g} {unit}"
+    return f"{float(f'{seconds / 86400:.3g}'):g} days"

@@ -24,7 +24,7 @@ def readable(size: float) -> str:
     """A number of bytes with a decimal prefix."""
     for unit in ("B", "kB", "MB", "GB", "TB"):
         if size < 1000:
-            return f"{size:.3g} {unit}"
+            return f"{float(f'{size:.3g}'):g} {unit}"
         size /= 1000
     return f"{size:.3g} PB"
 

@@ -46,7 +46,8 @@ def seeds() -> Rule:
             return tuple(range(first, last + 1))
         return several.convert(value) if isinstance(value, (list, tuple, np.ndarray)) else one.convert(value)
 
-    return Rule('a whole number ≥ 0, or for an ensemble a list of them without repetition, or "first..last"', convert)
+    several_in_words = f'a list of them without repetition, or "first..last", at most {MOST_SEEDS} of them'
+    return Rule(f"a whole number ≥ 0, or for an ensemble {several_in_words}", convert)
 
 
 def number(
@@ -141,4 +142,6 @@ def pair(rule: Rule) -> Rule:
 
 
 def _entries(value: Any) -> list:
-    return list(value) if isinstance(value, (list, tuple, np.ndarray)) else [value]
+    """The entries of a list; any other value, also an array without axes, is the only one."""
+    several = isinstance(value, (list, tuple)) or isinstance(value, np.ndarray) and value.ndim > 0
+    return list(value) if several else [value]

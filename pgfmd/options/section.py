@@ -89,7 +89,8 @@ class Kinds:
         """The section for the keys of a table; raises InputError for a kind that is unknown or missing.
 
         Candidates are the choices of the table's kind; all choices if it names none and there is a default.  The one
-        that has most of the table's keys is taken, of equals the default; those with a needed key missing come last.
+        that has most of the table's keys is taken, of equals the one with fewest keys, then the default; those with a
+        needed key missing come last.
         """
         if "kind" in table:
             found = [choice for choice in self.choices if choice.kind == table["kind"]]

@@ -68,9 +68,9 @@ class _SharedCache(caching.FunctionCache):
         return found
 
     def _remove_outdated(self) -> None:
-        """Removes code of an older version of the source.  Numba writes the index of the new version before it replaces
-        the files that this names; who reads in between would run the old code, of other types perhaps ("can't unbox
-        array from PyObject into native value").  A file that is missing is waited for instead.
+        """Removes code of an older version of the source.  Numba writes a new index first, then the files of code that
+        it names, under the names of the old ones.  A process that reads in between would run old code, perhaps
+        for other types ("can't unbox array from PyObject into native value"); if it finds no file, it waits.
         """
         for outdated in Path(self.cache_path).glob(f"{self._impl.filename_base}.*.nbc"):
             outdated.unlink(missing_ok=True)

@@ -19,7 +19,8 @@ from pgfmd.parallel.threads import Threads
 Range = tuple[int, int]
 """Rows low … high−1 of a periodic array: they may cross its edge, and be more than a period."""
 Offsets = tuple[np.ndarray, np.ndarray]
-"""Of a source and a target of rows that differ in length, as flat arrays: where each row begins, and the end."""
+"""For rows of different lengths, one after the other in flat arrays: where each row of the source begins, and the end
+of the last; the same of the target."""
 
 Piece = tuple[int, np.ndarray]
 """First row, and the rows."""

@@ -31,7 +31,7 @@ def _once(comm: MPI.Comm, name: object, make: Callable[[], MPI.Comm | None]) -> 
 
 
 def team_of(comm: MPI.Comm, holders: int) -> MPI.Comm | None:
-    """The ranks that hold rows by `Layout.spread`, in that order; None on the others.  Collective at first."""
+    """The ranks that hold rows by `Layout.spread`, in that order; None on the others.  Collective on first use."""
     if holders == comm.size:
         return comm
     if holders == 1:
@@ -46,7 +46,7 @@ def team_of(comm: MPI.Comm, holders: int) -> MPI.Comm | None:
 
 
 def node_of(comm: MPI.Comm) -> MPI.Comm:
-    """The ranks of `comm` that share memory with this one.  Collective at first."""
+    """The ranks of `comm` that share memory with this one.  Collective on first use."""
     if comm.size == 1:
         return comm
     node = _once(comm, "node", lambda: comm.Split_type(MPI.COMM_TYPE_SHARED))
@@ -56,7 +56,7 @@ def node_of(comm: MPI.Comm) -> MPI.Comm:
 
 def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm | None:
     """The ranks that have the same place in their nodes, one of each node; None if the nodes have different numbers of
-    ranks, or the ranks of a node do not follow each other.  Collective at first.
+    ranks, or the ranks of a node do not follow each other.  Collective on first use.
     """
 
     def make() -> MPI.Comm | None:

@@ -42,8 +42,8 @@ def periodic_contact(load: Reals, tip_radius: Reals, cell: Reals, *, contact_mod
     ratio = free.radius / cell
     shift = -4 * LATTICE_SUM_1 / (3 * np.pi)
     bend = 2 * LATTICE_SUM_3 / (3 * np.pi)
-    # ⟨r²⟩ = 2a²/5 under the Hertz pressure turns the bending of one contact by another into 1/5 of `bend` in the
-    # approach.
+    # In the approach, a²/R with the radius and the curvature (1 + bend ratio³)/R that the images leave gives bend/3;
+    # the pressure of an image, which is spread over ⟨r²⟩ = 2a²/5, adds bend/5.
     return HertzContact(
         free.radius * (1 - bend / 3 * ratio**3),
         free.peak_pressure * (1 + 2 * bend / 3 * ratio**3),

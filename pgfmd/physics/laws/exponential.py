@@ -156,8 +156,9 @@ def excess(
     """residual = compliance · (p̂ − p̂⁺), where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ − (g − level); returns
     ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ).
 
-    The residual is g − level + ζ ln p̂⁺, too: so it has more digits where the compliance is large.  What rounding of the
-    two logarithms may add to the relative entropy, p (1 − e^−t) δ + p δ² at a difference t with an error δ, is counted.
+    The residual also equals g − level + ζ ln p̂⁺, which has more digits where compliance · p̂ is large.  The error that
+    rounding of the two logarithms may leave in the relative entropy, p |1 − e^−t| δ + p δ² at a difference t that is
+    right to δ, is added to it.
     """
     b = zeta / compliance
     shift = -math.log(b)
