@@ -52,7 +52,7 @@ def _plain(unit: object, load: Load) -> str:
         if re.search(rf"\b{name}\b", text) and not load.unit(name):
             return ""
         text = re.sub(rf"\b{name}\b", lambda _, name=name: load.unit(name), text)
-    return "" if text in ("1", "as asked") else text
+    return "" if text in ("1", "as asked") else text.replace("*", "·")
 
 
 def charts(loads: Sequence[Load], notes: list[str]) -> list[dict]:
