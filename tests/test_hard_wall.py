@@ -417,3 +417,20 @@ def test_heights_are_kept_unless_given_away(comm, rough):
         ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.1), 1e-10, overwrite_heights=True
     )
     assert np.array_equal(kept.pressure, given.pressure)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_one_step_sees_how_the_set_of_unknowns_changes(comm, seed):
+    """One step with the mesh's response divides ⟨r, Mr⟩ by 1000, of the 10⁴ asked for.  A linear solve that divides the
+    residual by 7 could do no better than 49, since the set of unknowns is that of another load.
+    """
+    grid = SlabGrid(comm, (256, 256))
+    heights = self_affine(grid, 0.8, 8.0, 0.031, seed)
+    start, problem = (ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), p) for p in (0.004, 0.0044))
+    found = solve_hard_wall(start, 1e-12)
+    state, solver = State(1.1 * found.pressure, found.gap.copy()), PressureSteps(problem)
+    system = solver.linearise(state, np.float32)
+    before = system.square
+    solver.improve(state, system, 1 / 7, 1e-4)
+    assert solver.linearise(state, np.float32).square < 1e-3 * before
+    solver.free()

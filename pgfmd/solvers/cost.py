@@ -13,7 +13,7 @@ from pgfmd.grid.cost import Cost
 SCALED = 8.0  # heights about their mean, over their rms value
 # Per unknown of the active set, which is the pressure of a point in contact or, where these are the majority, the gap
 # of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
-# for pressures the residual without means of blocks, tensions cut off and the response to that, with their halo (15).
+# for pressures the residual without means of blocks, columns near the contact and the change there, with halos (15).
 PER_PRESSURE, PER_GAP = 43.0, 28.0
 # The mesh of half as many points each way (strips, field, influence), means over blocks, their response (5); the rest
 # as measured.

@@ -130,7 +130,7 @@ class Relaxation:
             # The longer the error has not been halved, the more exactly the system is solved.
             wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (patience.lost / STEPS)
             before = estimate
-            self.improve(state, system, wanted)
+            self.improve(state, system, wanted, MARGIN * tolerance / max(estimate, tolerance))
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
 
     @staticmethod
@@ -164,8 +164,10 @@ class Relaxation:
     def settle(self, state: State) -> None:
         """Makes the pressure that `linearise` computed feasible, if it is not.  Collective."""
 
-    def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
-        """Reduce the residual of the system by the factor `wanted`, and make the state feasible.  Collective."""
+    def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
+        """Reduce the residual of the system by the factor `wanted`, and make the state feasible; or more, where a part
+        `enough` of `system.square` costs no full transforms.  Collective.
+        """
         raise NotImplementedError
 
     def free(self) -> None:

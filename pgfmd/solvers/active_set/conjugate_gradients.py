@@ -26,7 +26,8 @@ class ConjugateGradients:
     """S A Sᵀ x = residual for an operator A; S restricts to a set.  If `neutral`, Σ x = 0, and the equation holds up to
     a constant.
 
-    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M.
+    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M; rms,
+    of the first residual.
     """
 
     def __init__(
@@ -36,7 +37,8 @@ class ConjugateGradients:
         self.points, self.residual = residual.points, residual
         self.operator, self.preconditioner = operator, preconditioner
         self.reduction, self.threads = Reduction(self.points.grid.comm), self.points.grid.threads
-        _, total, _, count = self._sums(residual.own, residual.own, self.points.count)
+        squares, total, _, count = self._sums(residual.own, residual.own, self.points.count)
+        self.rms = math.sqrt(squares / count) if count else 0.0
         self.inverse_count = 1 / count if neutral and count else 0.0  # sum · inverse_count: the mean to subtract
         self.z, self.mean = SetVector(self.points), 0.0
         residual.own -= residual.own.dtype.type(total * self.inverse_count)

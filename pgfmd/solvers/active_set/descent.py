@@ -34,9 +34,9 @@ class Descent(PressureSteps):
     precision = np.float64
     patience, most_steps = 60, 2000
 
-    def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
+    def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """A step towards the solution for the unknowns that leave their bounds, as long as it lowers the energy enough;
-        `wanted` does not matter.  Collective.
+        `wanted` and `enough` do not matter.  Collective.
         """
         reduction, pressure, gap = self.grid.reduction, state.pressure.copy(), state.gap - state.level
         points, direction = self._direction(state)

@@ -128,7 +128,7 @@ class GapSteps(Relaxation):
         state.clipped = False
         return super().certify(state, precision)
 
-    def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
+    def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Reduce the pressure on the open set by the factor `wanted`, and make the gap feasible.  Collective."""
         if not state.clipped:  # a certificate has settled the pressure: the system is out of date
             self.clip_gap(state)

@@ -1,15 +1,18 @@
 """The active-set step whose unknowns are the pressures between their bounds.
 
 Conjugate gradients make the gap constant on these points.  Then pressures beyond a bound are cut, and points that their
-gap drives away from a bound become unknowns.
+gap drives away from a bound become unknowns.  Under a hard wall this is done two or three times with the response of
+the mesh to the changes, before the gap is computed by full transforms.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
@@ -19,6 +22,8 @@ from pgfmd.solvers.active_set.unknowns import Unknowns
 COARSE_PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
 LOOSEST = 2e-2  # largest tolerance of a coarse grid
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
+CLOSE = 1e-4  # part of the energy error that the mesh leaves, whose response is right to one per cent
+NEAR = 3.0  # points may come into contact whose gap is less than this times the rms residual: of more, none did
 
 
 class PressureSteps(Relaxation):
@@ -51,17 +56,46 @@ class PressureSteps(Relaxation):
             points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.highest)
             self.inner.near_only = self.preconditioner.near_only = True
             system = ConjugateGradients(points.below(0.0, state.gap), self.inner, self.preconditioner)
-            self.improve(state, system, 0.5)
+            self._solve(state, system, 0.5)
             self.inner.near_only = self.preconditioner.near_only = False
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
         self.compute_gap(state, precision)
+        return self._system(state)
+
+    def _system(self, state: State) -> ConjugateGradients:
+        """The system for a gap that is known.  Collective."""
         self.measure(state)
         points = Unknowns(self.grid, (state.pressure, state.gap), state.level, self.highest)
         return ConjugateGradients(points.below(state.level, state.gap), self.inner, self.preconditioner)
 
-    def improve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
+    def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
+        """Makes the gap constant on the unknowns, solving for them anew as they change: the mesh tells the response to
+        the change so far.  Collective.
+
+        Full transforms follow once `system.square` has probably fallen to the part `enough`; if that is less than
+        `CLOSE`, in equal steps.
+        """
+        part = enough ** (1 / math.ceil(math.log(max(enough, CLOSE**9), CLOSE)))
+        goal = part * system.square
+        meshed = isinstance(self.inner, MeshResponse) and self.highest == math.inf
+        wanted = max(wanted, math.sqrt(part)) if meshed else wanted
+        while meshed and wanted**2 * system.square > 1.1 * goal:
+            near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
+            square, change = system.square, near.below(0.0, state.pressure)
+            self._solve(state, system, wanted)
+            change.own -= near.below(0.0, state.pressure).own
+            response = np.empty(near.count, np.float32)
+            self.inner.apply(near, change, response)
+            near.add(state.gap, response)
+            system = self._system(state)
+            if not goal < system.square < square / 2:
+                return
+            wanted = max(math.sqrt(goal / system.square), (system.square / square) ** CUT_POWER)
+        self._solve(state, system, wanted)
+
+    def _solve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
         """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
         feasible.  Collective.
         """
