@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from reference import Contact
+from conftest import SIZE
+from reference import Contact, Solid
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
@@ -295,6 +296,24 @@ def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
         exact = Contact(heights).exponential(10.0**power, zeta)
         error = exact.error_of(grid.fetch(found.pressure, 0, grid.shape[0]))
         assert error <= found.certified_error * (1 + 1e-9) <= 1e-8 and found.iterations <= 50
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
+@pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4, 31])
+def test_newton_under_thin_plates(comm, seed):
+    """White heights of 2 × 13 to 4 × 19 under slabs with a free base, .08 to 1.2 pixels thick, which bend like plates:
+    without a descent Newton's method certified none of these.  The true error (slow reference) is within the bound."""
+    random = np.random.default_rng(seed)
+    shape = tuple(int(n) for n in (random.integers(2, 5), random.integers(8, 20)))
+    heights, thickness = random.standard_normal(shape), max(shape) * 10 ** random.uniform(-3, -0.5)
+    contact = Contact(heights, (1.0, 1.0), Solid(1.0, thickness, "free"))
+    load = float(contact.full_stress) * 10 ** random.uniform(-4, 1)
+    zeta = float(np.std(heights) * 10 ** random.uniform(-4, 1))
+    grid, solid = SlabGrid(comm, shape), Elasticity(1.0, thickness, "free")
+    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, ExponentialWall(zeta=zeta), load)
+    found = solve_contact(problem, Solver(method="newton"))
+    error = contact.exponential(load, zeta).error_of(grid.fetch(found.pressure, 0, shape[0]))
+    assert error <= found.certified_error <= 1e-8
 
 
 def test_a_start_whose_residual_vanishes_in_single_precision(comm):
