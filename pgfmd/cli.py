@@ -6,8 +6,9 @@
     python -m pgfmd info DIR
     python -m pgfmd plot [FIGURE] DIR… [--output FOLDER]
 
-Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer; 75 (EX_TEMPFAIL) if
-the run was asked to stop, and did, ready for --restart; 130 if it was interrupted at once; 1 for anything else.
+Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer, or no load gives
+what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and did, ready for --restart; 130 if it was
+interrupted twice, or where nothing could be saved; 1 for anything else.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Control:
         """Raises Unreachable for a target that no load gives.  Collective."""
 
     def met_without_load(self, target: float) -> bool:
-        """Whether the target is met at p̄ = 0."""
+        """Whether the target needs no load; the answer is then first contact, at p̄ = 0."""
         return False
 
     def guess(self, target: float) -> float:
@@ -74,7 +74,9 @@ class Control:
         return f"load.gap_tolerance = {self.options.gap_tolerance:g}"
 
     def met_to_a_pixel(self, found: ContactSolution, target: float) -> bool:
-        """Whether a value that `error` accepts is so only because one pixel is more than the tolerance.  Collective."""
+        """Whether a value that `error` accepts misses the target by more than the tolerance, though by no more than one
+        pixel.  Collective.
+        """
         return False
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:

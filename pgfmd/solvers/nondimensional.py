@@ -155,7 +155,8 @@ class Dimensionless:
 
 def elastic_energy_is_lost(problem: ContactProblem) -> bool:
     """Whether errors in the last digits of the pressure have more energy than the elastic one can be.  With heights h
-    of rms 1 and pressures p of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance times ⟨p²⟩.
+    of rms 1 and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance times ⟨p²⟩,
+    which is at most the number of points.
     """
     grid, solid = problem.grid, problem.solid
     shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
@@ -190,7 +191,7 @@ class Heights(NamedTuple):
     """Dimensionless heights (nx_local, ny) of mean 0 and rms 1, and how they were made.
 
     top: the largest dimensionless height.  unit: unit of heights, 0 for a plane.  rms, high: rms and largest value of
-    the physical heights.  depth: points more than this below `high` were raised to it; inf if none was.
+    the physical heights.  depth: points more than this below `high` were raised to that depth; inf if none was.
     """
 
     field: np.ndarray

@@ -40,7 +40,7 @@ class Solver(Section):
     )
 
     def check(self) -> None:
-        """Only dynamics count their steps."""
+        """`max_iterations` is given for dynamics only."""
         if self.max_iterations is not None and self.method != "gfmd":
             raise wrong(self, "max_iterations", 'belongs to method = "gfmd" only; the others stop by themselves')
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("pgfmd")
 
 ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
-CLIFF = 5.0  # times the rms step between neighbours: a jump between opposite edges that is none of the surface's own
+CLIFF = 5.0  # jump between opposite edges over the rms step between neighbours above which the user is warned
 SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 CHECKED = 2**21  # heights that are read at once to be checked
 MARGIN = 0.1  # part of a side that a taper changes at each edge

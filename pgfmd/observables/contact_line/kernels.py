@@ -15,7 +15,7 @@ from pgfmd.parallel.compiled import compiled
 
 _jit = compiled()
 
-# Last axis of a table, see `table.EdgeTable`.  Numba would compile what takes them once for each Python number.
+# Last axis of a table, see `table.EdgeTable`.  Not Python numbers: for each of those Numba compiles a function anew.
 OFFSET, COSINE, PLACE, INNER, OUTER = map(np.int64, range(5))
 _ROUNDS = 8  # of `locate`, at most; more of them change the area that the line adds by .1 % where λ_s = 4a
 _LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite

@@ -28,8 +28,8 @@ _RANK_BITS = 40  # a key is (rank << 40) + piece: keys are in the order of first
 _NOWHERE = np.iinfo(np.int64).max  # the key of a piece of which no pixel is seen here
 
 Answer = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Of pieces: key of their patch, (m, 2) cells to add to have them in its frame, (m, 2) whether it winds around the
-cell.
+"""For m pieces: the key of their patch (m,); the cells to add to their coordinates to have them in its frame (m, 2);
+whether it winds around the cell along x and along y (m, 2).
 """
 
 

@@ -65,7 +65,7 @@ def patch_table(
         columns |= {"load": load, "mean_pressure": load / shapes["area"], "peak_pressure": peak}
     if line is not None:
         inside = shapes["area"] + line[0]
-        none = inside <= 0  # of a pixel or two, close to other patches: as `statistics.staircase.contact_area` has it
+        none = inside <= 0  # of a pixel or two, close to other patches: as in `statistics.contact_area`
         columns |= {
             "area_corrected": np.where(none, shapes["area"], inside),
             "perimeter_corrected": np.where(none, shapes["perimeter"], line[1]),

@@ -68,7 +68,8 @@ def _areas(
 
 
 def touches_fully(problem: ContactProblem) -> bool:
-    """Whether the pressure of full contact, p̄ + Kh, is nowhere negative: then it is that of the contact.  Collective.
+    """Whether the pressure of full contact, p̄ + Kh, is nowhere negative: then all touches, under
+    a hard wall with that pressure.  Collective.
 
     One transform.  Spares the solvers a surface that is flat up to rounding, whose energy they cannot certify.
     """

@@ -165,8 +165,8 @@ class Relaxation:
         """Makes the pressure that `linearise` computed feasible, if it is not.  Collective."""
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Reduce the residual of the system by the factor `wanted`, and make the state feasible; or more, where a part
-        `enough` of `system.square` costs no full transforms.  Collective.
+        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible.  A step that needs
+        no full transforms to go on may do so, until `system.square` has fallen to the part `enough`.  Collective.
         """
         raise NotImplementedError
 

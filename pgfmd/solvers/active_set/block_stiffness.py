@@ -130,14 +130,14 @@ class Blocks:
         self.window.add()
 
     def _split_larger(self, exchange: Exchange) -> None:
-        """Splits what came of the sums, on the ranks that answer them.  Collective over these."""
+        """Hands the sums received, on the ranks that answer them, to `BlockStiffness.split`.  Collective over these."""
         assert self.stiffness is not None
         counts = None if self._counts is None else _whole(self._counts)
         self.stiffness.split(_whole(self._residuals), exchange, counts)
 
 
 def _whole(pieces: list[Piece]) -> np.ndarray:
-    """The rows of a rank from pieces, in one of which each row is."""
+    """All rows of a rank, from pieces that hold each row once."""
     if len(pieces) == 1:
         return pieces[0][1]
     return np.concatenate([rows for _, rows in sorted(pieces, key=lambda piece: piece[0])])

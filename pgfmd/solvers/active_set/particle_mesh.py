@@ -75,7 +75,7 @@ class MeshResponse:
     def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective.
 
-        The halo of `values` travels while this rank spreads to the rows of the mesh that other ranks hold.
+        One exchange brings the halo of `values` and what other ranks spread to this rank's rows of the mesh.
         """
         if self.near_only:
             self.stencil.apply(points, values.exchange(), out)
@@ -120,7 +120,7 @@ class MeshResponse:
         mesh.convolve(fill, act, drain, np.float32)
 
     def _spread(self, points: Unknowns, values: SetVector, first: int, block: np.ndarray) -> None:
-        """The rows `block` of the mesh, the first of which is row `first` of the window, from this rank's points."""
+        """Sets `block`, rows of the mesh from row `first` of the window on, to what this rank's points spread there."""
         block[...] = 0
         low = self.window.low + first
         part = np.searchsorted(self.splines[0], (low - 3, low + len(block)))
@@ -204,8 +204,8 @@ def inner_response(
 def spread_points(
     values: np.ndarray, points: Points, part: Part, splines: Splines, mesh_row: int, mesh: np.ndarray
 ) -> None:
-    """mesh[x_first[i] + s − mesh_row, y_first[k] + t] += x_weights[i, s] y_weights[k, t] values[k] for the points k of
-    the rows first ≤ i < stop and s, t < 4; rows outside `mesh` are left out, columns wrap.
+    """mesh[x_first[i] + s − mesh_row, y_first[j] + t] += x_weights[i, s] y_weights[j, t] values[k] for the points k of
+    the rows first ≤ i < stop, j = columns[k], and s, t < 4; rows outside `mesh` are left out, columns wrap.
     """
     columns, offsets = points
     first, stop = part
@@ -237,8 +237,8 @@ def spread_points(
 def add_interpolated(
     mesh: np.ndarray, mesh_row: int, points: Points, part: Part, splines: Splines, values: np.ndarray
 ) -> None:
-    """values[k] += Σ_st x_weights[i, s] y_weights[k, t] mesh[x_first[i] + s − mesh_row, y_first[k] + t] for the points
-    k of the rows first ≤ i < stop; columns wrap.
+    """values[k] += Σ_st x_weights[i, s] y_weights[j, t] mesh[x_first[i] + s − mesh_row, y_first[j] + t] for the points
+    k of the rows first ≤ i < stop, j = columns[k]; columns wrap.
     """
     columns, offsets = points
     first, stop = part

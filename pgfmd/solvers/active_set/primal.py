@@ -22,8 +22,8 @@ from pgfmd.solvers.active_set.unknowns import Unknowns
 COARSE_PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
 LOOSEST = 2e-2  # largest tolerance of a coarse grid
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
-CLOSE = 1e-4  # part of the energy error that the mesh leaves, whose response is right to one per cent
-NEAR = 3.0  # points may come into contact whose gap is less than this times the rms residual: of more, none did
+CLOSE = 1e-4  # least part of the energy error that steps by the mesh alone leave: its response is right to one per cent
+NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
 
 
 class PressureSteps(Relaxation):

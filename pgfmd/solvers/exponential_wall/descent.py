@@ -36,8 +36,9 @@ def descend(
     softer: Iterable[ContactProblem], problem: ContactProblem, state: WallState, tolerance: float,
     monitor: Callable[[WallState], None] | None,
 ) -> WallState:  # fmt: skip
-    """Solves `problem`, from a flat displacement on through the same one under softer walls.  Overwrites and returns
-    `state`.  Collective.  Raises SolverError as `Newton.relax` does.
+    """Solves `problem`: begins with a flat displacement, passes through the same problem under the `softer` walls in
+    turn, and ends under its own.  Overwrites and returns `state`.  Collective.  Raises SolverError as `Newton.relax`
+    does.
     """
     source = WallState(np.ones_like(problem.heights), -problem.heights)
     for soft in softer:
@@ -94,7 +95,7 @@ class Descent(Newton):
         promised = dot(state.pressure - source.pressure, apart)
         linear, square = dot(source.pressure, apart), dot(way, apart)
         before, step = self.free_energy(source.gap), 1.0
-        for _ in range(SHORTEST):
+        for _ in range(SHORTEST):  # gain = Φ before − Φ after, as ½⟨v, Kv⟩ = ½⟨q, Gq⟩ is quadratic in the step
             gain = before - self.free_energy(source.gap + step * apart) - step * linear - step**2 / 2 * square
             if gain >= ENOUGH * step * promised or promised <= ROUNDING * abs(before):
                 break
