@@ -11,7 +11,8 @@ s = Σ Re p̃_k* F̃_k / Σ |p̃_k|², 1 ≤ k ≤ MODES, tells how F follows th
 loads, like the mean.  Without it, at f_c = .02, ΔF̃_k is a tenth of ΔF̃_0 for the gap and three times as large for the
 energy; with it they are of one size at all loads.
 
-c is from contacts of 72 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; 16 λ_s across; λ_s = 4a … 32a),
+c is from contacts of 72 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; 16 λ_s across; λ_s = 4a … 32a, for
+area and perimeter of 24 of them from 8a),
 compared with λ_s = 64a, such that the error is large enough in nine cases of ten: `tools/discretisation.py bars` checks
 it on others.
 """
