@@ -153,7 +153,7 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
         now = complete()
         print(f"killed with {len(now)} seeds complete, exit code {code}")
         assert len(now) >= least and kept.items() <= now.items(), stderr
-        assert code == 0 or Ensemble(folder).status == "interrupted"
+        assert Ensemble(folder).status in ("interrupted", "complete")  # the kill may come when all is written
         kept = now
     ranks = chance.choice([1, 2, 3])
     code, stderr = launching.wait(launching.start(ranks, "run", job, "--output", folder, "--restart", *every), 900)
