@@ -336,7 +336,10 @@ class _Programme:
         return x, np.average(gap[room], weights=x[room])
 
     def bound(self, x: np.ndarray, level):
-        """½ ρ·Kρ / x·Ax, ρ = gap − level between the limits, what of it has the wrong sign at them (NUMERICS 2)."""
+        """½ ρ·Kρ / x·Ax, ρ = gap − level between the limits, what of it has the wrong sign at them (NUMERICS 2).  inf
+        if x does not carry the load."""
+        if abs(x.sum() - self.count) > 1e-15 * self.count:
+            return Real(math.inf)
         rest = self.A @ x - self.b - level
         rest = np.where(x <= 0, np.minimum(rest, 0), np.where(x >= self.most, np.maximum(rest, 0), rest))
         work = x @ (self.A @ x)

@@ -37,11 +37,13 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
 
 @pytest.mark.mpi
 def test_random_jobs(comm, shared_tmp_path):
-    """Each is right, to its certified error, or refused in one line; half of them are right."""
+    """Each is right, to its certified error, or refused in one line.  A third are right at least: 62 per cent
+    of 11,600 were, and fewer than a third of 40 then has a probability of 1e-4.
+    """
     count = 300 if SIZE == 1 else 40
     bad, verdicts = bad_ones(comm, shared_tmp_path, range(count))
     assert not bad, f"{verdicts}\n" + "\n".join(bad[:3])
-    assert verdicts[cases.RIGHT] > count / 2
+    assert verdicts[cases.RIGHT] > count / 3
 
 
 def test_a_job_is_the_same_whatever_was_drawn_before():

@@ -44,6 +44,7 @@ def solve_contact(
     tolerance cannot be reached.
     """
     options.check_law(problem.law)
+    problem = problem.with_law(problem.law.up_to(problem.load))  # no point bears more than all of the load
     start = _usable(problem, start)
     method = problem.law.methods[0] if options.method == "auto" else options.method
     rescued = options.method == "auto" and "gfmd" in problem.law.methods

@@ -33,6 +33,10 @@ class Hardness(HardWall):
         """σ_Y."""
         return self.hardness
 
+    def up_to(self, pressure: float) -> HardWall:
+        """The hard wall, if that pressure is not above σ_Y."""
+        return HardWall() if pressure <= self.hardness else self
+
     def in_units(self, units: Units) -> Hardness:
         """The same law with σ_Y over the unit of pressure."""
         return Hardness(hardness=self.hardness / units.pressure)

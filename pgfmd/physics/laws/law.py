@@ -57,6 +57,10 @@ class ContactLaw(Section):
         """The length over which the pressure changes with the gap; 0 for a wall that is hard."""
         return 0.0
 
+    def up_to(self, pressure: float) -> ContactLaw:
+        """A law that is the same up to that pressure, simpler if there is one."""
+        return self
+
     def gap(self, pressure: float, solid: Elasticity) -> float:
         """The gap −dφ/dp at which a point carries that pressure."""
         raise NotImplementedError

@@ -87,7 +87,8 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
     """Multiplies the pressures below `highest`, and limits them to that, so that all sum to `load`.  Collective.
 
     If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and
-    `highest`, with the level that makes the sum `load`, a projected gradient step.
+    `highest`, with the level that makes the sum `load` but for the level's rounding, a projected gradient step; then
+    they are multiplied.
     """
     pressure, gap = fields
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
@@ -97,13 +98,20 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
         total, slope = reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         return float(total) - load, float(slope)
 
-    change: Change = _root(lambda factor: excess((factor, 0.0, 0.0)), (0.0, 1.0, math.inf), close), 0.0, 0.0
-    if change[0] == math.inf:
+    def apply(change: Change) -> None:
+        threads.deal(lambda a, b: change_rows(fields, change, highest, a, b), len(gap))
+
+    def factor() -> float:
+        return _root(lambda factor: excess((factor, 0.0, 0.0)), (0.0, 1.0, math.inf), close)
+
+    if (found := factor()) == math.inf:
         low = reduction.min(gap) - reduction.max(pressure) / stiffness
         high = reduction.max(gap) + load / grid.size / stiffness
         bracket = low, (low + high) / 2, high
-        change = 0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)
-    threads.deal(lambda a, b: change_rows(fields, change, highest, a, b), len(gap))
+        apply((0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)))
+        found = factor()
+    if math.isfinite(found):  # else the points that bear `highest` are all that bear something
+        apply((found, 0.0, 0.0))
 
 
 def _root(
