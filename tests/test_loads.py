@@ -131,11 +131,16 @@ def test_the_far_side_of_a_slab_moves_by_its_own_compression_too(rough):
 
 
 def test_out_of_touch_there_is_no_load(rough):
-    """Displacements up to 0 and gaps above the summit leave a hard wall unloaded."""
+    """Displacements up to 0 and gaps above the summit leave a hard wall unloaded, and apart by what is imposed."""
     grid, heights = rough
-    summit = grid.reduction.max(heights)
-    assert Counted("displacement", grid, heights).solution(-1.0).mean_pressure == 0
-    assert Counted("mean_gap", grid, heights).solution(2 * summit).mean_pressure == 0
+    summit, mean = grid.reduction.max(heights), grid.reduction.sum(heights) / grid.size
+    apart = {"displacement": (-1.0, summit + 1.0), "mean_gap": (2 * summit, 2 * summit + mean)}  # target, plane
+    for control, (target, plane) in apart.items():
+        found = Counted(control, grid, heights).solution(target)
+        assert found.mean_pressure == 0 and grid.reduction.max(found.pressure) == 0
+        assert grid.reduction.max(np.abs(found.gap - (plane - heights))) <= 1e-12 * summit
+        assert found.mean_gap == pytest.approx(plane - mean, rel=1e-12)
+        assert found.approach == pytest.approx(summit - plane, rel=1e-12)
 
 
 @pytest.mark.parametrize(("control", "target"), [("mean_gap", 0.0), ("mean_gap", -1.0), ("displacement", 1e3)])

@@ -51,8 +51,12 @@ class Control:
         """Raises Unreachable for a target that no load gives.  Collective."""
 
     def met_without_load(self, target: float) -> bool:
-        """Whether the target needs no load; the answer is then first contact, at p̄ = 0."""
+        """Whether the target needs no load, p̄ = 0."""
         return False
+
+    def distance_apart(self, target: float) -> float:
+        """Of the solid from where it touches the highest point, for a target that needs no load."""
+        return 0.0
 
     def guess(self, target: float) -> float:
         """An estimate of ln p̄ at the target.  Collective."""
@@ -182,6 +186,10 @@ class MeanGap(Control):
     def met_without_load(self, target: float) -> bool:
         """Whether the approach ends before first contact."""
         return self.problem.law.releases and self.approach(target) <= 0
+
+    def distance_apart(self, target: float) -> float:
+        """−approach."""
+        return -self.approach(target)
 
     def guess(self, target: float) -> float:
         """The stress of full contact if the gap is 0, and exponentially less for larger ones.  Collective."""

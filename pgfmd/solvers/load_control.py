@@ -73,8 +73,10 @@ class LoadControl:
         """
         self.control.check_target(target)
         self._totals = np.zeros(3)
-        if self.name == "pressure" or self.control.met_without_load(target):
-            found = self._tried(target if self.name == "pressure" else 0.0, self.tolerance, target)
+        if self.name == "pressure":
+            found = self._tried(target, self.tolerance, target)
+        elif self.control.met_without_load(target):
+            found = self._apart(target)
         else:
             self.control.check_reachable(target)
             found = self._search(target)
@@ -135,6 +137,13 @@ class LoadControl:
             if 0 < total < math.inf:
                 return math.log(total / self.grid.size)
         return self.control.guess(target)
+
+    def _apart(self, target: float) -> ContactSolution:
+        """The solid, undeformed, at a target before first contact."""
+        found = self._tried(0.0, self.tolerance, target)
+        moved = self.control.distance_apart(target)
+        found.gap += moved
+        return dataclasses.replace(found, mean_gap=found.mean_gap + moved, approach=found.approach - moved)
 
     def _tried(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
         """The contact at that mean pressure.  If it fails, the message says which key of the job asked for the
