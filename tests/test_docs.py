@@ -20,12 +20,10 @@ BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINES = 10
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Where blocks are done, one after another, with the commands `pgfmd` and `python` of this installation; `sbatch`
-    runs a script at once, on two ranks.
+def equipped(folder):
+    """The folder with the commands `pgfmd` and `python` of this installation; `sbatch` runs a script at once, on two
+    ranks.
     """
-    folder = tmp_path_factory.mktemp("tasks")
     slurm = f'PYTHON="{sys.executable}" PGFMD_ROOT="{ROOT}" LAUNCH="mpirun -n 2"'
     for name, text in (
         ("pgfmd", f'exec "{sys.executable}" -m pgfmd "$@"'), ("python", f'exec "{sys.executable}" "$@"'),
@@ -34,6 +32,12 @@ def folder(tmp_path_factory):
         (folder / name).write_text(f"#!/bin/sh\n{text}\n")
         (folder / name).chmod(0o755)
     return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the tasks are done, one after another."""
+    return equipped(tmp_path_factory.mktemp("tasks"))
 
 
 def do(language: str, text: str, folder) -> None:
@@ -59,8 +63,9 @@ def test_a_task_works_in_ten_lines(task, folder):
         do(language, text, folder)
 
 
-def test_the_tutorial_is_typed_as_it_stands(folder):
+def test_the_tutorial_is_typed_as_it_stands(tmp_path):
     """Every command works, in its order; every file that is shown is there, and none is copied into the page."""
+    folder = equipped(tmp_path)
     (folder / "jobs").symlink_to(ROOT / "jobs")
     blocks = BLOCK.findall((PAGES / "tutorial.md").read_text())
     shown = [found[1] for _, text in blocks if (found := re.fullmatch(r'--8<-- "(.+)"\n', text))]
