@@ -299,7 +299,7 @@ def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
 
 
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
-@pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4, 31])
+@pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4, 17])
 def test_newton_under_thin_plates(comm, seed):
     """White heights of 2 × 13 to 4 × 19 under slabs with a free base, .08 to 1.2 pixels thick, which bend like plates:
     without a descent Newton's method certified none of these.  The true error (slow reference) is within the bound."""

@@ -16,6 +16,7 @@ STYLES = {
     "Polonsky-Keer": ("#56B4E9", "D"),
     "GFMD": ("#E69F00", "P"),
 }
+TIMES = {"seconds": "wall time in s", "cpu": "processor time in s"}  # by the clock of the report
 LINES = {(1, 1): ("-", ""), (1, 2): ("--", ", 2 threads")}
 NAMES = {
     "pgfmd": "pgfmd (this project)",
@@ -24,7 +25,7 @@ NAMES = {
 }
 
 
-def draw(folder: Path, cases: dict) -> None:
+def draw(folder: Path, cases: dict, clock: str) -> None:
     """One picture per case, `DIR/<case>.png`: pressure and area error against seconds and against transforms."""
     import matplotlib
 
@@ -38,7 +39,7 @@ def draw(folder: Path, cases: dict) -> None:
                 panel(axes[row, column], curves, cost, error)
         axes[0, 0].set_ylabel("relative error of pressure, 2-norm")
         axes[1, 0].set_ylabel("relative error of contact area")
-        axes[1, 0].set_xlabel("wall time in s")
+        axes[1, 0].set_xlabel(TIMES[clock])
         axes[1, 1].set_xlabel("transform pairs (double precision, finest grid)")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8)
@@ -47,7 +48,7 @@ def draw(folder: Path, cases: dict) -> None:
         plt.close(figure)
 
 
-def overview(folder: Path, cases: dict) -> None:
+def overview(folder: Path, cases: dict, clock: str) -> None:
     """`DIR/benchmark.png`, for the README: a smooth and a rough surface, each on the largest grid that most methods
     were run on, and resolution.
     """
@@ -73,7 +74,7 @@ def overview(folder: Path, cases: dict) -> None:
         panel(at, cases[case], cost, "pressure_error")
         at.set_ylim(1e-7, 1)
         at.set_ylabel("relative error of pressure, 2-norm")
-        at.set_xlabel("wall time in s" if cost == "seconds" else "transform pairs (double precision, finest grid)")
+        at.set_xlabel(TIMES[clock] if cost == "seconds" else "transform pairs (double precision, finest grid)")
         at.set_title(_title(case), fontsize=9)
     if table.exists():
         _resolution(axes.flat[len(panels)], table)

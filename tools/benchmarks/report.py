@@ -96,8 +96,8 @@ def report(folder: Path, clock: str = "seconds") -> None:
         print(f"{_start(row)} {cores} {row['error']:6.0e} {numbers}")
     from .pictures import draw, overview
 
-    draw(folder, cases)
-    overview(folder, cases)
+    draw(folder, cases, clock)
+    overview(folder, cases, clock)
 
 
 def _ratios(cases):
