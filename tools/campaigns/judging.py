@@ -93,7 +93,10 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
     if control == "pressure" and abs(load / (answer.target or 1) - (answer.target != 0)) > 1e-15:
         return f"mean pressure {load!r} instead of {answer.target!r}"
     if load == 0:
-        wrong = np.abs(gap.ravel() + contact.heights).max() / (np.ptp(contact.heights) or 1)
+        summit = -contact.heights.mean()
+        apart = {"mean_gap": answer.target - summit, "displacement": -answer.target}.get(control, 0)
+        size = max(np.ptp(contact.heights), apart) or 1
+        wrong = np.abs(gap.ravel() - (apart - contact.heights)).max() / size
         return f"gap without load is {float(wrong):.1e} off" if wrong > 1e-14 else ""
     try:
         sigma_ref = job["wall"].get("sigma_ref")
