@@ -22,7 +22,9 @@ from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # of the heights that only the finer grid resolves, the start on it flattens this part
-PRESSED = 6.0  # full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh
+# Full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh: on N Gaussian
+# points Kh reaches √(2 ln N) times its rms, 5.8 on 4096².
+PRESSED = 6.0
 
 
 def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
