@@ -337,8 +337,8 @@ class _Programme:
 
     def bound(self, x: np.ndarray, level):
         """½ ρ·Kρ / x·Ax, ρ = gap − level between the limits, what of it has the wrong sign at them (NUMERICS 2).  inf
-        if x does not carry the load."""
-        if abs(x.sum() - self.count) > 1e-15 * self.count:
+        if x does not carry the load, or is beyond its limits."""
+        if abs(x.sum() - self.count) > 1e-15 * self.count or x.min() < 0 or x.max() > self.most * (1 + Real(1e-15)):
             return Real(math.inf)
         rest = self.A @ x - self.b - level
         rest = np.where(x <= 0, np.minimum(rest, 0), np.where(x >= self.most, np.maximum(rest, 0), rest))
