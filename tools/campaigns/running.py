@@ -121,7 +121,7 @@ def _by_command(case: Case, folder: Path, comm):
         capture_output=True, text=True, timeout=HANG, check=False, stdin=subprocess.DEVNULL,
     )  # fmt: skip
     if done.returncode in (2, 3):
-        lines = [line for line in done.stderr.splitlines() if "error" in line]
+        lines = [line for line in done.stderr.splitlines() if "error:" in line]
         refused = (InputError, SolverError)[done.returncode - 2]
         if done.returncode == 2 and len(done.stderr.splitlines()) > 1:
             lines = [line for line in done.stderr.splitlines() if not re.match(r"\d\d:\d\d:\d\d", line)]
