@@ -146,6 +146,22 @@ def test_rough_surfaces(comm, load, hardness):
     assert np.allclose(found.gap, np.where(between, 0, gap - level), rtol=0, atol=2 * small)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_what_overlaps_bears_the_hardness_to_the_last_digit(comm, seed):
+    """Energies are of first order in what is missing there: one digit, 1e-16, would be above what is certified.  For
+    these loads and hardnesses, one in twelve of all, (σ_Y/p̄) p̄ is not σ_Y in double precision.
+    """
+    random = np.random.default_rng(seed)
+    heights = random.standard_normal((12, 16))
+    load = hardness = 1.0
+    while hardness / load * load == hardness:
+        load, hardness = random.uniform(0.1, 0.6), random.uniform(1.0, 2.0)
+    grid = SlabGrid(comm, heights.shape)
+    found = solved(grid, heights[grid.rows], load, hardness)
+    assert grid.reduction.min(found.gap) < 0
+    assert np.all(found.pressure[found.gap < 0] == hardness) and grid.reduction.max(found.pressure) == hardness
+
+
 def test_more_than_the_hardness_is_refused(comm):
     """A mean pressure of σ_Y or more has no solution."""
     grid = SlabGrid(comm, (16, 16))

@@ -59,7 +59,7 @@ class Dimensionless:
                 f'{made.unit:g}; shorter walls are hard: wall.kind = "hard"'
             )
         mean = physical.mean_pressure
-        self.units = Units(made.unit, mean, law.gap(mean, solid))
+        self.units = Units(made.unit, mean, law.gap(mean, solid), law.highest)
         self.problem = ContactProblem(
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0
         )

@@ -184,13 +184,12 @@ def excess(
 @_jit
 def finish_rows(pressure: np.ndarray, gap: np.ndarray, zeta: float, level: float, units: Units) -> float:
     """p̂ and g to physical `units`; returns the largest |g + ζ ln p̂ − level| where p̂ ≥ 1."""
-    height, unit, offset = units
     largest = 0.0
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             away = gap[i, j] - level
             if pressure[i, j] >= 1:
                 largest = max(largest, abs(away + zeta * math.log(pressure[i, j])))
-            gap[i, j] = away * height + offset
-            pressure[i, j] *= unit
+            gap[i, j] = away * units.height + units.offset
+            pressure[i, j] *= units.pressure
     return largest

@@ -42,8 +42,15 @@ class Hardness(HardWall):
         return Hardness(hardness=self.hardness / units.pressure)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is σ_Y."""
-        return finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)
+        """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is σ_Y.
+
+        That is then σ_Y to the last digit: energies are of first order in what is missing, as the gap is not 0 there.
+        """
+        yields = pressure >= self.hardness
+        violation = finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)
+        pressure[yields] = units.highest
+        np.minimum(pressure, units.highest, out=pressure)
+        return violation
 
 
 @compiled()
@@ -58,5 +65,5 @@ def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float,
             right = max(away, 0.0) if p <= 0 else min(away, 0.0) if p >= top else 0.0
             largest = max(largest, abs(away - right))
             gap[i, j] = height * right
-            pressure[i, j] = unit * min(p, top)
+            pressure[i, j] = unit * p
     return largest

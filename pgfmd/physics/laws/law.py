@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 
 class Units(NamedTuple):
     """From a dimensionless contact (p̂, ĝ) to the physical one: p = pressure · p̂, gap = height · (ĝ − level) + offset,
-    where the solver finds the level.
+    where the solver finds the level.  highest: the largest physical pressure.
     """
 
     height: float
     pressure: float
     offset: float
+    highest: float = math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
