@@ -1,4 +1,4 @@
-"""Slab decomposition, reductions over ranks, and errors raised on all ranks together.
+"""Slabs of rows, reductions over ranks, and errors raised on all ranks together.
 
 What communicates takes the communicator as its first argument; nothing here knows about grids or physics.
 """
@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pgfmd.errors import InputError, SolverError
+from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable
 from pgfmd.parallel.mpi import MPI
 
 T = TypeVar("T")
@@ -101,8 +101,8 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
 
 
 def _for_others(failure: Exception, rank: int) -> Exception:
-    """What other ranks raise for a failure of `rank`: one of the kinds that callers catch, or RuntimeError."""
-    for kind in (InputError, SolverError, OSError, MemoryError):
+    """What other ranks raise for a failure of `rank`: one of the kinds that callers tell apart, or RuntimeError."""
+    for kind in (InputError, Unreachable, Uncertifiable, SolverError, OSError, MemoryError):
         if isinstance(failure, kind):
             return kind(str(failure))
     return RuntimeError(f"rank {rank}: {type(failure).__name__}: {failure}")
