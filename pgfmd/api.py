@@ -150,7 +150,7 @@ def solve(
         if not np.isfinite(heights).all():
             raise InputError("heights: all must be finite")
         name, targets, single = _targets(imposed)
-        steps = _checked("spacing", spacing, SPACING)
+        spacings = _checked("spacing", spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
         thickness = _checked("thickness", thickness, number(above=0, infinite=True))
         base = None if base is None else _checked("base", base, choice(*BASES))
@@ -166,10 +166,10 @@ def solve(
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         if start is not None and (start := _real("start", start)).shape != heights.shape:
             raise InputError(f"start of shape {start.shape}: must be that of the heights, {heights.shape}")
-    asked = comm.allgather((name, targets, single, steps, solid, law, options, closeness, start is None))
+    asked = comm.allgather((name, targets, single, spacings, solid, law, options, closeness, start is None))
     if any(other != asked[0] for other in asked):
         raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
-    (ax, ay), rows, ny = steps, comm.allgather(len(heights)), heights.shape[1]
+    (ax, ay), rows, ny = spacings, comm.allgather(len(heights)), heights.shape[1]
     grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
     if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
@@ -275,8 +275,9 @@ def run(
     """Run a job, as `pgfmd run` does, and open its results.  Collective over `comm`, all ranks if None.
 
     job: a `Job`, the path of a TOML file, or its tables.  output: folder of the results; None: a temporary one, which
-    is removed when nothing refers to the results any more.  overwrite: replaces results that are there; restart:
-    continues them.  Raises InputError (nothing is written), SolverError (completed loads are written), Stopped.
+    is removed when nothing on rank 0 refers to the results any more, or if the run fails.  overwrite: replaces results
+    that are there; restart: continues them.  Raises InputError (nothing is written), SolverError (completed loads are
+    written), Stopped.
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
@@ -286,8 +287,14 @@ def run(
     comm = launched() if comm is None else comm
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
     folder = from_root(comm, tempfile.mkdtemp, None, "pgfmd-") if output is None else output
-    run_job(job, comm, folder, overwrite=overwrite, restart=restart)
-    results = Ensemble(folder) if job.surface.seeds else Results(folder)
+    try:
+        run_job(job, comm, folder, overwrite=overwrite, restart=restart)
+        with raise_together(comm):  # all have opened them before rank 0 may remove a temporary folder
+            results = Ensemble(folder) if job.surface.seeds else Results(folder)
+    except BaseException:
+        if output is None and comm.rank == 0:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
     if output is None and comm.rank == 0:
         weakref.finalize(results, shutil.rmtree, folder, True)
     return results

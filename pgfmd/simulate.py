@@ -89,6 +89,7 @@ def simulate(
         nullcontext(interruptions)
         if interruptions
         else Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
+        grid.freed(),
     ):
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
@@ -143,7 +144,6 @@ def simulate(
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:
             writer.write_load(index, {"target": job.load.targets[index]})
-        grid.free()
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
     if unreachable:
         raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")

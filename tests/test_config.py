@@ -39,7 +39,7 @@ def test_every_job_of_the_repository_is_valid(path):
 def test_values_and_defaults():
     """What is written arrives with its type; what is not has the documented default."""
     job = config.parse(ROUGH)
-    assert job.grid.shape == (64, 64) and job.grid.lengths == (64.0, 64.0) and job.grid.steps == (1.0, 1.0)
+    assert job.grid.shape == (64, 64) and job.grid.lengths == (64.0, 64.0) and job.grid.spacings == (1.0, 1.0)
     assert job.load.control == "pressure" and job.load.targets == (0.0032,)
     assert job.wall.kind == "hard" and job.solid.thickness == math.inf and job.solver.tolerance == 1e-8
     assert job.output.fields == () and job.output.patches.connectivity == 8
@@ -56,7 +56,8 @@ def test_cell_from_length_or_spacing():
     """Length and spacing are two ways to say the same cell; wavelengths count in the smaller spacing."""
     job = config.parse(ROUGH, overrides=["grid.n=[64, 32]", "grid.spacing=[0.5, 1]"])
     same = config.parse(ROUGH, overrides=["grid.n=[64, 32]", "grid.length=32"])
-    assert job.grid.lengths == same.grid.lengths == (32.0, 32.0) and job.grid.steps == same.grid.steps == (0.5, 1.0)
+    assert job.grid.lengths == same.grid.lengths == (32.0, 32.0)
+    assert job.grid.spacings == same.grid.spacings == (0.5, 1.0)
     assert job.surface.wavelengths(job.grid) == (8.0, 32.0, 32.0)
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import tempfile
 
 import numpy as np
 import pytest
 
 import pgfmd
-from pgfmd.errors import InputError
+from pgfmd import simulate
+from pgfmd.errors import InputError, SolverError
+from pgfmd.grid import transpose
 from pgfmd.io.results import Runs
 from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.parallel.collectives import slab
@@ -181,3 +184,31 @@ def test_temporary_results_are_removed(comm):
     assert folder.is_dir() and load["pressure_histogram"]["count"].sum() > 0
     del load
     assert not folder.exists()
+
+
+def test_a_run_that_fails_leaves_nothing_behind(comm, shared_tmp_path, monkeypatch):
+    """A solver fails on all ranks: the temporary folder is removed, and shared memory of transforms given back, though
+    the caller goes on.
+    """
+    held = []
+
+    def allocate(strips, *arguments):
+        held.append(strips)
+        return original[0](strips, *arguments)
+
+    def free(strips):
+        held.remove(strips)
+        original[1](strips)
+
+    def fails(*_):
+        raise SolverError("it does not converge")
+
+    original = transpose.Strips._allocate, transpose.Strips.free
+    monkeypatch.setattr(transpose.Strips, "_allocate", allocate)
+    monkeypatch.setattr(transpose.Strips, "free", free)
+    monkeypatch.setattr(simulate, "solve_contact", fails)
+    monkeypatch.setattr(tempfile, "tempdir", str(shared_tmp_path))
+    with pytest.raises(SolverError, match="does not converge"):
+        pgfmd.run(JOB, comm=comm)
+    comm.Barrier()
+    assert not held and not list(shared_tmp_path.iterdir())

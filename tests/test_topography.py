@@ -217,7 +217,7 @@ def test_any_options_on_any_grid(comm, seed):
     shape = tuple(int(count) for count in chance.choice([1, 2, 3, 8, 15, 16, 31], 2))
     shape = max(shape[0], comm.size), shape[1] if shape[0] > 1 else max(shape[1], 2)
     cell = Cell(n=shape, length=tuple(10.0 ** chance.uniform(-9, 9) * chance.uniform(1, 3, 2)))
-    longest = max(cell.lengths) / min(cell.steps)
+    longest = max(cell.lengths) / min(cell.spacings)
     lengths = np.sort(longest ** chance.uniform(-0.1, 1, 3))
     options = {"hurst": chance.choice([0, 1, chance.uniform()]), "lambda_s": lengths[0], "rms_slope": chance.uniform()}
     options |= {"lambda_r": lengths[1]} if chance.random() < 0.5 else {}
@@ -227,7 +227,7 @@ def test_any_options_on_any_grid(comm, seed):
     grid = SlabGrid(comm, shape, cell.lengths)
     shortest, widest, _ = surface.wavelengths(cell)
     q = np.sqrt(grid.q_squared())
-    upper = 2 * np.pi / shortest if shortest > max(cell.steps) else np.inf
+    upper = 2 * np.pi / shortest if shortest > max(cell.spacings) else np.inf
     outside = (q < 2 * np.pi / widest * (1 - 1e-6)) | (q > upper * (1 + 1e-6))
     if not grid.reduction.any(not outside.all()):
         with pytest.raises(InputError, match="no mode"):

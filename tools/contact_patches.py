@@ -47,7 +47,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), smallest: int = 16) -
     if len(settings) > 1:
         sheet.notes.append(f"one of {len(settings)} settings is drawn: {setting.label}")
     unit = setting.wavelengths[0] ** 2
-    resolved = smallest * float(np.prod(setting.steps)) / unit
+    resolved = smallest * float(np.prod(setting.spacings)) / unit
     runs: dict[object, list[Load]] = {}
     for load in setting:
         runs.setdefault(load.results.directory, []).append(load)

@@ -54,7 +54,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
 
 def shortest(group: Ensemble) -> float:
     """λ_s, or the grid spacing where every mode of the grid counts."""
-    return max(group.wavelengths[0], max(group.steps))
+    return max(group.wavelengths[0], max(group.spacings))
 
 
 def report(sheet: Sheet, group: Ensemble, x: np.ndarray, decay: np.ndarray, limits: tuple[float, float]):

@@ -78,7 +78,7 @@ def draw(
 def default_window(group: Ensemble) -> tuple[float, float]:
     """From 8 q_l to q_s/16, or to q_s/2 where that leaves less than a factor of 4; without a cut-off, q_s is 2π/a."""
     shortest, longest = group.wavelengths
-    top = longest / max(shortest, max(group.steps))
+    top = longest / max(shortest, max(group.spacings))
     return (8.0, top / 16) if top / 16 >= 32 else (min(8.0, top / 16), top / 2)
 
 

@@ -145,7 +145,7 @@ def draw_patches(sheet: Sheet, panel: int, load: Load):
     count = max(1, 2**22 // load.results.shape[1])
     starts = range(0, load.results.shape[0], count)
     area = _thinned(load, ((slice(start, None), rows) for start, rows in zip(starts, areas(load, count), strict=True)))
-    unit, point = _unit(load, "length"), float(np.prod(load.steps))
+    unit, point = _unit(load, "length"), float(np.prod(load.spacings))
     norm = LogNorm(point, max(float(area.max()), 10 * point))
     label = "area of the patch" + (" / points" if unit == "grid spacings" else f" / {unit}²" if unit else "")
     _show(sheet, panel, load, np.ma.masked_where(area <= 0, area), label, cmap="cividis", norm=norm)

@@ -81,7 +81,7 @@ def write_page(loads: Sequence[Load], output: Path, chosen: Sequence[int] | None
         if not any(folder.iterdir()):
             folder.rmdir()
     where = _where(embedded, bool(outside), tiles)
-    point = math.prod(first.steps)
+    point = math.prod(first.spacings)
     data = {
         "title": first.folder, "subtitle": _subtitle(first), "shape": first.results.shape,
         "lengths": first.results.lengths, "length_unit": first.unit("length"), "tile": pyramid.TILE,

@@ -15,7 +15,7 @@ def areas(load: Load, count: int) -> Iterator[np.ndarray] | None:
     """The area of the patch that each point belongs to (0: no contact), `count` rows at a time; None if the patches
     are not known: the field "labels" was not kept, and they cannot be found from the pressures.
     """
-    point, size = np.prod(load.steps), 8 * count * load.results.shape[1]
+    point, size = np.prod(load.spacings), 8 * count * load.results.shape[1]
     if "labels" in load.fields:
         return _by_area(lambda: (rows for _, rows in load.results.blocks("labels", load.index, size)), point)
     if "pressure" not in load.fields or load.law != "hard" or np.prod(load.results.shape) > MOST_POINTS:

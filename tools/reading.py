@@ -62,7 +62,7 @@ class Load:
         if named != name:
             return printable(named, 20)
         if name == "length":
-            return "grid spacings" if set(self.steps) == {1.0} else ""
+            return "grid spacings" if set(self.spacings) == {1.0} else ""
         symbols = {"contact_modulus": "E′", "lame_mu": "μ", "young": "E"}
         return next((symbol for key, symbol in symbols.items() if self.job["solid"].get(key) == 1.0), "")
 
@@ -175,7 +175,7 @@ class Load:
         return self.modulus * self.rms_slope / 2
 
     @property
-    def steps(self) -> tuple[float, float]:
+    def spacings(self) -> tuple[float, float]:
         """Grid spacings (ax, ay)."""
         (nx, ny), (lx, ly) = self.results.shape, self.results.lengths
         return lx / nx, ly / ny
@@ -186,18 +186,18 @@ class Load:
 
         Of a self-affine surface as the job says, of others those of the grid: two spacings, and the cell.
         """
-        surface, step, cell = self.job["surface"], min(self.steps), max(self.results.lengths)
+        surface, spacing, cell = self.job["surface"], min(self.spacings), max(self.results.lengths)
         if surface.get("lambda_s") is None:
-            return 2 * max(self.steps), cell
-        given = [surface[name] * step for name in ("lambda_l", "lambda_r") if surface.get(name) is not None]
-        return surface["lambda_s"] * step, min(max(given, default=cell), cell)
+            return 2 * max(self.spacings), cell
+        given = [surface[name] * spacing for name in ("lambda_l", "lambda_r") if surface.get(name) is not None]
+        return surface["lambda_s"] * spacing, min(max(given, default=cell), cell)
 
     @property
     def q_limits(self) -> tuple[float, float]:
         """q_l and the highest wave number: q_s, or the corner of the grid's spectrum where there is no cut-off."""
         shortest, longest = self.wavelengths
-        if self.hurst is None or shortest <= max(self.steps) * (1 + 1e-9):
-            return 2 * np.pi / longest, np.pi * np.hypot(*(1 / step for step in self.steps))
+        if self.hurst is None or shortest <= max(self.spacings) * (1 + 1e-9):
+            return 2 * np.pi / longest, np.pi * np.hypot(*(1 / spacing for spacing in self.spacings))
         return 2 * np.pi / longest, 2 * np.pi / shortest
 
     @property

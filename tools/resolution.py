@@ -81,7 +81,7 @@ def choose(loads: list[Load]) -> tuple[list[Load], Sheet]:
 
 
 def _resolution(load: Load) -> float:
-    return load.wavelengths[0] / load.steps[0] if load.hurst is not None else float(load.results.shape[0])
+    return load.wavelengths[0] / load.spacings[0] if load.hurst is not None else float(load.results.shape[0])
 
 
 def _square(load: Load) -> float:

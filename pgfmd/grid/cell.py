@@ -31,7 +31,7 @@ class Cell(Section):
             raise wrong(self, "n", "at least one direction must have 2 points")
         if self.length and self.spacing:
             raise wrong(self, "spacing", f"give either length or spacing, not both (length = {show(self.length)})")
-        if not all(0 < value < math.inf for value in (*self.lengths, *self.steps, math.prod(self.lengths))):
+        if not all(0 < value < math.inf for value in (*self.lengths, *self.spacings, math.prod(self.lengths))):
             raise wrong(self, "length" if self.length else "spacing", "cell or spacing is out of range of a float64")
 
     @property
@@ -44,10 +44,10 @@ class Cell(Section):
         """Cell (lx, ly)."""
         if self.length:
             return self.length
-        steps = self.spacing or (1.0, 1.0)
-        return self.n[0] * steps[0], self.n[1] * steps[1]
+        spacings = self.spacing or (1.0, 1.0)
+        return self.n[0] * spacings[0], self.n[1] * spacings[1]
 
     @property
-    def steps(self) -> tuple[float, float]:
+    def spacings(self) -> tuple[float, float]:
         """Grid spacings (ax, ay)."""
         return self.spacing or (self.lengths[0] / self.n[0], self.lengths[1] / self.n[1])

@@ -87,7 +87,7 @@ def is_lower(cutoff: float, highest: float) -> bool:
 
 def highest_wave_number(cell: Cell) -> float:
     """|q| beyond which a grid has no modes, that of its corners."""
-    return math.hypot(*(math.pi / step for step in cell.steps))
+    return math.hypot(*(math.pi / spacing for spacing in cell.spacings))
 
 
 def octaves(cell: Cell, highest: float) -> np.ndarray:
@@ -101,7 +101,7 @@ def octaves(cell: Cell, highest: float) -> np.ndarray:
 
 def coarsening(cell: Cell, cutoff: float) -> int:
     """The largest power of two by which the grid may be coarsened so that waves up to `cutoff` are resolved."""
-    points = 2 * math.pi / (cutoff * max(cell.steps)) * (1 + 1e-9)  # of the full grid per shortest wavelength
+    points = 2 * math.pi / (cutoff * max(cell.spacings)) * (1 + 1e-9)  # of the full grid per shortest wavelength
     factor = 1
     while points >= 2 * factor * POINTS_PER_WAVE and min(cell.shape) >= 2 * factor * POINTS_PER_WAVE:
         factor *= 2

@@ -69,20 +69,20 @@ class SelfAffine(Surface):
             object.__setattr__(self, "lambda_l", longest)
 
     def check_in(self, cell: Cell) -> None:
-        longest = max(cell.lengths) / min(cell.steps)
+        longest = max(cell.lengths) / min(cell.spacings)
         for name in ("lambda_s", "lambda_l", "lambda_r"):
             if (getattr(self, name) or 0) > longest and getattr(self, name) != math.inf:
                 raise wrong(self, name, f"must not exceed the cell, {longest:g} grid spacings")
 
     def wavelengths(self, cell: Cell) -> tuple[float, float, float]:
         """lambda_s, lambda_l and lambda_r as lengths, defaults filled in."""
-        step, side = min(cell.steps), max(cell.lengths)
-        longest = side if self.lambda_l is None else min(self.lambda_l * step, side)
-        return self.lambda_s * step, longest, longest if self.lambda_r is None else self.lambda_r * step
+        spacing, side = min(cell.spacings), max(cell.lengths)
+        longest = side if self.lambda_l is None else min(self.lambda_l * spacing, side)
+        return self.lambda_s * spacing, longest, longest if self.lambda_r is None else self.lambda_r * spacing
 
     def shortest_wavelength(self, cell: Cell) -> float:
         shortest = self.wavelengths(cell)[0]
-        return shortest if shortest > max(cell.steps) * (1 + SLACK) else 0.0
+        return shortest if shortest > max(cell.spacings) * (1 + SLACK) else 0.0
 
     def known_slope(self) -> float | None:
         return self.rms_slope

@@ -66,7 +66,7 @@ class FromSpectrum(Surface):
 
     def shortest_wavelength(self, cell: Cell) -> float:
         shortest = 2 * math.pi / float(self.table()[0][-1])
-        return shortest if shortest > min(cell.steps) * (1 + SLACK) else 0.0
+        return shortest if shortest > min(cell.spacings) * (1 + SLACK) else 0.0
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         from pgfmd.parallel.collectives import from_root
