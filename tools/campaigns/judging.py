@@ -161,13 +161,12 @@ def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answ
             return ""
         return f"area {answer.contact_area:.6g}; {low:.6g} and {high:.6g} at neighbouring loads"
     measure = contact.measure(control, exact)
-    # load.gap_tolerance is relative to the approach from first contact or, if less, to the mean gap (or ζ, if more).
-    zeta = job["wall"].get("zeta", 0)
-    approach = abs(-contact.heights.mean() - exact.mean_gap)
-    if control == "displacement":
-        approach = abs(answer.target)
-    bounded = not zeta and (control == "mean_gap" or not contact.solid.mean_compliance)
-    size = max(min(approach, exact.mean_gap) if bounded else approach, zeta)
+    # load.gap_tolerance is relative to the imposed approach from first contact (at least ζ) or, under a hard wall, to the
+    # imposed mean gap if that is less.
+    summit, zeta = -contact.heights.mean(), job["wall"].get("zeta", 0)
+    approach = answer.target if control == "displacement" else summit - answer.target
+    bounded = job["wall"]["kind"] == "hard" and (control == "mean_gap" or not contact.solid.mean_compliance)
+    size = max(min(abs(approach), summit - approach) if bounded else abs(approach), zeta)
     room = job["load"]["gap_tolerance"] * size * (1 + 1e-6) + 1e-13 * np.ptp(contact.heights)
     if abs(measure - answer.target) > room:
         return f"reached {float(measure):.9g}, {float((measure - answer.target) / contact.rms):.1e} rms heights off"
