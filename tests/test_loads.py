@@ -235,7 +235,7 @@ def test_an_area_tolerance_of_nothing_means_a_pixel(rough, tolerance):
     assert abs(grid.reduction.sum(found.pressure > 0) / grid.size - 0.1) <= 1 / grid.size
 
 
-@pytest.mark.parametrize(("target", "said"), [(1e-6, True), (0.3, False)])
+@pytest.mark.parametrize(("target", "said"), [(1e-300, True), (1e-6, True), (0.3, False)])
 def test_an_area_below_a_pixel_is_not_met_without_a_word(rough, caplog, target, said):
     """A target of a fraction of a pixel is answered by one pixel, many times as much: the log says so."""
     with caplog.at_level("INFO", "pgfmd"):
@@ -243,7 +243,6 @@ def test_an_area_below_a_pixel_is_not_met_without_a_word(rough, caplog, target, 
     assert rough[0].reduction.sum(found.pressure > 0) >= 1
     here = said and rough[0].comm.rank == 0
     assert ("met to one pixel, which is more than load.area_tolerance" in caplog.text) == here
-
 
 
 def test_areas_below_first_contact_are_not_reachable(comm):

@@ -139,14 +139,18 @@ class ContactArea(Control):
 
     def guess(self, target: float) -> float:
         """Persson's theory: area = erf(p̄/√2 s).  Collective."""
-        return math.log(self.stress * _quantile(target))
+        return math.log(self.stress) + math.log(self._quantile(target))
 
     def distance(self, found: ContactSolution, target: float) -> float:
         """ln of the ratio of Persson's mean pressures for the area found and for the target: his theory is nearly
         right but for a factor on the load.  Collective.
         """
-        area = min(max(self.area(found), 0.5 / self.grid.size), 1 - 0.5 / self.grid.size)
-        return math.log(_quantile(area) / _quantile(target))
+        return math.log(self._quantile(self.area(found)) / self._quantile(target))
+
+    def _quantile(self, area: float) -> float:
+        """x with area = erf(x/√2), for half a point at least and all but half a point at most."""
+        half = 0.5 / self.grid.size
+        return NormalDist().inv_cdf((1 + min(max(area, half), 1 - half)) / 2)
 
     def met_to_a_pixel(self, found: ContactSolution, target: float) -> bool:
         """Whether the area misses the target by more than `area_tolerance` of it.  Collective."""
@@ -276,8 +280,3 @@ CONTROLS: dict[str, type[Control]] = {
     "mean_gap": MeanGap,
     "displacement": Displacement,
 }
-
-
-def _quantile(area: float) -> float:
-    """x with area = erf(x/√2)."""
-    return NormalDist().inv_cdf((1 + area) / 2)

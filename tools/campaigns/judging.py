@@ -161,8 +161,8 @@ def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answ
             return ""
         return f"area {answer.contact_area:.6g}; {low:.6g} and {high:.6g} at neighbouring loads"
     measure = contact.measure(control, exact)
-    # load.gap_tolerance is relative to the imposed approach from first contact (at least ζ) or, under a hard wall, to the
-    # imposed mean gap if that is less.
+    # load.gap_tolerance is relative to the imposed approach from first contact (at least ζ) or, under a hard wall, to
+    # the imposed mean gap if that is less.
     summit, zeta = -contact.heights.mean(), job["wall"].get("zeta", 0)
     approach = answer.target if control == "displacement" else summit - answer.target
     bounded = job["wall"]["kind"] == "hard" and (control == "mean_gap" or not contact.solid.mean_compliance)
