@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import weakref
 
 import h5py
 import numpy as np
@@ -18,7 +19,8 @@ from pgfmd.io.provenance import Origin
 from pgfmd.io.results import Results
 from pgfmd.io.schema import Form
 from pgfmd.io.writer import ResultWriter
-from pgfmd.job.job import parse, tables_as_toml
+from pgfmd.job.job import as_toml, parse, tables_as_toml
+from pgfmd.operation import ensemble as ensembles
 from pgfmd.operation.estimate import rank_groups
 from pgfmd.parallel.collectives import slab
 
@@ -42,8 +44,6 @@ def with_seeds(seeds, **tables) -> dict:
 )
 def test_seeds_of_an_ensemble(written, seeds):
     """A list or "first..last"; one number is one surface.  The effective job gives the same seeds again."""
-    from pgfmd.job.job import as_toml
-
     job = parse(tables_as_toml(with_seeds(written)))
     assert job.surface.seeds == seeds and parse(as_toml(job)) == job
     assert all(job.of_seed(seed).surface.seed == seed for seed in seeds)
@@ -111,7 +111,7 @@ def test_means_leave_out_loads_that_were_not_solved(comm, shared_tmp_path):
     folder = shared_tmp_path / "out"
     others = pgfmd.run(with_seeds([3, 5]), folder, comm=comm).load(1)
     pgfmd.run(with_seeds([3, 4, 5]), folder, comm=comm, restart=True)
-    rows, origin = slab(32, comm.size, comm.rank), Origin(loads=2)
+    rows, origin = slab(32, comm.size, comm.rank), Origin(effective_toml=as_toml(parse(tables_as_toml(JOB))), loads=2)
     with ResultWriter(comm, folder / "seed_0004", origin, Form((32, 32), (32.0, 32.0), rows), "overwrite") as writer:
         for index in range(2):
             writer.write_load(index, {"target": 0.02})
@@ -161,8 +161,8 @@ def test_more_seeds_are_added_by_restart(comm, shared_tmp_path):
 
 
 def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, monkeypatch):
-    """--overwrite by another job is stopped after its first seeds; --restart does the others anew, though their folders
-    hold complete results of the old job.
+    """--overwrite by another job is stopped after its first seeds: the others, whose folders hold complete results of
+    the old job, are not in the means, and --restart does them anew.
     """
     folder = shared_tmp_path / "out"
     pgfmd.run(with_seeds([3, 4, 5, 6]), folder, comm=comm)
@@ -176,7 +176,11 @@ def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, mon
     monkeypatch.setattr(runner, "simulate", stand_in)
     with pytest.raises(Stopped):
         pgfmd.run(other, folder, comm=comm, overwrite=True)
-    assert pgfmd.Ensemble(folder).status == "stopped"
+    found = pgfmd.Ensemble(folder)
+    done = {run.directory.name for run in found.runs}  # none, if the rank that was stopped was faster than the others
+    assert found.status == "stopped" and done <= {"seed_0003", "seed_0004"} and (done or comm.size > 1)
+    with h5py.File(folder / "ensemble.h5", "r", locking=False) as file:
+        assert list(file["loads/seeds"]) == [len(done)] * bool(done)
     monkeypatch.undo()
     found = pgfmd.run(other, folder, comm=comm, restart=True)
     assert [len(run) for run in found.runs] == [1, 1, 1, 1] and found.status == "complete"
@@ -190,6 +194,19 @@ def test_a_wrong_input_leaves_nothing(comm, shared_tmp_path):
         pgfmd.run(job, shared_tmp_path / "out", comm=comm)
     comm.Barrier()
     assert not (shared_tmp_path / "out").exists()
+
+
+def test_a_wrong_input_leaves_an_ensemble_as_it_was(comm, shared_tmp_path):
+    """--overwrite by a job that fails for every seed, before it has written anything: not a byte has changed."""
+    folder = shared_tmp_path / "out"
+    pgfmd.run(with_seeds([3, 4]), folder, comm=comm)
+    before = (folder / "ensemble.h5").read_bytes()
+    job = with_seeds([3, 4])
+    job["surface"] = job["surface"] | {"lambda_s": 10.1, "lambda_l": 10.1}
+    with pytest.raises(InputError, match="no mode"):
+        pgfmd.run(job, folder, comm=comm, overwrite=True)
+    comm.Barrier()
+    assert (folder / "ensemble.h5").read_bytes() == before and len(pgfmd.Ensemble(folder)) == 4
 
 
 def test_one_surface_and_an_ensemble_do_not_share_a_folder(comm, shared_tmp_path):
@@ -266,17 +283,44 @@ def test_too_many_ranks_are_told_of_in_a_check(comm, tmp_path, capsys):
     assert comm.rank or "the 32 rows of the grid, of each of 5 surfaces" in capsys.readouterr().err
 
 
-def test_a_disk_that_fails_at_the_end_ends_all_ranks(comm, shared_tmp_path, monkeypatch):
-    """Files of the seeds are synced by one rank of each group: if one cannot, all ranks say so, and none waits."""
-    from pgfmd.operation import ensemble
+def test_a_disk_that_fails_fails_the_seed(comm, shared_tmp_path, monkeypatch):
+    """A file of one seed cannot be synced by the rank that leads its group: that seed has failed, on all ranks alike,
+    and the ensemble is written.
+    """
 
     def fails(folder):
-        if comm.rank == comm.size - 1:
+        if folder.name == "seed_0006":
             raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(ensemble, "sync_files", fails)
-    with pytest.raises(OSError, match="Input/output error"):
+    monkeypatch.setattr(ensembles, "sync_files", fails)
+    with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 6: .*Input/output error"):
         pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+    found = pgfmd.Ensemble(shared_tmp_path / "out")
+    assert found.status == "failed" and found.failed.keys() == {6} and len(found) == 10
+
+
+def test_a_seed_that_takes_too_much_memory_does_not_stop_the_others(comm, shared_tmp_path, monkeypatch):
+    """Where each rank has a surface of its own, a seed without memory is a seed that failed; and what it had taken is
+    free when the next one begins.
+    """
+    simulate, kept = runner.simulate, []
+
+    class Big:
+        pass
+
+    def stand_in(job, group, directory, **options):
+        assert not kept or kept[-1]() is None
+        if job.surface.seed == 4:
+            heights = Big()
+            kept.append(weakref.ref(heights))
+            raise MemoryError
+        simulate(job, group, directory, **options)
+
+    monkeypatch.setattr(runner, "simulate", stand_in)
+    monkeypatch.setattr(ensembles, "rank_groups", lambda *_: comm.size)
+    with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 4: MemoryError"):
+        pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+    assert pgfmd.Ensemble(shared_tmp_path / "out").failed == {4: "MemoryError"}
 
 
 def test_each_seed_keeps_its_log(tmp_path, mpirun):

@@ -54,9 +54,10 @@ def commit(path: Path, keep: bool = False, sync: bool = True) -> None:
 
 
 def sync_files(folder: Path) -> None:
-    """Sync the files of a folder, and the folder, to the disk."""
+    """Sync the files of a folder, and the folder, to the disk.  Raises OSError."""
     for path in (*folder.glob("*.h5"), folder):
-        _sync(path)
+        with named(path):
+            _sync(path)
 
 
 def revise(

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -136,13 +138,30 @@ def is_ensemble(directory: str | os.PathLike) -> bool:
 
 
 def folders(directory: str | os.PathLike) -> list[Path]:
-    """The result folders in the folder of an ensemble, in the order of its seeds; of any other folder the folder."""
+    """The result folders in the folder of an ensemble, in the order of its seeds; of any other folder the folder.
+
+    Results of another job, which `--overwrite` has not replaced yet, are left out.
+    """
     path = Path(directory)
     if not is_ensemble(path):
         return [path]
     with h5py.File(path / ENSEMBLE_FILE, "r", locking=False) as file:
-        found = [path / member_name(seed) for seed in file.attrs["seeds"]]
-    return [folder for folder in found if (folder / OBSERVABLES_FILE).is_file()]
+        seeds, job = file.attrs["seeds"], _without_seed_and_run(str(file.attrs["effective_toml"]))
+    return [folder for folder in (path / member_name(seed) for seed in seeds) if _holds(folder, job)]
+
+
+def _holds(folder: Path, job: str) -> bool:
+    """Whether a folder has results of that job, or some that cannot be read, of which `Results` then says why."""
+    if not (folder / OBSERVABLES_FILE).is_file():
+        return False
+    with suppress(OSError), h5py.File(folder / OBSERVABLES_FILE, "r", locking=False) as file:
+        return _without_seed_and_run(str(file.attrs.get("effective_toml"))) == job
+    return True
+
+
+def _without_seed_and_run(job: str) -> str:
+    """An effective job without what may differ between the seeds of an ensemble: `surface.seed` and [run]."""
+    return re.sub(r"(?m)^seed = .*\n|^\[run\]\n[^[]*", "", job)
 
 
 def solved_runs(runs: Iterable[Results]) -> np.ndarray:

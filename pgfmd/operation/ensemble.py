@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
 from pgfmd.io import ensemble, provenance, restart
-from pgfmd.io.atomic import OutputFolder, sync_files
+from pgfmd.io.atomic import OutputFolder, commit, sync_files, temporary
 from pgfmd.io.results import Results
 from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
 from pgfmd.job.job import Job, as_toml, differences, parse
@@ -51,14 +52,16 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
         if comm.rank == 0:
             log.info("%d seeds, %d at a time", len(seeds), groups)
         failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)
-        nothing = len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values())
-        folder.finish(failed, "stopped" if stopped else "failed" if failed else "complete", remove=nothing)
+        if len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values()):
+            folder.undo()
+        else:
+            folder.finish(failed, "stopped" if stopped else "failed" if failed else "complete")
     if stopped:
         raise stopped
     if len(failed) == len(seeds):
         raise next(iter(failed.values()))
     if failed:
-        reasons = "; ".join(f"seed {seed}: {error}" for seed, error in failed.items())
+        reasons = "; ".join(f"seed {seed}: {_reason(error)}" for seed, error in failed.items())
         raise SolverError(f"{len(failed)} of {len(seeds)} seeds failed, the others are written: {reasons}")
 
 
@@ -71,6 +74,7 @@ class _Folder:
     def __init__(self, job: Job, comm: MPI.Comm, path: Path, mode: str):
         self.job, self.comm, self.path = job, comm, path
         self._folder: OutputFolder | None = None
+        self._before: bytes | None = None  # ensemble.h5 as it was
         with raise_together(comm):
             if comm.rank == 0:
                 self._folder = OutputFolder(path)
@@ -81,7 +85,8 @@ class _Folder:
                     self._folder.discard()
                     raise
         origin = provenance.Origin(job.text, as_toml(job), len(job.load.targets))
-        self._about = provenance.gather(comm.size, {"MPI": library()}, origin) | {"seeds": np.array(job.surface.seeds)}
+        self._about: dict[str, Any] = from_root(comm, provenance.gather, comm.size, {"MPI": library()}, origin)
+        self._about |= {"seeds": np.array(job.surface.seeds)}
         from_root(comm, ensemble.write, path, self._about, {}, "running")
 
     def _check(self, mode: str) -> None:
@@ -98,15 +103,24 @@ class _Folder:
             changed = [text for text in differences(before, self.job) if not text.startswith("surface.seed:")]
             if changed:
                 raise InputError(f"{self.path}: cannot be continued, the job differs: {'; '.join(changed)}")
+        self._before = (self.path / ENSEMBLE_FILE).read_bytes()
 
-    def finish(self, failed: Failures, status: str, remove: bool) -> None:
-        """Write what became of the seeds, and the means over them; or remove the file of an ensemble without results.
-        """
-        if remove:
-            from_root(self.comm, (self.path / ENSEMBLE_FILE).unlink)
+    def finish(self, failed: Failures, status: str) -> None:
+        """Write what became of the seeds, and the means over them."""
+        reasons = {seed: printable(_reason(error), 400) for seed, error in failed.items()}
+        from_root(self.comm, ensemble.write, self.path, self._about, reasons, status)
+
+    def undo(self) -> None:
+        """Put ensemble.h5 back as it was, or remove it if there was none: no seed has written anything."""
+        from_root(self.comm, self._undo)
+
+    def _undo(self) -> None:
+        path = self.path / ENSEMBLE_FILE
+        if self._before is None:
+            path.unlink()
         else:
-            reasons = {seed: printable(str(error), 400) for seed, error in failed.items()}
-            from_root(self.comm, ensemble.write, self.path, self._about, reasons, status)
+            temporary(path).write_bytes(self._before)
+            commit(path)
 
     def __enter__(self) -> _Folder:
         return self
@@ -122,7 +136,7 @@ def _run_seeds(
 ) -> tuple[Failures, Stopped | NoProgress | None]:
     """Run the seeds, in groups of ranks; which of them failed, and why the run was stopped, if it was.  Collective."""
     failed: Failures = {}
-    synced: list[Future[None]] = []
+    synced: dict[int, Future[None]] = {}
     seeds = job.surface.seeds
     stopped: Stopped | NoProgress | None = None
     own = comm.rank * groups // comm.size  # the number of this rank's group
@@ -145,20 +159,24 @@ def _run_seeds(
                 goes_on = mode == "restart" and not anew
                 simulate(member, group, folder, overwrite=anew, restart=goes_on, interruptions=interruptions)
                 if group.rank == 0:
-                    synced.append(disk.submit(sync_files, folder))
+                    synced[seed] = disk.submit(sync_files, folder)
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
             except (Stopped, NoProgress) as reason:
                 stopped = reason
                 if group.rank == 0:
-                    interruptions.batch_stop_file.touch()  # for the other groups, which a signal may not have reached
+                    with suppress(OSError):
+                        interruptions.batch_stop_file.touch()  # for the other groups, which no signal may have reached
                 break
-            except (InputError, SolverError, OSError) as error:
-                failed[seed] = error
-                progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds), error)
-    with raise_together(comm):
-        for each in synced:
-            each.result()
+            except (InputError, SolverError, OSError, MemoryError) as error:
+                if isinstance(error, MemoryError) and group.size > 1:
+                    raise  # perhaps of one rank alone, for which the others wait
+                failed[seed] = _without_frames(error)
+                progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
+                                 _reason(error))  # fmt: skip
+    for seed, each in synced.items():
+        if isinstance(fault := each.exception(), Exception):
+            failed[seed] = fault
     found = comm.allgather((failed, stopped))
     if comm.rank == 0:
         interruptions.batch_stop_file.unlink(missing_ok=True)
@@ -166,6 +184,16 @@ def _run_seeds(
         group.Free()
     everywhere = {seed: error for each, _ in found for seed, error in each.items()}
     return dict(sorted(everywhere.items())), next((reason for _, reason in found if reason), None)
+
+
+def _reason(error: Exception) -> str:
+    return str(error) or type(error).__name__
+
+
+def _without_frames(error: Exception) -> Exception:
+    """The error without the frames in which it was raised: their arrays would be kept with it."""
+    error.__context__ = error.__cause__ = None
+    return error.with_traceback(None)
 
 
 def _found(folder: Path, job: Job) -> str:
