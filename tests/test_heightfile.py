@@ -198,7 +198,8 @@ def test_packed_dataset(comm, shared_tmp_path):
     grid = SlabGrid(comm, (4, 6))
     with pytest.raises(InputError, match=r"\[1, 1\] is nan"):
         read_heights(grid, path)
-    assert np.allclose(whole(grid, read_heights(grid, path, missing="interpolate")), 0.5 * packed + 100, rtol=1e-11)
+    found = whole(grid, read_heights(grid, path, missing="interpolate"))
+    assert np.allclose(found, 0.5 * packed + 100, rtol=1e-11, atol=0)
 
 
 def filled(heights, spacing):
@@ -455,6 +456,18 @@ def test_files_that_hold_no_surface(comm, package, shared_tmp_path, content, wor
     with pytest.raises(InputError, match=words) as caught:
         read_heights(SlabGrid(comm, SDF_SHAPE, SDF_LENGTHS), path, length_unit="m")
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
+
+
+def test_want_of_memory_is_no_fault_of_the_file(comm, shared_tmp_path, monkeypatch):
+    """A file that memory does not hold is not called damaged, on any rank."""
+
+    def rows(self, first, stop):
+        raise MemoryError("no room")
+
+    path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, np.ones((8, 8))))
+    monkeypatch.setattr(measurement.Measurement, "rows", rows)
+    with pytest.raises(MemoryError, match="no room"):
+        read_heights(SlabGrid(comm, (8, 8)), path)
 
 
 def test_text_sdf_of_either_standard(comm, package, shared_tmp_path):

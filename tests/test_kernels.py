@@ -96,7 +96,7 @@ def test_apply_stencil(density, rng):
     out = np.zeros(offsets[-1])
     stencil.apply_stencil(field, weights, (np.nonzero(mask)[1].astype(np.int32), offsets), 0, 9, out)
     windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
-    assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[mask], rtol=1e-13)
+    assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[mask], rtol=1e-13, atol=0)
 
 
 @pytest.mark.parametrize("room", [5, 7, 40])
@@ -130,10 +130,10 @@ def test_spread_and_interpolate(points, rng):
     splines = x_first, x_weights, y_first, y_weights
     values, nodes = rng.random(len(columns)), np.zeros((5, 5))
     particle_mesh.spread_points(values, (columns, offsets), (0, 9), splines, 0, nodes)
-    assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13)
+    assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13, atol=0)
     nodes, out = rng.random((7, 5)), np.ones(len(columns))
     particle_mesh.add_interpolated(nodes, -1, (columns, offsets), (0, 9), splines, out)
-    assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13)
+    assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13, atol=0)
 
 
 def test_scale_modes(rng):
@@ -141,7 +141,7 @@ def test_scale_modes(rng):
     block, scale = rng.random((3, 8)) + 1j * rng.random((3, 8)), rng.random((3, 8))
     expected = block * scale
     kernels.scale_modes(block.view(float).reshape(3, 8, 2), scale)
-    assert np.allclose(block, expected, rtol=1e-15)
+    assert np.allclose(block, expected, rtol=1e-15, atol=0)
 
 
 def test_blocks(points, rng):
@@ -152,7 +152,7 @@ def test_blocks(points, rng):
     sums, expected = np.zeros((3, 3)), np.zeros((3, 3))
     preconditioner.block_sums(values, (columns, offsets), (0, 9), 3, column_block, sums)
     np.add.at(expected, (rows // 3, columns // 3), values)
-    assert np.allclose(sums, expected, rtol=1e-14)
+    assert np.allclose(sums, expected, rtol=1e-14, atol=0)
     beyond = np.zeros((5, 3))
     preconditioner.block_sums(values, (columns, offsets), (-3, 12), 3, column_block, beyond)
     assert np.array_equal(beyond[1:4], sums) and not beyond[[0, 4]].any()
@@ -169,7 +169,7 @@ def test_blocks_of_blocks(start, rng):
     rows, columns = (start + np.arange(9)) // 3, np.arange(7) // 3
     np.add.at(expected, (rows[:, None], columns[None, :]), field)
     kernels.sum_over_blocks(field, start, 3, sums)
-    assert np.allclose(sums, expected, rtol=1e-14)
+    assert np.allclose(sums, expected, rtol=1e-14, atol=0)
     mean, out = means[rows[:, None], columns], np.empty((9, 7))
     kernels.rest_in_blocks((field, shares, weights), means, start, 3, out)
     assert np.allclose(out, weights * (field * shares - mean), rtol=1e-13, atol=1e-15)
@@ -191,15 +191,15 @@ def test_finish_rows(rng):
     p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
     pressure, opened = p.copy(), gap.copy()
     violation = finish_rows(pressure, opened, 0.05, 3.0, 2.0)
-    assert np.allclose(pressure, 3 * p, rtol=1e-15)
-    assert np.allclose(opened, np.where(p > 0, 0, 2 * np.maximum(gap - 0.05, 0)), rtol=1e-14)
-    assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14)
+    assert np.allclose(pressure, 3 * p, rtol=1e-15, atol=0)
+    assert np.allclose(opened, np.where(p > 0, 0, 2 * np.maximum(gap - 0.05, 0)), rtol=1e-14, atol=0)
+    assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14, abs=0)
 
 
 def test_squares_of_steps(rng):
     """The sum of the squares of steps along rows."""
     field = rng.standard_normal((9, 7))
-    assert kernels.squares_of_steps(field) == pytest.approx((np.diff(field, axis=1) ** 2).sum(), rel=1e-13)
+    assert kernels.squares_of_steps(field) == pytest.approx((np.diff(field, axis=1) ** 2).sum(), rel=1e-13, abs=0)
 
 
 @pytest.fixture
@@ -218,10 +218,10 @@ def test_changed_pressures(fields, change):
     new = p + change[1] * (change[2] - gap) if change[1] else np.where(p < 1, change[0] * p, p)
     slope = np.where((new > 0) & (new < 1), change[1] or p, 0)[2:8].sum()
     found = feasible.changed_sums((p, gap), change, 1.0, 2, 8)
-    assert np.allclose(found, (np.clip(new, 0, 1)[2:8].sum(), slope), rtol=1e-13)
+    assert np.allclose(found, (np.clip(new, 0, 1)[2:8].sum(), slope), rtol=1e-13, atol=0)
     out = p.copy()
     feasible.change_rows((out, gap), change, 1.0, 2, 8)
-    assert np.allclose(out[2:8], np.clip(new, 0, 1)[2:8], rtol=1e-14)
+    assert np.allclose(out[2:8], np.clip(new, 0, 1)[2:8], rtol=1e-14, atol=0)
     assert np.array_equal(out[:2], p[:2])
 
 
@@ -257,7 +257,7 @@ def test_products_of_spectra(rng):
     a, b = (rng.standard_normal((3, 8, 2)).astype(np.float32) for _ in range(2))
     expected = [(np.array([1.0, 2, 2]) @ (left.astype(float) * b).sum(axis=(1, 2))).sum() for left in (a, b)]
     found = spectral_dots(a, b, np.array([1.0, 2, 2]))
-    assert found == pytest.approx(expected, rel=1e-12)
+    assert found == pytest.approx(expected, rel=1e-12, abs=0)
 
 
 def test_start_rows(rng):
@@ -268,7 +268,7 @@ def test_start_rows(rng):
     nested_iteration.start_rows((p, g, coarse), h, 0.3, pressure, gap)
     flattened, contact = nested_iteration.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
     assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
-    assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-300), 0), rtol=1e-14)
+    assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-300), 0), rtol=1e-14, atol=0)
 
 
 def test_interpolate_rows(rng):
@@ -280,7 +280,7 @@ def test_interpolate_rows(rng):
     out = np.empty((3, 4))
     kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
     picked = coarse[(index[:, None] + np.arange(4))[:, :, None, None], columns[None, None]]
-    assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13)
+    assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13, atol=0)
 
 
 def test_vectors_of_conjugate_gradients(rng):

@@ -55,7 +55,7 @@ def check(comm, heights, tolerance, **solid):
         error = float(exact.error_of(found.pressure))
         assert error <= found.certified_error + 1e-30 and found.certified_error <= tolerance, (load, error, found)
         room = 3 * math.sqrt(tolerance)
-        assert found.elastic_energy == pytest.approx(float(exact.work / 2), rel=room)
+        assert found.elastic_energy == pytest.approx(float(exact.work / 2), rel=room, abs=0)
         assert np.abs(found.gap.ravel() - exact.gap).max() <= room * exact.unit * math.sqrt(
             exact.scaled_work
         ) + 1e-13 * np.ptp(heights)
@@ -77,13 +77,16 @@ def test_any_load_on_a_slab_is_certified(comm, base, thickness):
 @pytest.mark.parametrize("load", [1e-100, 1e-12, 1e-3])
 def test_one_pixel_carries_what_its_own_compliance_says(comm, load, method):
     """A lone summit: p = N p̄ on it, 2 E_el = p̄² N G₀₀, by either method; gaps elsewhere are those of the undeformed
-    surfaces but for the indentation, max G − min G ≤ 2 G₀₀ per force."""
+    surfaces but for the indentation, max G − min G ≤ 2 G₀₀ per force.  The active set computes in single precision, of
+    2⁻²⁴: its energy may miss √log₂ 2N² = 2.9 of that by the transform either way, and 4 by the symbol.
+    """
     heights, pressure = surface("rough"), load * 1e-3
     pixel = float(reference.Contact(heights).pixel)
     found = whole(comm, heights, pressure, method=method)
     assert np.count_nonzero(found.pressure) == 1
-    assert found.pressure.max() == pytest.approx(N**2 * pressure, rel=1e-14)
-    assert found.elastic_energy == pytest.approx(pressure**2 * N**2 * pixel / 2, rel=1e-13)
+    assert found.pressure.max() == pytest.approx(N**2 * pressure, rel=1e-14, abs=0)
+    room = 1e-13 if method == "gfmd" else (2 * math.sqrt(math.log2(2 * N**2)) + 4) * 2.0**-24
+    assert found.elastic_energy == pytest.approx(pressure**2 * N**2 * pixel / 2, rel=room, abs=0)
     assert np.abs(found.gap - (heights.max() - heights)).max() < 2 * N**2 * pressure * pixel + 1e-14
 
 
@@ -114,7 +117,7 @@ def test_a_heavy_load_knows_its_last_digits(comm):
         found = whole(comm, heights, pressure)
         error = float(contact.hard(pressure).error_of(found.pressure))
         assert error <= found.certified_error < 1e4 * max(error, 1e-32)
-        assert found.elastic_energy == pytest.approx(float(contact.hard(pressure).work / 2), rel=1e-13)
+        assert found.elastic_energy == pytest.approx(float(contact.hard(pressure).work / 2), rel=1e-13, abs=0)
     with pytest.raises(pgfmd.SolverError, match="last digits"):
         whole(comm, heights, 1e15, method="active-set")
 

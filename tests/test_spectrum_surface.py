@@ -160,14 +160,20 @@ def test_tables_that_are_none(comm, shared_tmp_path, content):
 
 
 def test_files_that_are_no_table(comm, shared_tmp_path):
-    """A missing file, a folder, an .npy of another shape or type, or cut short: one line on all ranks."""
+    """A missing file, a folder, an .npy of another shape or type, cut short, damaged, or of several arrays: one line
+    on all ranks.
+    """
     if comm.rank == 0:
         np.save(shared_tmp_path / "flat.npy", np.ones(4))
         np.save(shared_tmp_path / "complex.npy", np.ones((4, 2), complex))
         np.save(shared_tmp_path / "cut.npy", BENT)
-        (shared_tmp_path / "cut.npy").write_bytes((shared_tmp_path / "cut.npy").read_bytes()[:-9])
+        whole = (shared_tmp_path / "cut.npy").read_bytes()
+        (shared_tmp_path / "cut.npy").write_bytes(whole[:-9])
+        (shared_tmp_path / "damaged.npy").write_bytes(whole.replace(b"shape'", b"shape("))
+        with open(shared_tmp_path / "several.npy", "wb") as file:
+            np.savez(file, q=BENT, C=BENT)
     comm.Barrier()
-    for name in ("none.txt", "", "flat.npy", "complex.npy", "cut.npy"):
+    for name in ("none.txt", "", "flat.npy", "complex.npy", "cut.npy", "damaged.npy", "several.npy"):
         with pytest.raises(InputError) as caught:
             FromSpectrum(path=str(shared_tmp_path / name)).heights(SlabGrid(comm, (8, 8)))
         assert "\n" not in str(caught.value) and str(shared_tmp_path) in str(caught.value)

@@ -38,11 +38,11 @@ def test_moments_of_the_self_affine_spectrum(model):
                            epsabs=0, epsrel=1e-11)[0]
             for ends in ((low, roll_off), (roll_off, high)) if ends[0] < ends[1] * (1 - 1e-12)
         ]
-        assert model.moment(order) == pytest.approx(sum(parts), rel=1e-10)
-    assert model.moment(2) == pytest.approx(model.rms_slope**2, rel=1e-14)
+        assert model.moment(order) == pytest.approx(sum(parts), rel=1e-10, abs=0)
+    assert model.moment(2) == pytest.approx(model.rms_slope**2, rel=1e-14, abs=0)
     q, variance = model.lines(300)
-    assert np.sum(variance) == pytest.approx(model.moment(0), rel=1e-12)
-    assert np.sum(q**2 * variance) == pytest.approx(model.rms_slope**2, rel=1e-12)
+    assert np.sum(variance) == pytest.approx(model.moment(0), rel=1e-12, abs=0)
+    assert np.sum(q**2 * variance) == pytest.approx(model.rms_slope**2, rel=1e-12, abs=0)
 
 
 def test_moments_of_a_discrete_isotropic_spectrum():
@@ -52,7 +52,7 @@ def test_moments_of_a_discrete_isotropic_spectrum():
     moments = surface.SpectralMoments.from_spectrum(q, power, np.array([directions, directions]))
     along = q[:, None] * np.cos(angle)
     for order, value in ((0, moments.m0), (2, moments.m2), (4, moments.m4)):
-        assert value == pytest.approx(np.sum(power[:, None] * along**order), rel=1e-13)
+        assert value == pytest.approx(np.sum(power[:, None] * along**order), rel=1e-13, abs=0)
 
 
 @pytest.mark.parametrize(("load", "std"), [(1e-3, 1.0), (0.3, 1.0), (2.0, 0.7), (5.0, 0.4)])
@@ -64,11 +64,11 @@ def test_persson_moments_of_the_pressure(load, std):
         for n in range(3)
     ]
     fraction = float(persson.contact_fraction(load, std))
-    assert moments == pytest.approx([fraction, load, persson.mean_square(load, std)], rel=1e-12)
+    assert moments == pytest.approx([fraction, load, persson.mean_square(load, std)], rel=1e-12, abs=0)
     m2 = (moments[2] / fraction) / (moments[1] / fraction) ** 2
-    assert persson.normalised_second_moment(load, std) == pytest.approx(m2, rel=1e-12)
+    assert persson.normalised_second_moment(load, std) == pytest.approx(m2, rel=1e-12, abs=0)
     above = integrate.quad(persson.pressure_density, 0.8, load + 14 * std, (load, std), points=[load], epsabs=1e-15)[0]
-    assert persson.exceedance(0.8, load, std) == pytest.approx(above, rel=1e-9)
+    assert persson.exceedance(0.8, load, std) == pytest.approx(above, rel=1e-9, abs=0)
 
 
 def test_persson_pressure_diffuses_to_an_absorbing_wall():
@@ -86,9 +86,9 @@ def test_persson_pressure_diffuses_to_an_absorbing_wall():
 
 def test_persson_limits():
     """κ → √(8/π), m₂ → 4/π as p̄ → 0 (next order p̄²); full contact at high load and on a flat surface."""
-    assert persson.kappa(1e-5, 1.0) == pytest.approx(np.sqrt(8 / np.pi), rel=1e-9)
+    assert persson.kappa(1e-5, 1.0) == pytest.approx(np.sqrt(8 / np.pi), rel=1e-9, abs=0)
     assert persson.LOW_LOAD_KAPPA == pytest.approx(1.5958, abs=5e-5)
-    assert persson.normalised_second_moment(1e-5, 1.0) == pytest.approx(4 / np.pi, rel=1e-9)
+    assert persson.normalised_second_moment(1e-5, 1.0) == pytest.approx(4 / np.pi, rel=1e-9, abs=0)
     assert persson.contact_fraction(9.0, 1.0) == 1
     np.testing.assert_array_equal(persson.contact_fraction([0.0, 1.0], 0.0), [0, 1])
     assert persson.full_contact_std(MODULUS, 0.031) == pytest.approx(0.04133, abs=5e-6)
@@ -127,7 +127,7 @@ def test_persson_energy_and_gap_are_one_thermodynamics(gamma):
         )
         assert energy == pytest.approx(-load * gap, rel=3e-6)
     full = np.sum(MODULUS / 4 * q * variance)
-    assert persson.elastic_energy(1.0, q, variance, **options) == pytest.approx(full, rel=1e-12)
+    assert persson.elastic_energy(1.0, q, variance, **options) == pytest.approx(full, rel=1e-12, abs=0)
     assert 0 <= persson.mean_gap(1.0, q, variance, **options) < 1e-12 * np.sqrt(variance.sum())
 
 
@@ -145,7 +145,7 @@ def test_persson_gap_by_quadrature(gamma):
     expected = integrate.quad(integrand, load, 10, epsabs=0, epsrel=1e-11)[0]
     q, variance = np.array([0.1, wave]), np.array([0.0, power])
     result = persson.mean_gap(load, q, variance, contact_modulus=MODULUS, gamma=gamma)
-    assert result == pytest.approx(expected, rel=1e-9)
+    assert result == pytest.approx(expected, rel=1e-9, abs=0)
 
 
 def test_persson_stress_spectrum_sums_to_the_energy():
@@ -156,7 +156,7 @@ def test_persson_stress_spectrum_sums_to_the_energy():
         energy = persson.elastic_energy(load, q, variance, contact_modulus=MODULUS, gamma=0.45)
         assert np.sum(spectrum / (MODULUS * q)) == pytest.approx(energy, rel=2e-3)
     fraction = persson.scale_contact_fraction(0.003, q, variance, contact_modulus=MODULUS)
-    assert fraction[-1] == pytest.approx(persson.contact_fraction(0.003, MODULUS * 0.031 / 2), rel=1e-12)
+    assert fraction[-1] == pytest.approx(persson.contact_fraction(0.003, MODULUS * 0.031 / 2), rel=1e-12, abs=0)
     assert np.all(np.diff(fraction) <= 0)
 
 
@@ -258,7 +258,7 @@ def test_greenwood_williamson_by_quadrature():
         area = moments.summit_density * total(lambda depth: np.pi * radius * depth)
         load = moments.summit_density * total(lambda depth: 4 / 3 * MODULUS * np.sqrt(radius) * depth**1.5)
         result = asperity.greenwood_williamson(separation, moments, MODULUS)
-        assert result == pytest.approx((area, load), rel=1e-9)
+        assert result == pytest.approx((area, load), rel=1e-9, abs=0)
 
 
 @pytest.mark.parametrize("model", [asperity.greenwood_williamson, asperity.bush_gibson_thomas])
@@ -287,14 +287,14 @@ def test_impossible_surfaces_are_refused():
 def test_bearing_autocorrelation_is_the_orthant_probability(fraction):
     """P(X > t, Y > t) of a Gaussian pair by one-dimensional quadrature of the conditional probability, to 1e-10."""
     level = bearing.threshold(fraction, 1.0)
-    assert bearing.area(level, 1.0) == pytest.approx(fraction, rel=1e-13)
+    assert bearing.area(level, 1.0) == pytest.approx(fraction, rel=1e-13, abs=0)
     for rho in (-0.9, -0.2, 0.0, 0.5, 0.99):
         def integrand(x, rho=rho):
             return stats.norm.pdf(x) * special.ndtr((rho * x - level) / np.sqrt(1 - rho**2))
 
         expected = integrate.quad(integrand, level, 12, points=[max(level, 0.0)], epsabs=1e-14)[0]
         assert bearing.autocorrelation(rho, fraction) == pytest.approx(expected, abs=1e-12)
-    assert bearing.autocorrelation(1.0, fraction) == pytest.approx(fraction, rel=1e-13)
+    assert bearing.autocorrelation(1.0, fraction) == pytest.approx(fraction, rel=1e-13, abs=0)
     assert bearing.autocorrelation(-1.0, fraction) == pytest.approx(max(2 * fraction - 1, 0), abs=1e-13)
 
 
@@ -327,12 +327,13 @@ def test_hertz_solves_the_half_space_equations():
     def over_disc(function):
         return integrate.quad(lambda s: 2 * np.pi * function(s) * hertz.pressure(s, radius, peak), 0, radius)[0]
 
-    assert over_disc(lambda s: s) == pytest.approx(load, rel=1e-9)
-    assert over_disc(lambda s: 1.0) / (np.pi * MODULUS) == pytest.approx(approach, rel=1e-9)
+    assert over_disc(lambda s: s) == pytest.approx(load, rel=1e-9, abs=0)
+    assert over_disc(lambda s: 1.0) / (np.pi * MODULUS) == pytest.approx(approach, rel=1e-9, abs=0)
     energy = over_disc(lambda s: s * (approach - s**2 / (2 * tip)) / 2)
-    assert hertz.elastic_energy(load, tip, contact_modulus=MODULUS) == pytest.approx(energy, rel=1e-9)
-    assert hertz.radius_from_second_moment(over_disc(lambda s: s**3) / load) == pytest.approx(radius, rel=1e-9)
-    assert hertz.patch_area(8 * load, tip, contact_modulus=MODULUS) == pytest.approx(4 * np.pi * radius**2, rel=1e-12)
+    assert hertz.elastic_energy(load, tip, contact_modulus=MODULUS) == pytest.approx(energy, rel=1e-9, abs=0)
+    assert hertz.radius_from_second_moment(over_disc(lambda s: s**3) / load) == pytest.approx(radius, rel=1e-9, abs=0)
+    area = hertz.patch_area(8 * load, tip, contact_modulus=MODULUS)
+    assert area == pytest.approx(4 * np.pi * radius**2, rel=1e-12, abs=0)
 
 
 def test_lattice_sums():
@@ -343,7 +344,7 @@ def test_lattice_sums():
     gammas = {0.5: half, 1.5: half / 2 + np.sqrt(x) * np.exp(-x), -0.5: 2 * (np.exp(-x) / np.sqrt(x) - half)}
     for s, expected in ((0.5, hertz.LATTICE_SUM_1), (1.5, hertz.LATTICE_SUM_3)):
         total = np.sum(gammas[s] * x**-s + gammas[1 - s] * x ** (s - 1)) - 1 / s - 1 / (1 - s)
-        assert np.pi**s / special.gamma(s) * total == pytest.approx(expected, rel=1e-13)
+        assert np.pi**s / special.gamma(s) * total == pytest.approx(expected, rel=1e-13, abs=0)
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.1, 0.15])
@@ -411,7 +412,7 @@ def test_westergaard_solves_its_integral_equation(fraction):
     def height(x):
         return amplitude * np.cos(2 * np.pi * x / wavelength)
 
-    assert integrate.quad(density, -np.pi / 2, np.pi / 2)[0] == pytest.approx(load * wavelength, rel=1e-10)
+    assert integrate.quad(density, -np.pi / 2, np.pi / 2)[0] == pytest.approx(load * wavelength, rel=1e-10, abs=0)
     gap = case.mean_gap(load)
     half_width = case.half_width(load)
     for x in np.array([0.0, 0.4, 0.9]) * half_width:
@@ -420,7 +421,7 @@ def test_westergaard_solves_its_integral_equation(fraction):
         assert displacement(x) - height(x) + gap > 1e-4 * amplitude
     # In contact u = h − c, and the mean of u is zero.
     energy = integrate.quad(lambda t: density(t) * (height(place(t)) - gap) / 2, -np.pi / 2, np.pi / 2)[0] / wavelength
-    assert case.elastic_energy(load) == pytest.approx(energy, rel=1e-9)
+    assert case.elastic_energy(load) == pytest.approx(energy, rel=1e-9, abs=0)
 
 
 def test_westergaard_full_contact():
@@ -432,7 +433,7 @@ def test_westergaard_full_contact():
     np.testing.assert_allclose(case.pressure(x, 2 * full), full * (2 + np.cos(2 * np.pi * x / 7)), rtol=1e-13)
     assert case.mean_gap(2 * full) == 0
     assert case.contact_area(2 * full) == 1
-    assert case.elastic_energy(2 * full) == pytest.approx(full * 0.3 / 4, rel=1e-14)
+    assert case.elastic_energy(2 * full) == pytest.approx(full * 0.3 / 4, rel=1e-14, abs=0)
     np.testing.assert_array_equal(case.pressure(x, 0.0), 0)
     assert (case.mean_gap(0.0), case.elastic_energy(0.0)) == (0.3, 0)
 
@@ -444,13 +445,13 @@ def test_sinusoid_table_joins_its_asymptotes():
     """
     case = exact.Sinusoid2D(0.2, 9.0, MODULUS)
     table = exact.SINUSOID_2D_TABLE
-    assert case.full_pressure == pytest.approx(MODULUS / 2 * np.sqrt(2) * 2 * np.pi / 9 * 0.2, rel=1e-14)
+    assert case.full_pressure == pytest.approx(MODULUS / 2 * np.sqrt(2) * 2 * np.pi / 9 * 0.2, rel=1e-14, abs=0)
     assert table["area"][0] / case.low_load_area(0.01 * case.full_pressure) == pytest.approx(1.03, abs=0.01)
     assert table["area"][-1] == pytest.approx(case.high_load_area(0.9 * case.full_pressure), abs=2e-3)
     # Two Hertz contacts of tip radius 1/(Δ(2π/λ)²) on each cell λ², each carrying p̄ λ²/2.
     load = 1e-4 * case.full_pressure
     patch = hertz.patch_area(load * 81 / 2, 1 / (0.2 * (2 * np.pi / 9) ** 2), contact_modulus=MODULUS)
-    assert case.low_load_area(load) == pytest.approx(2 * patch / 81, rel=1e-12)
+    assert case.low_load_area(load) == pytest.approx(2 * patch / 81, rel=1e-12, abs=0)
 
 
 def test_strip_punch_presses_flat():
@@ -470,5 +471,5 @@ def test_strip_punch_presses_flat():
             return -np.log(np.abs(2 * np.sin(np.pi * (place(at) - place(t)) / 5)))
 
         parts = sum(integrate.quad(integrand, *ends, limit=200)[0] for ends in ((-np.pi / 2, at), (at, np.pi / 2)))
-        assert 2 / (np.pi * MODULUS) * load * 5 / np.pi * parts == pytest.approx(case.approach(load), rel=1e-8)
+        assert 2 / (np.pi * MODULUS) * load * 5 / np.pi * parts == pytest.approx(case.approach(load), rel=1e-8, abs=0)
     np.testing.assert_array_equal(case.pressure([1.2, 2.5, -1.2, 5 - 1.2], load), 0)

@@ -79,8 +79,8 @@ class Load(Section):
     gap_tolerance: float = key(
         number(above=0, below=1),
         1e-4,
-        "of mean_gap and displacement, relative to the approach from first contact or to the mean gap, whichever is "
-        "less, but at least to zeta",
+        "of mean_gap and displacement, relative to the approach from first contact; under a hard wall to the mean gap, "
+        "if that is less; at least to zeta. Over a rigid base a displacement counts relative to itself",
         unit="1",
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
 from pgfmd.surfaces import instruments, text, tiff
-from pgfmd.surfaces.measurement import Measurement, named
+from pgfmd.surfaces.measurement import Measurement, damage_reported, named
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 NO_UNIT = ("", "1", "length")  # "length" is what the results of a job without a unit say
@@ -40,9 +40,9 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
 
     dataset may be None if an HDF5 file holds just one two-dimensional dataset (or one named "height" or "heights").
     Raises InputError, with the path: file missing, unreadable, truncated, not two-dimensional, or the package for its
-    format is not installed.
+    format is not installed; so does what goes wrong inside the block, except for want of memory.
     """
-    with named(path):
+    with named(path), damage_reported("cannot be read as heights (.npy or HDF5), perhaps truncated"):
         try:
             if path.lower().endswith(tiff.SUFFIXES):
                 yield tiff.read(path)
@@ -55,13 +55,8 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
             else:
                 with h5py.File(path, "r", locking=False) as file:
                     yield _checked(_described(_dataset(file, dataset)))
-        except InputError:
-            raise
         except FileNotFoundError:
             raise InputError("no such file") from None
-        except Exception as error:  # whatever a damaged file makes NumPy or HDF5 raise
-            reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
-            raise InputError(f"cannot be read as heights (.npy or HDF5), perhaps truncated: {reason}") from None
 
 
 def _checked(found: Measurement) -> Measurement:

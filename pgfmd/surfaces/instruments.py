@@ -6,8 +6,7 @@ import io
 import warnings
 
 from pgfmd.errors import InputError
-from pgfmd.options.text import printable
-from pgfmd.surfaces.measurement import Measurement
+from pgfmd.surfaces.measurement import Measurement, damage_reported
 
 MISSING = (
     "is neither .npy nor HDF5 with a two-dimensional dataset; instruments' formats are read by SurfaceTopography, "
@@ -25,19 +24,14 @@ def read(path: str) -> Measurement:
         import SurfaceTopography
     except ImportError:
         raise InputError(MISSING) from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with SurfaceTopography.open_topography(_source(path)) as reader:
-                lengths, dim = reader.default_channel.physical_sizes, reader.default_channel.dim
-                # That package makes no topography without sizes: a file that gives none gets sides of 1, ignored below.
-                surface = reader.topography(**({} if lengths else {"physical_sizes": (1.0,) * dim}))
-                name, unit = f"{reader.name()}, by SurfaceTopography", surface.unit
-                matrix = reader.format() == "asc" and not lengths
-                heights = surface.heights() if dim == 2 else None
-    except Exception as error:  # whatever a damaged file makes dozens of readers raise
-        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
-        raise InputError(f"cannot be read by SurfaceTopography: {reason}") from None
+    with damage_reported("cannot be read by SurfaceTopography"), warnings.catch_warnings(action="ignore"):
+        with SurfaceTopography.open_topography(_source(path)) as reader:
+            lengths, dim = reader.default_channel.physical_sizes, reader.default_channel.dim
+            # That package makes no topography without sizes: a file that gives none gets sides of 1, ignored below.
+            surface = reader.topography(**({} if lengths else {"physical_sizes": (1.0,) * dim}))
+            name, unit = f"{reader.name()}, by SurfaceTopography", surface.unit
+            matrix = reader.format() == "asc" and not lengths
+            heights = surface.heights() if dim == 2 else None
     if heights is None:
         raise InputError("holds a line scan, not the heights of a surface")
     if matrix and 3 in heights.shape:

@@ -31,6 +31,20 @@ def named(path: str) -> Iterator[None]:
         raise InputError(f"{path}: {error}") from None
 
 
+@contextmanager
+def damage_reported(message: str) -> Iterator[None]:
+    """Turns whatever a damaged file makes a reader raise inside the block into an InputError, one line: the message and
+    the reason.  Other InputErrors, and want of memory, are raised as they are.
+    """
+    try:
+        yield
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
+        raise InputError(f"{message}: {reason}") from None
+
+
 @dataclass(frozen=True)
 class Measurement:
     """Heights (nx, ny) as a file holds them: entry [i, j] of `array`, or [j, i] if transposed, times `factor` plus

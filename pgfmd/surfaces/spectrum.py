@@ -13,6 +13,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key
+from pgfmd.surfaces.measurement import damage_reported, named
 from pgfmd.surfaces.surface import SEED, SLACK, Surface, path_key, single
 from pgfmd.surfaces.text import read_table
 
@@ -43,16 +44,14 @@ class FromSpectrum(Surface):
 
     def table(self) -> tuple[np.ndarray, np.ndarray]:
         """q and C, each (m,).  Raises InputError if the file holds no such table."""
-        try:
+        with named(self.path), damage_reported("cannot be read as a table"):
             is_array = self.path.endswith(".npy")
             table = np.load(self.path, allow_pickle=False) if is_array else read_table(self.path, 2)
-        except (OSError, ValueError, EOFError) as error:
-            raise InputError(f"{self.path}: cannot be read as a table: {' '.join(str(error).split())}") from None
-        if table is None or table.dtype.kind not in "fiu" or table.ndim != 2 or table.shape[1] != 2 or len(table) < 2:
-            raise InputError(f"{self.path}: must hold two columns of numbers, q and C(q), and at least two lines")
-        q, spectrum = table.T.astype(np.float64)
-        if not (np.isfinite(table).all() and (q > 0).all() and (np.diff(q) > 0).all() and (spectrum > 0).all()):
-            raise InputError(f"{self.path}: all q and C(q) must be > 0 and finite, each q larger than the one before")
+            if table is None or table.dtype.kind not in "fiu" or table.shape[1:] != (2,) or len(table) < 2:
+                raise InputError("must hold two columns of numbers, q and C(q), and at least two lines")
+            q, spectrum = table.T.astype(np.float64)
+            if not (np.isfinite(table).all() and (q > 0).all() and (np.diff(q) > 0).all() and (spectrum > 0).all()):
+                raise InputError("all q and C(q) must be > 0 and finite, each q larger than the one before")
         return q, spectrum
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:

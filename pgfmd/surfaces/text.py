@@ -90,7 +90,7 @@ def _opening(path: str, least: int) -> tuple[list[str], str, int]:
                 comments.append(line)
             elif not line:
                 break
-            elif line.strip():
+            elif (line := line.partition("#")[0]).strip():
                 first = first or line
                 style = _style(line)
                 if not table or style and len(_fields(line, style) or []) >= least:

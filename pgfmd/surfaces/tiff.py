@@ -7,8 +7,7 @@ import warnings
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.options.text import printable
-from pgfmd.surfaces.measurement import Measurement
+from pgfmd.surfaces.measurement import Measurement, damage_reported
 
 SUFFIXES = (".tif", ".tiff")
 
@@ -22,12 +21,9 @@ def read(path: str) -> Measurement:
         from PIL import Image
     except ImportError:
         raise InputError("TIFF images are read by Pillow, which is not installed here: pip install pillow") from None
-    try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
+    with damage_reported("cannot be read as a TIFF image"), warnings.catch_warnings(action="ignore"):
+        with Image.open(path) as image:
             bands, count, values = image.getbands(), getattr(image, "n_frames", 1), np.array(image)
-    except Exception as error:  # whatever a damaged file makes a reader raise
-        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
-        raise InputError(f"cannot be read as a TIFF image: {reason}") from None
     if len(bands) > 1 or image.mode == "P" or values.ndim != 2:
         raise InputError(f"is an image of colours ({image.mode}), not of heights")
     if count > 1:
