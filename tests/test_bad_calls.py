@@ -94,6 +94,14 @@ def test_a_half_space_has_no_base(comm, base):
         parse(f'grid.n = 4\nsurface = {{kind = "paraboloid", radius = 1}}\nload.pressure = 1\nsolid.base = "{base}"')
 
 
+@pytest.mark.parametrize("base", ["bonded", "free", "sliding"])
+def test_a_slab_too_thin_for_doubles_is_refused(comm, base):
+    """Its stiffness leaves the range of single precision, and then that of doubles: the line names the thickness."""
+    for thickness in (1e-40, 1e-100, 5e-324):
+        with pytest.raises(pgfmd.InputError, match="^thickness"):
+            solve(comm, base=base, thickness=thickness)
+
+
 @pytest.mark.parametrize(
     ("name", "values"),
     [("pressure", (0.1, 0.2)), ("zeta", (None, 0.1)), ("tolerance", (1e-6, 1e-5)), ("spacing", (1, 2))],

@@ -118,8 +118,11 @@ def test_a_heavy_load_knows_its_last_digits(comm):
         error = float(contact.hard(pressure).error_of(found.pressure))
         assert error <= found.certified_error < 1e4 * max(error, 1e-32)
         assert found.elastic_energy == pytest.approx(float(contact.hard(pressure).work / 2), rel=1e-13, abs=0)
+    for pressure in (1e15, 1e119):
+        with pytest.raises(pgfmd.SolverError, match="last digits"):
+            whole(comm, heights, pressure, method="active-set")
     with pytest.raises(pgfmd.SolverError, match="last digits"):
-        whole(comm, heights, 1e15, method="active-set")
+        whole(comm, 1e-119 * heights, 1e60, method="gfmd")
 
 
 def test_loads_of_any_ratio_follow_each_other(comm):

@@ -26,8 +26,9 @@ from pgfmd.physics.problem import ContactProblem
 
 DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
 SINGLE = 1e-3  # relative error of ‖ρ‖_K, from a transform in single precision
-ROUNDING = 1.0, 1.8  # error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13
-# in N: measured at most .7 and 1.3
+# Error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13 in N: measured at most
+# .7 and 1.3.
+ROUNDING = 1.0, 1.8
 SYMBOL = 4.0  # relative error of compliance and stiffness, in units of the last digit: measured at most 2
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 
