@@ -24,7 +24,7 @@ from pgfmd.solvers.solution import ContactSolution
 SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 """(problem, pressure to start from or None, tolerance) → solution."""
 
-NEAR = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
+NEIGHBOURS = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
 LOOSE = 1e-5  # certified error of solutions on the way
 SURE = 0.3  # part of the target's tolerance that the solution's own error may take
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
@@ -84,11 +84,11 @@ class LoadControl:
         return dataclasses.replace(found, iterations=int(iterations), transforms=transforms, seconds=seconds)
 
     def _at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
-        """The contact at that mean pressure, started from the previous solution if its p̄ is `NEAR`.  Collective."""
+        """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  Collective."""
         before, start = self.previous, self._resumed
         self._resumed = self.previous = None
         if start is None and before is not None and before.mean_pressure > 0 and mean_pressure > 0:
-            if abs(math.log(mean_pressure) - math.log(before.mean_pressure)) <= NEAR:
+            if abs(math.log(mean_pressure) - math.log(before.mean_pressure)) <= NEIGHBOURS:
                 start = before.pressure
         del before
         self.previous = found = self.solver(self.problem.at(mean_pressure), start, tolerance)

@@ -64,7 +64,7 @@ class Dimensionless:
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0
         )
         if elastic_energy_is_lost(self.problem):
-            raise Uncertifiable(f"mean pressure = {mean:g}: the elastic energy is lost in the last digits of the pressure")
+            raise Uncertifiable(f"mean pressure = {mean:g}: the elastic energy is lost in the pressure's last digits")
 
     def _uniform(self, heights: np.ndarray) -> ContactSolution:
         """A pressure that is the same everywhere; without a load the highest point touches.  Collective.

@@ -185,15 +185,15 @@ def contact_sums(
 
 
 @_jit
-def count_digits(keys: np.ndarray, prefix: np.uint64, shift: int, first: int, stop: int, counts: np.ndarray) -> None:
+def count_digits(field: np.ndarray, prefix: np.uint64, shift: int, first: int, stop: int, counts: np.ndarray) -> None:
     """counts[(key >> shift) & 0xFFFF] += 1 for the keys with key >> shift >> 16 == prefix, of rows first … stop−1.
 
-    `keys`: a float64 field viewed as int64.  Each entry is first mapped to an unsigned integer, the key, so that keys
-    have the order of the numbers.
+    field: float64 numbers, viewed as int64.  The key of a number is an unsigned integer; keys have the order of the
+    numbers.
     """
     for i in range(first, stop):
-        for j in range(keys.shape[1]):
-            bits = keys[i, j]
+        for j in range(field.shape[1]):
+            bits = field[i, j]
             key = np.uint64(bits) ^ np.uint64(0x8000000000000000) if bits >= 0 else ~np.uint64(bits)
             high = key >> np.uint64(shift)
             if shift == 48 or (high >> np.uint64(16)) == prefix:

@@ -23,29 +23,31 @@ def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> floa
         raise ValueError(f"{count} of {grid.size} points")
     if count == grid.size:
         return float(np.nextafter(grid.reduction.min(heights), -np.inf))
-    rank = grid.size - count - 1  # of the threshold, from the lowest height, 0
+    place = grid.size - count - 1  # of the threshold among the heights in rising order, from 0
     prefix = 0
-    keys = heights.view(np.int64)
+    bits = heights.view(np.int64)
     for shift in range(64 - DIGIT, -1, -DIGIT):
-        counts = _count(grid, keys, prefix, shift)
+        counts = _count(grid, bits, prefix, shift)
         below = np.cumsum(counts)
-        digit = int(np.searchsorted(below, rank, side="right"))
-        rank -= int(below[digit] - counts[digit])
+        digit = int(np.searchsorted(below, place, side="right"))
+        place -= int(below[digit] - counts[digit])
         prefix = prefix << DIGIT | digit
-    bits = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
-    return float(np.array(bits, np.uint64).view(np.float64))
+    found = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
+    return float(np.array(found, np.uint64).view(np.float64))
 
 
-def _count(grid: SlabGrid, keys: np.ndarray, prefix: int, shift: int) -> np.ndarray:
-    """How many keys begin with the digits `prefix`, by the digit that follows: (2^16,) int64.  Collective."""
+def _count(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndarray:
+    """How many heights have keys (`count_digits`) that begin with the digits `prefix`, by the digit that follows:
+    (2^16,) int64.  Collective.
+    """
     parts = []
 
     def part(first: int, stop: int) -> None:
         counts = np.zeros(1 << DIGIT, np.int64)
-        count_digits(keys, np.uint64(prefix), shift, first, stop, counts)
+        count_digits(bits, np.uint64(prefix), shift, first, stop, counts)
         parts.append(counts)
 
-    grid.threads.split(part, len(keys))
+    grid.threads.split(part, len(bits))
     total = np.sum(parts, axis=0)
     grid.comm.Allreduce(MPI.IN_PLACE, total)
     return total

@@ -26,7 +26,7 @@ from pgfmd.solvers.patience import Patience
 from pgfmd.solvers.wall_operations import WallState
 
 CUT = 1e-8  # factor on the linear residual in a step: with 1e-2 in single precision, a third of the tests never ended
-CLOSE = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
+SETTLED = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
 ENOUGH = 0.1  # a step is shortened if it gains less than this part of what the slope promises
 ROUNDING = 1e-13  # of the objective: smaller gains cannot be seen
 MOST, SHORTEST = 100, 40  # steps for one ζ; times that a step is halved
@@ -45,7 +45,7 @@ def descend(
         solver = Descent(soft, source)
         solver.answer(state)
         for _ in range(MOST):
-            if solver.advance_source(state) <= CLOSE * solver.zeta * soft.grid.size:
+            if solver.advance_source(state) <= SETTLED * solver.zeta * soft.grid.size:
                 break
     return Descent(problem, source).relax(state, tolerance, monitor)
 
