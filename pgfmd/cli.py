@@ -14,7 +14,9 @@ interrupted twice, or where nothing could be saved; 1 for anything else.
 from __future__ import annotations
 
 import argparse
+import atexit
 import contextlib
+import gc
 import importlib
 import io
 import logging
@@ -182,6 +184,7 @@ def _plot(words: list[str]) -> str:
 
 def _run(options: argparse.Namespace) -> int:
     """The run itself; its exit code.  Collective."""
+    atexit.register(gc.freeze)  # at the end nobody looks for cycles, which takes a tenth of a second with numba loaded
     comm = world()
     farewell = comm.Dup()  # made now: once a rank has failed, it is too late to agree on anything
     _log_on_root(comm.rank)

@@ -127,17 +127,14 @@ def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
             return os.mkdir, (str(mark),)
 
     fftw.wisdom_file().write_bytes(pickle.dumps(Evil()))
-    monkeypatch.setattr(fftw, "_loaded", False)
-    monkeypatch.setattr("atexit.register", lambda _: None)
+    fftw.pyfftw.forget_wisdom()
     a = np.empty((4, 96), complex)
     fftw.plan(a, a, True)
     assert not mark.exists()
-    fftw.save_wisdom()
     before = fftw.pyfftw.export_wisdom()
     assert len(before[0]) > 60
     fftw.pyfftw.forget_wisdom()
-    monkeypatch.setattr(fftw, "_loaded", False)
-    fftw._load_wisdom()
+    fftw._load_wisdom(fftw.wisdom_file())
     assert set(before[0].split()) == set(fftw.pyfftw.export_wisdom()[0].split())
 
 
@@ -150,8 +147,52 @@ def test_wisdom_that_cannot_be_kept_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(fftw, "private_folder", lambda: tmp_path)
     monkeypatch.setattr(fftw.os, "replace", full)
-    fftw.save_wisdom()
+    fftw._save_wisdom(fftw.wisdom_file())
     assert list(tmp_path.iterdir()) == []
+
+
+PLAN = """
+import sys
+import numpy as np
+from pgfmd.grid import fftw
+
+def made(*arguments, **options):
+    found = make(*arguments, **options)
+    if "FFTW_WISDOM_ONLY" not in options["flags"]:
+        print("plan of", len(arguments[0][0]), options["direction"])
+    return found
+
+make, fftw.pyfftw.FFTW = fftw.pyfftw.FFTW, made
+print("ready", flush=True)
+sys.stdin.readline()
+for n in map(int, sys.argv[1:]):
+    a = np.empty((4, n), complex)
+    for forward in (True, False):
+        fftw.plan(a, a, forward)
+"""
+
+
+def test_a_transform_is_planned_by_one_process(tmp_path):
+    """Processes that begin together with an empty cache, and each need transforms of their own and common ones: each is
+    planned by one of them, and nothing that another has learnt is lost.  A process after them plans nothing.
+    """
+    environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+
+    def start(*sizes: str) -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, "-c", PLAN, *sizes], env=environment, **pipes)
+
+    def plans(run: subprocess.Popen) -> list[str]:
+        found = run.communicate("go\n", timeout=120)[0].splitlines()
+        assert run.returncode == 0
+        return found
+
+    common = ("96", "120", "75")
+    runs = [start(*common, "80"), start("77", *common), start("66", *common)]
+    assert [run.stdout.readline() for run in runs] == ["ready\n"] * 3
+    found = sum(map(plans, runs), [])
+    assert len(found) == len(set(found)) == 2 * 6
+    assert plans(start(*common, "80", "77", "66")) == ["ready"]
 
 
 COMPILE = """

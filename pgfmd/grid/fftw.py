@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import os
 import platform
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.parallel.private_cache import private_folder
+from pgfmd.parallel.private_cache import lock, private_folder
 
 sys.modules.setdefault("scipy.fftpack", None)  # type: ignore[arg-type]  # pyfftw would import it: a tenth of the start
 try:
@@ -27,7 +26,6 @@ finally:
 
 PRECISIONS = 3  # FFTW exports its wisdom as three texts: for double, single and long double precision
 BETWEEN = b"\0"
-_loaded = False
 
 
 def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], None]:
@@ -39,10 +37,28 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], 
     """
     if pyfftw is None:
         raise InputError('solver.transform = "blocked": needs the package pyfftw; install it, or choose "mpi4py-fft"')
-    _load_wisdom()
     direction = "FFTW_FORWARD" if forward else "FFTW_BACKWARD"
-    flags = ("FFTW_MEASURE", "FFTW_DESTROY_INPUT")
-    return pyfftw.FFTW(source, target, axes=(source.ndim - 1,), direction=direction, flags=flags, threads=1).execute
+
+    def made(*flags: str) -> Callable[[], None]:
+        flags = ("FFTW_MEASURE", "FFTW_DESTROY_INPUT", *flags)
+        return pyfftw.FFTW(source, target, axes=(source.ndim - 1,), direction=direction, flags=flags, threads=1).execute
+
+    def known() -> Callable[[], None] | None:
+        with contextlib.suppress(RuntimeError):  # no wisdom
+            return made("FFTW_WISDOM_ONLY")
+        return None
+
+    if (found := known()) or (path := wisdom_file()) is None:
+        return found or made()
+    _load_wisdom(path)
+    if found := known():
+        return found
+    with lock(path.with_suffix(".lock")) or contextlib.nullcontext():  # one process plans, others sleep and load
+        _load_wisdom(path)
+        if not (found := known()):
+            found = made()
+            _save_wisdom(path)
+    return found
 
 
 def wisdom_file() -> Path | None:
@@ -55,31 +71,17 @@ def wisdom_file() -> Path | None:
     return None if folder is None else folder / f"wisdom-{name}"
 
 
-def _load_wisdom() -> None:
-    """Wisdom of earlier runs, once per process; a file that cannot be read is as good as none."""
-    global _loaded
-    if not _loaded:
-        _loaded = True
-        atexit.register(save_wisdom)
-        path = wisdom_file()
-        with contextlib.suppress(OSError):
-            wisdom = () if path is None else tuple(path.read_bytes().split(BETWEEN))
-            if len(wisdom) == PRECISIONS:
-                pyfftw.import_wisdom(wisdom)
-
-
-def save_wisdom() -> None:
-    """Keep what was learnt, for the next run; by a rename, so that no reader sees half a file.  Quiet where it
-    cannot.
-    """
-    path = wisdom_file()
-    if path is None:
-        return
+def _load_wisdom(path: Path) -> None:
+    """Adds what other processes have learnt; a file that cannot be read is as good as none."""
     with contextlib.suppress(OSError):
-        new = BETWEEN.join(pyfftw.export_wisdom())
-        if path.exists() and path.read_bytes() == new:
-            return
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # which is removed, whatever happens
-            file = Path(folder) / path.name
-            file.write_bytes(new)
-            os.replace(file, path)
+        wisdom = tuple(path.read_bytes().split(BETWEEN))
+        if len(wisdom) == PRECISIONS:
+            pyfftw.import_wisdom(wisdom)
+
+
+def _save_wisdom(path: Path) -> None:
+    """Keeps what was learnt, by a rename, so that no reader sees half a file.  Quiet where it cannot."""
+    with contextlib.suppress(OSError), tempfile.TemporaryDirectory(dir=path.parent) as folder:  # removed in any case
+        file = Path(folder) / path.name
+        file.write_bytes(BETWEEN.join(pyfftw.export_wisdom()))
+        os.replace(file, path)

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 
 from pgfmd.grid.holders import LEAST_ROWS, holders
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.collectives import TOGETHER
+from pgfmd.parallel.collectives import TOGETHER, await_all
 from pgfmd.parallel.layout import Layout, Range, RowWindow
 from pgfmd.parallel.teams import team_of
 
@@ -73,6 +73,7 @@ class SubGrid:
                 if self.grid.comm.size > 1 and not isinstance(error, TOGETHER):
                     raise
                 failure = error
+        await_all(self.comm)
         sent = None if value is None else without_rows(value), failure
         sent = self.comm.bcast(sent if self.comm.rank == 0 else None)
         failure = sent[1] if failure is None else failure

@@ -5,6 +5,7 @@ What communicates takes the communicator as its first argument; nothing here kno
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar
@@ -16,6 +17,9 @@ from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable
 from pgfmd.parallel.mpi import MPI
 
 T = TypeVar("T")
+
+WAKEFUL = 0.05  # seconds for which a rank waits without sleeping
+NAP, LONGEST_NAP = 0.02, 0.01  # of the time waited; seconds.  A barrier may be late by log₂ P naps
 
 TOGETHER = (InputError, SolverError)
 """Errors that all ranks raise together; any other may be of one rank alone."""
@@ -79,6 +83,16 @@ class Reduction:
     def any(self, flag: bool) -> bool:
         """Whether the flag is set on at least one rank.  Collective."""
         return bool(self.comm.allreduce(bool(flag), MPI.LOR))
+
+
+def await_all(comm: MPI.Comm) -> None:
+    """A barrier for ranks that have nothing to do until others come, perhaps after seconds: who has waited for
+    `WAKEFUL` seconds sleeps between two looks.  MPI's own waiting keeps a core busy.  Collective.
+    """
+    request, began = comm.Ibarrier(), time.monotonic()
+    while not request.Test():
+        waited = time.monotonic() - began
+        time.sleep(min(NAP * waited, LONGEST_NAP) if waited > WAKEFUL else 0)
 
 
 @contextmanager

@@ -5,8 +5,6 @@ A loop is compiled when it is first called with arrays of a kind, once for a mac
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import gc
 import logging
 import time
@@ -18,7 +16,7 @@ import numba
 from numba.core import caching, event
 from numba.core.runtime.nrt import rtsys
 
-from pgfmd.parallel.private_cache import private_folder
+from pgfmd.parallel.private_cache import lock, private_folder
 
 log = logging.getLogger("pgfmd")
 
@@ -56,10 +54,7 @@ class _SharedCache(caching.FunctionCache):
         rtsys.initialize(target_context)  # loaded code needs it
         found = self._load_overload(sig, target_context)
         if found is None:
-            with contextlib.suppress(OSError):
-                self._impl.locator.ensure_cache_path()
-                self._lock = open(Path(self.cache_path) / f"{self._impl.filename_base}.lock", "w")
-                fcntl.flock(self._lock, fcntl.LOCK_EX)
+            self._lock = lock(Path(self.cache_path) / f"{self._impl.filename_base}.lock")
             found = self._load_overload(sig, target_context)
             if found is not None:
                 self.release()

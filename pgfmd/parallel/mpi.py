@@ -19,6 +19,7 @@ from pgfmd.errors import InputError
 from pgfmd.parallel import alone
 
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
+_LOCAL_RANKS = ("OMPI_COMM_WORLD_LOCAL_RANK", "MPI_LOCALRANKID", "SLURM_LOCALID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 
 
@@ -70,6 +71,11 @@ def for_library(comm: MPI.Comm) -> MPI.Comm:
 def launched_rank() -> int:
     """This process's rank as its launcher tells it, without MPI; 0 if it was started alone."""
     return _launched(_RANKS, 0)
+
+
+def first_of_node() -> bool:
+    """Whether this is the first process on its node, as the launcher tells it, without MPI; True if it does not."""
+    return _launched(_LOCAL_RANKS, 0) == 0
 
 
 def _launched(names: tuple[str, ...], otherwise: int) -> int:

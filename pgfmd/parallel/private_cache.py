@@ -11,13 +11,21 @@ It is made with mode 0700.  This module needs neither MPI nor numba to be import
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import functools
 import os
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
+
+from pgfmd.parallel.mpi import first_of_node
+
+HEAD_START = 0.1  # seconds by which other ranks of a node ask later: the first loop of a process takes longest
 
 
 @functools.cache
@@ -30,6 +38,20 @@ def private_folder() -> Path | None:
                 return folder
         except OSError:
             continue
+    return None
+
+
+def lock(path: Path) -> IO | None:
+    """Sleeps until no other process has locked this file, and locks it, until what is returned is closed or the process
+    ends; None where the file system knows no locks.  To make what is not there, once: look again first.
+    """
+    if not first_of_node():
+        time.sleep(HEAD_START)
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = open(path, "w")
+        fcntl.flock(file, fcntl.LOCK_EX)
+        return file
     return None
 
 

@@ -96,7 +96,6 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
     """Seconds of two relaxations, after a small one that loads libraries and compiled kernels.  Collective."""
     from mpi4py import MPI
 
-    from pgfmd.grid.fftw import save_wisdom
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
@@ -116,7 +115,6 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
             )
             comm.Barrier()
             seconds.append(time.perf_counter() - began)
-        save_wisdom()
     return seconds[1:]
 
 

@@ -81,7 +81,6 @@ def _print(best: dict[tuple, float], n: int) -> None:
 def _pgfmd(n: int, kind, threads: int, field: np.ndarray):
     from mpi4py import MPI
 
-    from pgfmd.grid.fftw import save_wisdom
     from pgfmd.grid.slab_grid import SlabGrid
 
     grid = SlabGrid(MPI.COMM_WORLD, (n, n), threads=threads)
@@ -97,7 +96,6 @@ def _pgfmd(n: int, kind, threads: int, field: np.ndarray):
         return field
 
     grid.transform(kind)
-    save_wisdom()
     return pair
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .case import CONTACT_MODULUS, RMS_SLOPE, Case, prepare
-from .methods import METHODS, PEERS
+from .methods import METHODS
 from .recorder import Recorder
 
 TOLERANCES = {
@@ -33,10 +33,6 @@ def main(arguments: list[str] | None = None) -> None:
         prepare(case, folder)
     else:
         _measure(job, case, folder)
-    if job["method"] not in PEERS:
-        from pgfmd.grid.fftw import save_wisdom
-
-        save_wisdom()  # planning for the first time is no part of a run; planning from wisdom is
 
 
 def _measure(job: dict, case: Case, folder: Path) -> None:
