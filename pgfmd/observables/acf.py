@@ -16,7 +16,7 @@ from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 def acf_layout(name: str, unit: str, what: str) -> dict:
@@ -50,7 +50,7 @@ class Acf(Observable):
         """A transform each for the pressure and the contact."""
         return Cost(transforms=2.0)
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """Shares its transforms with the spectra.  Collective."""
         found = {"stress": contact.stress, "contact": contact.indicator, "height": contact.surface.correlations}
         groups: dict = {}

@@ -16,7 +16,7 @@ from pgfmd.observables.contact_patches import SHAPES, ContactPatches
 from pgfmd.observables.observable import Observable, spectrum_layout
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Bearing(Observable):
         """A transform, if spectra or autocorrelations are asked for, and a mask with its runs."""
         return Cost(transforms=1.0, memory=2.0)
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """Four passes over the heights for the threshold.  Collective."""
         from pgfmd.observables.patches.labelling import label_patches
         from pgfmd.observables.statistics.correlations import indicator

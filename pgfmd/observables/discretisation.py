@@ -14,7 +14,7 @@ from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.observable import Observable
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Discretisation(Observable):
         """A contact on a quarter of the points: up to 20 transforms and 60 bytes per point there."""
         return Cost(transforms=5.0, memory=15.0)
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """Solves the second contact, if there is one to compare with.  Collective."""
         from pgfmd.observables.statistics.grid_error import FACTORS, grid_errors
 

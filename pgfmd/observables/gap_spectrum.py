@@ -11,7 +11,7 @@ from pgfmd.io.schema import Groups
 from pgfmd.observables.observable import Spectrum, spectrum_layout
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class GapSpectrum(Spectrum):
         """One forward transform."""
         return Cost(transforms=0.5)
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """One forward transform.  Collective."""
         from pgfmd.grid.callbacks import source
         from pgfmd.observables.statistics.correlations import correlate

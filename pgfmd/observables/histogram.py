@@ -11,7 +11,7 @@ from pgfmd.options.rules import integer
 from pgfmd.options.section import key
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 def _layout(unit: str, what: str) -> dict[str, Dataset]:
@@ -50,7 +50,7 @@ class Histogram(Observable):
         integer(1, 10**7), 200, "number of bins of pressure and of gap; logarithmic bins: a tenth of it per decade"
     )
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """Two passes over each field, no transform.  Collective."""
         from pgfmd.observables.statistics.distributions import gap_groups, pressure_groups
 

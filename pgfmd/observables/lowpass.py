@@ -16,7 +16,7 @@ from pgfmd.options.rules import POSITIVE, many
 from pgfmd.options.section import key
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 POINTS_PER_WAVE = 8
 """Least number of grid points per shortest remaining wavelength.  The area inside the contact line is then within .2 %
@@ -65,7 +65,7 @@ class Lowpass(Observable):
         shares = [coarsening(cell, q) ** -2 for q in self.cutoffs(cell, highest) if is_lower(q, highest)]
         return Cost(transforms=TRANSFORMS * sum(shares), memory=8 + MEMORY * max(shares, default=0))
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """Solves one contact for each q below the surface's own cut-off.  Collective."""
         from pgfmd.observables.statistics.lowpass import lowpass_areas
 

@@ -19,7 +19,7 @@ from pgfmd.options.rules import choice, flag, integer
 from pgfmd.options.section import Section, key
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Observable(Section):
         """
         return Cost()
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """The results, complete on rank 0.  Collective."""
         raise NotImplementedError
 

@@ -14,9 +14,9 @@ from pgfmd.grid.cell import Cell
 from pgfmd.io.schema import Groups
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.lowpass import LOWPASS_TOLERANCE
+from pgfmd.observables.measured_contact import MeasuredContact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.observables.solved_contact import SolvedContact
 from pgfmd.observables.spectra import Spectra
 from pgfmd.observables.statistics.correlations import lag_rings, mode_rings
 from pgfmd.observables.table import OBSERVABLES
@@ -60,9 +60,9 @@ class Observer:
         self._given_solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable
 
-    def contact(self, solution: ContactSolution) -> SolvedContact:
+    def contact(self, solution: ContactSolution) -> MeasuredContact:
         """The solved contact of one load, for `row` and `groups` to measure."""
-        return SolvedContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
+        return MeasuredContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
 
     def _solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
         """A further contact; None, and a line in the log, if it cannot be had: the load itself is solved.
@@ -75,7 +75,7 @@ class Observer:
                 log.warning("an observable lacks a contact that it asks for: %s", failure)
             return None
 
-    def row(self, contact: SolvedContact) -> dict[str, float]:
+    def row(self, contact: MeasuredContact) -> dict[str, float]:
         """The numbers of `schema.LOADS`; the same on all ranks.  Collective."""
         area, solution = contact.area, contact.solution
         return {
@@ -95,7 +95,7 @@ class Observer:
             "seconds": solution.seconds,
         }
 
-    def groups(self, contact: SolvedContact) -> Groups:
+    def groups(self, contact: MeasuredContact) -> Groups:
         """The groups of datasets of all observables, complete on rank 0.  Collective."""
         groups: dict = {}
         for name, observable in self.asked.items():

@@ -11,7 +11,7 @@ from pgfmd.io.schema import Groups
 from pgfmd.observables.observable import Spectrum, spectrum_layout
 
 if TYPE_CHECKING:
-    from pgfmd.observables.solved_contact import SolvedContact
+    from pgfmd.observables.measured_contact import MeasuredContact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ class Spectra(Spectrum):
         """A forward transform each for the pressure, the contact, and both heights and pressure."""
         return Cost(transforms=1.5)
 
-    def measure(self, contact: SolvedContact) -> Groups:
+    def measure(self, contact: MeasuredContact) -> Groups:
         """Shares its transforms with the autocorrelations.  Collective."""
         modes = contact.surface.modes
         power = {

@@ -23,9 +23,9 @@ import numpy as np
 from pgfmd.errors import SolverError
 from pgfmd.grid.callbacks import source
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.law_operations import LawOperations, LawState
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor
-from pgfmd.solvers.wall_operations import WallOperations, WallState
 
 INERTIA, INTERVAL = 1.8, 10
 """Factor on each step (over-relaxation); steps between certificates, each of which costs a convolution."""
@@ -59,7 +59,7 @@ class Dynamics:
 
     def __init__(self, problem: ContactProblem):
         self.grid, self.heights = problem.grid, problem.heights
-        self.certifier = WallOperations(problem)
+        self.certifier = LawOperations(problem)
         stiffness = problem.solid.stiffness(np.sqrt(self.grid.q_squared()))
         softest = self.grid.reduction.min(stiffness[stiffness > 0])
         self.spring = math.sqrt(softest * self.grid.reduction.max(stiffness))
@@ -67,12 +67,12 @@ class Dynamics:
         self.modes = np.zeros(self.grid.spectral_shape, np.complex128)
         self.displacement, self.force = np.zeros(self.grid.local_shape), np.ones(self.grid.local_shape)
 
-    def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> WallState:
+    def run(self, tolerance: float, max_steps: int, monitor: Monitor | None = None) -> LawState:
         """Steps until the certified error is at most `tolerance`.  Collective.
 
         Raises SolverError after `max_steps`, Uncertifiable as soon as only rounding keeps the error above.
         """
-        state = WallState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
+        state = LawState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
         level, best = 0.0, math.inf
         for step in range(1, max_steps + 1):
             state.level = level  # where the last step left it: a certificate has a level of its own
@@ -93,7 +93,7 @@ class Dynamics:
             "allow more iterations, or a larger tolerance"
         )
 
-    def step(self, state: WallState) -> None:
+    def step(self, state: LawState) -> None:
         """One time step; `state.pressure` becomes the new force of the wall.  Collective."""
         displacement, force, target = self.displacement, self.force, state.gap
 

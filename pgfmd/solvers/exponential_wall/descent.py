@@ -22,8 +22,8 @@ import numpy as np
 
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall.newton import Newton
+from pgfmd.solvers.law_operations import LawState
 from pgfmd.solvers.patience import Patience
-from pgfmd.solvers.wall_operations import WallState
 
 CUT = 1e-8  # factor on the linear residual in a step: with 1e-2 in single precision, a third of the tests never ended
 SETTLED = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
@@ -33,14 +33,14 @@ MOST, SHORTEST = 100, 40  # steps for one ζ; times that a step is halved
 
 
 def descend(
-    softer: Iterable[ContactProblem], problem: ContactProblem, state: WallState, tolerance: float,
-    monitor: Callable[[WallState], None] | None,
-) -> WallState:  # fmt: skip
+    softer: Iterable[ContactProblem], problem: ContactProblem, state: LawState, tolerance: float,
+    monitor: Callable[[LawState], None] | None,
+) -> LawState:  # fmt: skip
     """Solves `problem`: begins with a flat displacement, passes through the same problem under the `softer` walls in
     turn, and ends under its own.  Overwrites and returns `state`.  Collective.  Raises SolverError as `Newton.relax`
     does.
     """
-    source = WallState(np.ones_like(problem.heights), -problem.heights)
+    source = LawState(np.ones_like(problem.heights), -problem.heights)
     for soft in softer:
         solver = Descent(soft, source)
         solver.answer(state)
@@ -55,13 +55,13 @@ class Descent(Newton):
 
     precision = np.float64
 
-    def __init__(self, problem: ContactProblem, source: WallState) -> None:
+    def __init__(self, problem: ContactProblem, source: LawState) -> None:
         super().__init__(problem)
         self.source = source
 
     def relax(
-        self, state: WallState, tolerance: float, monitor: Callable[[WallState], None] | None = None
-    ) -> WallState:
+        self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None
+    ) -> LawState:
         """Steps until the certified error of the wall's answer is at most `tolerance`.  Overwrites and returns `state`.
         Collective.  Raises SolverError as `Newton.relax` does.
         """
@@ -78,18 +78,18 @@ class Descent(Newton):
             self.advance_source(state)
         raise self.failure(patience, state, tolerance)
 
-    def answer(self, state: WallState) -> None:
+    def answer(self, state: LawState) -> None:
         """Sets the state to the wall's answer σ to the source's gap, and its gap to Gσ − h.  Collective."""
         gap = self.source.gap
         np.exp((self.grid.reduction.min(gap) - gap) / self.zeta, out=state.pressure)
         state.pressure *= self.grid.size / self.grid.reduction.sum(state.pressure)
         self.compute_gap(state)
 
-    def advance_source(self, state: WallState) -> float:
+    def advance_source(self, state: LawState) -> float:
         """One step of the source, and the answer to it; returns what the slope promised to gain.  Collective."""
         source, dot = self.source, self.grid.reduction.dot
         root, change, _ = self.newton_step(state, CUT)
-        new = WallState(state.pressure + root * change, np.empty_like(state.gap))
+        new = LawState(state.pressure + root * change, np.empty_like(state.gap))
         self.compute_gap(new)
         way, apart = new.pressure - source.pressure, new.gap - source.gap
         promised = dot(state.pressure - source.pressure, apart)

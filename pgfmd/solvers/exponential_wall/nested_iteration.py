@@ -14,18 +14,18 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.exponential_wall.descent import descend
 from pgfmd.solvers.exponential_wall.newton import Newton
+from pgfmd.solvers.law_operations import LawState
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
-from pgfmd.solvers.wall_operations import WallState
 
 COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
 LOOSE = 0.1  # certified error to which each ζ of a continuation is solved
 REDUCTION = 4  # each ζ of a continuation over the next one
 
 
-class NewtonIteration(NestedIteration[WallState]):
+class NewtonIteration(NestedIteration[LawState]):
     """Nested iteration by Newton's method."""
 
-    def relax(self, problem: ContactProblem, state: WallState, exact: bool = True) -> WallState:
+    def relax(self, problem: ContactProblem, state: LawState, exact: bool = True) -> LawState:
         """Newton from that state; should it fail, by continuation in ζ from a uniform pressure."""
         try:
             return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
@@ -35,22 +35,22 @@ class NewtonIteration(NestedIteration[WallState]):
             state.pressure[...] = 1.0
         return self.continuation(problem, state, exact)
 
-    def resume(self, problem: ContactProblem, start: np.ndarray) -> WallState:
+    def resume(self, problem: ContactProblem, start: np.ndarray) -> LawState:
         """From the pressure, scaled to the load."""
         grid = problem.grid
-        state = WallState(start * (grid.size / grid.reduction.sum(start)), np.empty(grid.local_shape))
+        state = LawState(start * (grid.size / grid.reduction.sum(start)), np.empty(grid.local_shape))
         return self.relax(problem, state)
 
-    def energy(self, state: WallState, size: int) -> float:
+    def energy(self, state: LawState, size: int) -> float:
         """Half the work per point."""
         return state.work / 2
 
-    def coarsest(self, problem: ContactProblem, exact: bool) -> WallState:
+    def coarsest(self, problem: ContactProblem, exact: bool) -> LawState:
         """By continuation from a uniform pressure."""
         shape = problem.grid.local_shape
-        return self.continuation(problem, WallState(np.ones(shape), np.empty(shape)), exact)
+        return self.continuation(problem, LawState(np.ones(shape), np.empty(shape)), exact)
 
-    def continuation(self, problem: ContactProblem, state: WallState, exact: bool) -> WallState:
+    def continuation(self, problem: ContactProblem, state: LawState, exact: bool) -> LawState:
         """From ζ = rms height, where a few steps suffice from any start, down to the wall's own.  If the error stops
         falling, the same by steps that lower the dual objective each time.  Collective.
         """
@@ -70,7 +70,7 @@ class NewtonIteration(NestedIteration[WallState]):
         """The certified error at which a grid is solved."""
         return self.tolerance if exact else max(self.tolerance, COARSE_TOLERANCE)
 
-    def prolong(self, coarse: Coarse, found: WallState, problem: ContactProblem) -> tuple[WallState, bool]:
+    def prolong(self, coarse: Coarse, found: LawState, problem: ContactProblem) -> tuple[LawState, bool]:
         """The pressure with which the wall responds to the interpolated displacement and pressure, and False."""
         grid, heights = problem.grid, problem.heights
         interpolation = Interpolation(coarse.place, grid, [found.gap + coarse.heights, found.pressure])
@@ -82,7 +82,7 @@ class NewtonIteration(NestedIteration[WallState]):
             kernels.start_target(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
-        state = WallState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
+        state = LawState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
         solver.respond(state, target, solver.alpha)
         return state, False
 

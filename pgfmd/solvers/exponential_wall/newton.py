@@ -30,8 +30,8 @@ from pgfmd.grid.callbacks import sink
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
+from pgfmd.solvers.law_operations import LawOperations, LawState
 from pgfmd.solvers.patience import Patience, uncertifiable
-from pgfmd.solvers.wall_operations import WallOperations, WallState
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
 BACK = 0.25  # a step that raises both merits is tried again with this part of its length
@@ -42,7 +42,7 @@ Merits = tuple[float, float]
 Precision = type[np.float32] | type[np.float64]
 
 
-class Newton(WallOperations):
+class Newton(LawOperations):
     """Newton iterations for a problem under an exponential wall."""
 
     law: ExponentialWall
@@ -53,8 +53,8 @@ class Newton(WallOperations):
         self.zeta, self.alpha = self.law.zeta, self.local_compliance(REACH)
 
     def relax(
-        self, state: WallState, tolerance: float, monitor: Callable[[WallState], None] | None = None
-    ) -> WallState:
+        self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None
+    ) -> LawState:
         """Iterate until the certified error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
 
         Raises SolverError if the error stops falling above the tolerance, Uncertifiable if that is due to rounding.
@@ -76,13 +76,13 @@ class Newton(WallOperations):
                 break
         raise self.failure(patience, state, tolerance)
 
-    def failure(self, patience: Patience, state: WallState, tolerance: float) -> SolverError:
+    def failure(self, patience: Patience, state: LawState, tolerance: float) -> SolverError:
         """What to raise when the error stops falling."""
         if not state.rounding <= tolerance:
             return uncertifiable(state.rounding, tolerance)
         return patience.failure(self.law.kind, self.grid, state.iterations, tolerance)
 
-    def advance(self, state: WallState, wanted: float, before: Merits) -> Merits:
+    def advance(self, state: LawState, wanted: float, before: Merits) -> Merits:
         """One Newton step, shortened while it would raise both merits; returns the new ones.  Collective."""
         pressure, gap = state.pressure.copy(), state.gap.copy()
         self.respond(state, self.newton_target(state, wanted), self.alpha)
@@ -99,7 +99,7 @@ class Newton(WallOperations):
         self.certify(state)
         return merits
 
-    def merits(self, state: WallState) -> Merits:
+    def merits(self, state: LawState) -> Merits:
         """The objective J, and the duality gap ζ⟨p̂ ln(p̂/σ̂)⟩ to the wall's answer σ̂ = exp(−g/ζ)/⟨exp(−g/ζ)⟩.
         Collective.
         """
@@ -111,7 +111,7 @@ class Newton(WallOperations):
         (apart,) = self.total(answer, *fields)
         return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
 
-    def newton_target(self, state: WallState, wanted: float) -> np.ndarray:
+    def newton_target(self, state: LawState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Collective."""
         root, *sums = self.newton_step(state, wanted)
         target = np.empty(self.grid.local_shape)
@@ -124,7 +124,7 @@ class Newton(WallOperations):
         self.grid.threads.split(aim, len(target))
         return target
 
-    def newton_step(self, state: WallState, wanted: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def newton_step(self, state: LawState, wanted: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """√p̂, y and G√p̂y (nx_local, ny) of a Newton step δp̂ = √p̂ y.  Conjugate gradients reduce the residual of its
         linear equation by the factor `wanted`.  Collective.
         """

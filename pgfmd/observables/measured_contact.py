@@ -1,4 +1,4 @@
-"""`SolvedContact`: what several observables need of one solved contact, each computed when it is first needed."""
+"""`MeasuredContact`: what several observables need of one solved contact, each computed when it is first needed."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from pgfmd.solvers.solution import ContactSolution, Solve
 
 
 @dataclass(frozen=True)
-class SolvedContact:
-    """One load of a run.  Every property and method is collective on first use.
+class MeasuredContact:
+    """One load of a run, as observables see it.  Every property and method is collective on first use.
 
-    problem: what was solved;  asked: the observables that are measured, by name
+    problem: what was solved;  asked: the observables that are measured, by name;  solve: solves further contacts
     """
 
     problem: ContactProblem

@@ -22,7 +22,7 @@ PIXELS = 4  # diameter of the region whose compliance is the α of `second_order
 
 
 @dataclass
-class WallState:
+class LawState:
     """p̂ and g (nx_local, ny) on one grid, and what is known about them; `error` is the bound on J(p̂) − J(p̂*) over
     ⟨p̂, Gp̂⟩.
     """
@@ -38,7 +38,7 @@ class WallState:
     rounding: float = 0.0  # error that rounding of the gap and of the pressure's last digits may make
 
 
-class WallOperations:
+class LawOperations:
     """Computes gaps, certificates and resolvents for a dimensionless `problem` of mean pressure 1.  Collective to make.
 
     squares: Σ p̂² and Σ u² of the last gap
@@ -56,7 +56,7 @@ class WallOperations:
         """Compliance of a region of that diameter in pixels."""
         return 1 / float(self.problem.solid.stiffness(np.array(2 / (pixels * max(self.grid.spacing)))))
 
-    def compute_gap(self, state: WallState) -> None:
+    def compute_gap(self, state: LawState) -> None:
         """g = Gp̂ − h in double precision, and ⟨p̂, Gp̂⟩, which g + h would give with fewer digits.  Collective."""
         parts: dict[int, tuple[float, ...]] = {}
 
@@ -84,7 +84,7 @@ class WallOperations:
         """Calls a function with the same rows of some fields, a part of them for each thread."""
         self.grid.threads.split(lambda a, b: function(*(field[a:b] for field in fields)), self.grid.local_shape[0])
 
-    def certify(self, state: WallState) -> None:
+    def certify(self, state: LawState) -> None:
         """Level, contact and certified error of a feasible state, whose gap was computed last.  Collective."""
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
         threshold = law.contact_above(1.0, self.squares[0] / grid.size)
@@ -112,7 +112,7 @@ class WallOperations:
         state.pressure_error = math.sqrt(change / self.squares[0])
 
     @staticmethod
-    def arrived(state: WallState, tolerance: float) -> bool:
+    def arrived(state: LawState, tolerance: float) -> bool:
         """Whether the certified error is at most the tolerance.  Raises Uncertifiable if rounding is more than that,
         and most of the error.
         """
@@ -120,7 +120,7 @@ class WallOperations:
             raise uncertifiable(state.rounding, tolerance)
         return state.error <= tolerance
 
-    def respond(self, state: WallState, target: np.ndarray, compliance: float) -> None:
+    def respond(self, state: LawState, target: np.ndarray, compliance: float) -> None:
         """The law's answer p̂ with compliance · p̂ − gap(p̂) = target + c, with c such that its mean is 1; the search
         begins at the state's c.  Collective.
         """
