@@ -36,6 +36,8 @@ def simulate(job, comm, folder, overwrite=False, restart=False):
     layout = Form(job.grid.shape, job.grid.lengths, rows)
     with ResultWriter(comm, folder, Origin(job.text, as_toml(job), 2), layout, mode) as writer:
         FAULT
+        if "height" in job.output.fields:
+            writer.write_heights(np.zeros((rows.stop - rows.start, job.grid.n[1])))
         for index, pressure in enumerate(job.load.targets):
             local = np.full((rows.stop - rows.start, job.grid.n[1]), pressure)
             writer.write_load(index, {"mean_pressure": pressure}, None, {"pressure": local})
@@ -235,7 +237,9 @@ def test_texts_from_files_do_not_reach_the_terminal_raw(tmp_path, capsys, job):
 
 def test_verify(tmp_path, capsys, job):
     """`info --verify` reads every byte; a damaged file is named, with 2, and how to make it again."""
-    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
+    fields = 'output.fields=["height", "pressure"]'
+    run = [sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out", "--set", fields]
+    subprocess.run(run, check=True)
     arguments = ["info", "--verify", str(tmp_path / "out")]
     assert cli.main(arguments) == 0 and "every byte" in capsys.readouterr().out
     path = tmp_path / "out" / "fields" / "load_0001.h5"
@@ -247,8 +251,12 @@ def test_verify(tmp_path, capsys, job):
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "--restart" in said
     assert f"{path}: its bytes {at} to {at + 383} are not those" in said
-    path.unlink()
-    assert cli.main(arguments) == 2 and "it is missing" in capsys.readouterr().err
+    height = path.with_name("height.h5")
+    for gone in (path, height):
+        gone.unlink()
+    assert cli.main(arguments) == 2
+    said = capsys.readouterr().err
+    assert f"{path}: it is missing" in said and f"{height}: it is missing" in said
 
 
 def test_a_job_that_no_node_can_hold(tmp_path, capsys):

@@ -25,46 +25,35 @@ from mpi4py import MPI
 {fault}
 sys.exit(cli.main())
 """
-FAULTS = {
-    # where a rank fails alone: inside a thread in the middle of a transform, between transforms, in the observables
-    "in a thread": """
-from pgfmd.solvers.active_set import active_set
-original, calls = active_set.contact_sums, []
+FAILS_AT_CALL = """
+import pgfmd.{module}
+owner, calls = pgfmd.{owner}, []
+original = owner.{name}
 def failing(*arguments):
     calls.append(1)
-    if MPI.COMM_WORLD.rank == 1 and len(calls) == 9:
+    if MPI.COMM_WORLD.rank == 1 and len(calls) == {call}:
         raise ArithmeticError("the last straw")
     return original(*arguments)
-active_set.contact_sums = failing
-""",
-    "in a transform": """
-from pgfmd.grid import transpose as strips
-original, calls = strips.SharedStrips.put, []
-def failing(self, *arguments):
-    calls.append(1)
-    if MPI.COMM_WORLD.rank == 1 and len(calls) == 60:
-        raise ArithmeticError("the last straw")
-    return original(self, *arguments)
-strips.SharedStrips.put = failing
-""",
+owner.{name} = failing
+"""
+FAULTS = {  # where a rank fails alone; in the output it is rank 0, since no other makes files
+    "in a thread": FAILS_AT_CALL.format(
+        module="solvers.active_set.active_set", owner="solvers.active_set.active_set", name="contact_sums", call=9
+    ),
+    "in a transform": FAILS_AT_CALL.format(
+        module="grid.transpose", owner="grid.transpose.SharedStrips", name="put", call=60
+    ),
+    "in a checkpoint": FAILS_AT_CALL.format(
+        module="io.hdf5_slabs", owner="io.hdf5_slabs.Field", name="block", call=9
+    ),
     "in the output": """
-from pgfmd.io import atomic as files
-original = files.reserve
+from pgfmd.io import atomic
+original = atomic.reserve
 def failing(path, size):
     if "load_0001" in path.name:
         raise PermissionError(13, "the last straw")
     return original(path, size)
-files.reserve = failing
-""",
-    "in a checkpoint": """
-from pgfmd.io import hdf5_slabs as slabfile
-original, calls = slabfile.Field.block, []
-def failing(self, *arguments):
-    calls.append(1)
-    if MPI.COMM_WORLD.rank == 1 and len(calls) == 9:
-        raise ArithmeticError("the last straw")
-    return original(self, *arguments)
-slabfile.Field.block = failing
+atomic.reserve = failing
 """,
 }
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import logging
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from pgfmd.cli import main
 from pgfmd.errors import InputError
 from pgfmd.io.results import Results
 from pgfmd.job.job import load, parse
-from pgfmd.operation import progress
+from pgfmd.operation import log_file, progress
 from pgfmd.operation.log_file import LOG_FILE
 from pgfmd.operation.progress import Progress
 from pgfmd.simulate import simulate
@@ -122,13 +123,15 @@ def test_numbers_for_other_programs(comm, tmp_path, capsys):
 
 
 @pytest.mark.mpi
-def test_the_log_is_kept(comm, shared_tmp_path, told):
-    """DIR/run.log holds what rank 0 logged, from the first line on, and why a run ended; a restart adds to it; a run
-    that is refused leaves it alone, and makes none."""
+def test_the_log_is_kept(comm, shared_tmp_path, told, monkeypatch):
+    """DIR/run.log holds what rank 0 logged, from the first line on, which has the time when the run began, and why a
+    run ended; a restart adds to it; a run that is refused leaves it alone, and makes none."""
     folder = shared_tmp_path / "out"
+    monkeypatch.setattr(log_file, "time", SimpleNamespace(time=lambda: 365 * 86400.0))
     simulate(job_of("pressure", [0.01]), comm, folder)
     comm.Barrier()
     first = (folder / LOG_FILE).read_text()
+    assert [line.startswith("1971") for line in first.splitlines()] == [True] + [False] * (first.count("\n") - 1)
     assert "MPI: " in first and "load 1/1  pressure 0.01" in first and f"on {comm.size} rank" in first
     comm.Barrier()
     for _ in range(2):

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 TOOLS = ROOT / "tools"
 sys.path.insert(0, str(TOOLS))
 
+import choosing  # noqa: E402
 import claims  # noqa: E402
 import contact_patches  # noqa: E402
 import estimators  # noqa: E402
@@ -241,10 +242,10 @@ def test_nearest_load_of_each_folder(runs):
     """One load of each folder, and none if the areas asked for are far from all."""
     found = reading.loads([runs["seed1"], runs["seed2"]])
     area = found[1].area
-    chosen = reading.near(found, [area], slack=0.2)
+    chosen = choosing.near(found, [area], slack=0.2)
     assert [case.index for case in chosen] == [1, 1]
     with pytest.raises(InputError, match="0.9999"):
-        reading.near(found, [0.9999])
+        choosing.near(found, [0.9999])
 
 
 def test_only_what_is_to_be_done_is_run(runs, tmp_path):
@@ -399,7 +400,7 @@ def test_every_figure_explains_itself(figure, capsys):
     assert end.value.code == 0
     assert f"pgfmd plot {figure}" in capsys.readouterr().out
     drawn = figures.module(figure)
-    assert drawn.CAPTION and set(drawn.NEEDS) <= set(reading.NEEDS)
+    assert drawn.CAPTION and set(drawn.NEEDS) <= set(choosing.NEEDS)
     assert figures.main([]) == 0
     assert figure in capsys.readouterr().out
 

@@ -13,8 +13,8 @@ import sys
 
 import figures
 import numpy as np
+from choosing import NEEDS as TESTS
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
-from reading import NEEDS as TESTS
 from reading import Load
 from samples import Ensemble, ensembles
 

@@ -12,8 +12,9 @@ import sys
 
 import figures
 import numpy as np
+from choosing import near
 from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
-from reading import Load, near
+from reading import Load
 from samples import common_bins, ensembles
 
 CAPTION = """(a) Autocorrelation of the stress over σ_c², between those of the contact (lower bound) and twice those

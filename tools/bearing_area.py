@@ -12,10 +12,11 @@ import sys
 
 import figures
 import numpy as np
+from choosing import near
 from estimators import fit_power_law, windows, within
 from exponents import default_window
 from plotting import BLACK, BLUE, RED, Sheet, tex
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import bearing

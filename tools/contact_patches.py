@@ -13,9 +13,10 @@ from collections.abc import Callable, Sequence
 
 import figures
 import numpy as np
+from choosing import near
 from estimators import broken_power_law, fit_power_law, goodness, tail_exponent
 from plotting import BLACK, BLUE, COLOURS, GREY, MARKERS, Finding, Sheet, guide
-from reading import Load, near
+from reading import Load
 from samples import ensembles
 
 from pgfmd.theory import bearing

@@ -12,9 +12,10 @@ import sys
 
 import figures
 import numpy as np
+from choosing import near
 from estimators import fit_power_law, windows, within
 from plotting import BLACK, Finding, Sheet, limited, standard_error, style
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """Autocorrelation of the contact less its value at infinity, over its value at zero, against distance. Full

@@ -13,8 +13,9 @@ import sys
 
 import figures
 import numpy as np
+from choosing import near
 from plotting import BLACK, Sheet, limited, standard_error, style
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.observables.statistics import spectra

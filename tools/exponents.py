@@ -15,9 +15,10 @@ from collections.abc import Sequence
 
 import figures
 import numpy as np
+from choosing import near
 from estimators import fit_power_law, windows, within
 from plotting import BLACK, BLUE, COLOURS, GREY, RED, Finding, Sheet
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, common_bins, ensembles
 from stress_contact_spectra import ratio_of_means
 

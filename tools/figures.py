@@ -3,7 +3,7 @@
 A figure is a file tools/NAME.py with
     a docstring        what it shows; its first line stands in the list
     CAPTION            the text below the figure, for somebody who has not read the paper
-    NEEDS              what a load must have, names of `reading.NEEDS`; other loads are left out, and that is said
+    NEEDS              what a load must have, names of `choosing.NEEDS`; other loads are left out, and that is said
     OPTIONS            (may be missing) options of the command line: "--name" → keywords of argparse's add_argument
     draw(loads, **)    draws the loads, a list of `reading.Load`; returns a `plotting.Sheet`
 and a line in FIGURES.  tools/README.md goes through an example.
@@ -51,10 +51,11 @@ def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = 
     targets : only the loads at which the job imposed one of these values (pressure, area, …)
     Raises InputError if none is left, or the options do not fit.
     """
+    import choosing
     import reading
 
     drawn = module(figure)
-    found, left_out = reading.serving(reading.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
+    found, left_out = choosing.serving(choosing.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
     sheet = drawn.draw(found, **options)
     sheet.notes[:0] = left_out
     return sheet
@@ -62,12 +63,12 @@ def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = 
 
 def listing() -> str:
     """What there is to draw, and what each figure needs."""
-    import reading
+    import choosing
 
     lines = ["pgfmd plot [FIGURE] DIR… [--output FOLDER]   draws one of these (FIGURE --help: its options):", ""]
     for figure in FIGURES:
         drawn = module(figure)
-        needs = "; ".join(reading.NEEDS[need][1] for need in drawn.NEEDS)
+        needs = "; ".join(choosing.NEEDS[need][1] for need in drawn.NEEDS)
         lines += [f"{figure:<24}{drawn.__doc__.splitlines()[0]}", f"{'':<24}needs {needs or 'no observable'}"]
     return "\n".join(lines)
 

@@ -14,12 +14,12 @@ from collections.abc import Callable, Iterator, Sequence
 import figures
 import matplotlib
 import numpy as np
+from choosing import NEEDS as TESTS
 from matplotlib.colors import LightSource, ListedColormap, LogNorm, PowerNorm
 from overview_charts import distribution, scaled_spectra
 from overview_page import write_page
 from patch_areas import areas
 from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet
-from reading import NEEDS as TESTS
 from reading import Load
 
 from pgfmd.theory import persson

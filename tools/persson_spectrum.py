@@ -13,9 +13,10 @@ import sys
 import figures
 import matplotlib
 import numpy as np
+from choosing import near
 from estimators import crossing, fit_power_law
 from plotting import BLACK, Sheet, standard_error, tex
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import persson

@@ -12,8 +12,9 @@ import sys
 
 import figures
 import numpy as np
+from choosing import near
 from plotting import BLACK, GREY, Sheet, limited, standard_error, style
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, ensembles
 
 from pgfmd.theory import persson

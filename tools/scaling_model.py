@@ -165,21 +165,28 @@ def _at(known: dict[int, float], number: int) -> float:
 def draw(rows: list[dict], folder: Path) -> None:
     """The model beside the runs, as CSV files, a picture, and words."""
     folder.mkdir(parents=True, exist_ok=True)
-    known = parts_of(rows)
+    checked = compare(rows)
+    _write(folder / "scaling-runs.csv", checked)
+    for row in checked:
+        print(f"{row['n']:6}² {row['ranks']:5} ranks here: {row['run']:.3g} s, model {row['model']:.3g} s; the busiest "
+              f"computes {row['computed']:.3g} s, model {row['model computed']:.3g} s")  # fmt: skip
+    draw_model(parts_of(rows), folder)
+
+
+def draw_model(known: Parts, folder: Path) -> None:
+    """The model of a solve on `ASSUMED`, and its constants, as CSV files, a picture, and words."""
     table = [_row(n, ranks, known) for n in (*STRONG, LARGEST) for ranks in RANKS if ranks <= n // 2]
     weak = [_row(round(WEAK * math.sqrt(ranks)), ranks, known) for ranks in RANKS[::2]]
     _write(folder / "scaling-model.csv", table + [row | {"weak": 1} for row in weak if row["n"] <= LARGEST])
-    checked = compare(rows)
-    _write(folder / "scaling-runs.csv", checked)
     _write(folder / "scaling-parts.csv", _constants(known))
     figure, axes = plt.subplots(1, 3, figsize=(PAGE, 2.6))
-    for colour, n in zip(COLOURS, (*STRONG, LARGEST), strict=False):
+    for dashes, n in zip(("-", "--", "-.", ":"), (*STRONG, LARGEST), strict=True):
         mine = [row for row in table if row["n"] == n]
-        axes[0].loglog([row["ranks"] for row in mine], [row["total"] for row in mine], color=colour, label=f"{n}²")
-    axes[0].set(xlabel="ranks", ylabel="seconds per solve", title="strong scaling")
+        axes[0].loglog([row["ranks"] for row in mine], [row["total"] for row in mine], "k", ls=dashes, label=f"{n}²")
+    axes[0].set(xlabel="ranks", ylabel="seconds per solve, modelled", title="total, by grid")
     for axis, mine, title in (
-        (axes[1], [row for row in table if row["n"] == STRONG[2]], f"{STRONG[2]}²"),
-        (axes[2], weak, f"{WEAK}² points per rank"),
+        (axes[1], [row for row in table if row["n"] == STRONG[2]], f"phases, {STRONG[2]}² points"),
+        (axes[2], weak, f"phases, {WEAK}² points per rank"),
     ):
         ranks = [row["ranks"] for row in mine]
         for colour, name in zip((*COLOURS[:-1], GREY), PHASES, strict=True):
@@ -187,11 +194,9 @@ def draw(rows: list[dict], folder: Path) -> None:
         axis.loglog(ranks, [row["total"] for row in mine], "k", lw=1.8, label="total")
         axis.set(xlabel="ranks", title=title, ylim=(1e-3, None))
     axes[0].legend()
+    figure.suptitle(f"Model: parts measured on one machine; messages as assumed of {ASSUMED.name}", fontsize="medium")
     figure.legend(*axes[2].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     figure.savefig(folder / "scaling.png")
-    for row in checked:
-        print(f"{row['n']:6}² {row['ranks']:5} ranks here: {row['run']:.3g} s, model {row['model']:.3g} s; the busiest "
-              f"computes {row['computed']:.3g} s, model {row['model computed']:.3g} s")  # fmt: skip
     for row in table + weak:
         worst = max(PHASES, key=row.__getitem__)
         print(f"{row['n']:6}² {row['ranks']:5} ranks: {row['total']:8.3g} s; {worst} {row[worst] / row['total']:.0%}")
@@ -224,7 +229,8 @@ def compare(rows: list[dict]) -> list[dict]:
 
 def _constants(known: Parts) -> list[dict]:
     """Every constant of the model, and where it is from."""
-    here, assumed = "measured here", f"assumed: {ASSUMED.name}"
+    here, assumed, meant = "measured here", f"assumed: {ASSUMED.name}", "assumed: nothing is lost"
+    emulated = "measured here: one rank's share, messages left out"
     table = []
     for name, costs in zip(("finest grid", "coarser grid"), known.costs, strict=True):
         for phase, (fixed, each) in costs.items():
@@ -236,11 +242,16 @@ def _constants(known: Parts) -> list[dict]:
         table += [{"constant": f"{kind}, level {level}", "value": value, "unit": "per solve", "from": here}
                   for kind, value in counts.items()]  # fmt: skip
     table += [{"constant": f"contact of the fullest of {slabs} slabs", "value": value, "unit": "of the mean",
-               "from": here} for slabs, value in known.imbalance.items()]  # fmt: skip
+               "from": here if slabs > 1 else meant} for slabs, value in known.imbalance.items()]  # fmt: skip
     table += [{"constant": f"transforms of {n}² on many ranks", "value": value, "unit": "of one rank's, per point",
-               "from": "emulated here"} for n, value in known.longer.items()]  # fmt: skip
-    for name, unit in (("cores", "per node"), ("bandwidth", "B/s per node"), ("latency", "s"), ("step", "s")):
-        table.append({"constant": name, "value": getattr(ASSUMED, name), "unit": unit, "from": assumed})
+               "from": emulated if n != SMALLEST else meant} for n, value in known.longer.items()]  # fmt: skip
+    for name, what, unit in (
+        ("cores", "cores", "per node"),
+        ("bandwidth", "bandwidth of an all-to-all", "B/s per node"),
+        ("latency", "message between nodes", "s"),
+        ("step", "message within a node", "s"),
+    ):
+        table.append({"constant": what, "value": getattr(ASSUMED, name), "unit": unit, "from": assumed})
     return table
 
 

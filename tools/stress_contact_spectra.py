@@ -12,8 +12,9 @@ import sys
 
 import figures
 import numpy as np
+from choosing import near
 from plotting import BLACK, GREY, Sheet, limited, style
-from reading import Load, near
+from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|; settings are

@@ -17,10 +17,15 @@ from pgfmd.io.schema import FIELDS_FILE, LOADS, OBSERVABLES_FILE, VTK_FILE, load
 
 
 def damage(results: Results) -> dict[Path, str]:
-    """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them."""
+    """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them.
+
+    The heights, which are written before the first load, may be missing as long as there is none.
+    """
     small = (results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE))
     needed = [results.field_file(load_name(index)) for index in range(len(results)) if results.fields(index)]
-    files = [path for path in (*small, results.field_file("height")) if path.exists()] + needed
+    if "height" in results.job["output"]["fields"] and len(results):
+        needed.append(results.field_file("height"))
+    files = [path for path in small if path.exists()] + needed
     found = {path: checksum.damage(path) if path.exists() else "it is missing" for path in files}
     return {path: fault for path, fault in found.items() if fault is not None}
 

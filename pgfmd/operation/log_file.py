@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from logging.handlers import MemoryHandler
 from pathlib import Path
 
@@ -18,12 +19,14 @@ class LogFile:
     """
 
     def __init__(self, rank: int) -> None:
-        self._active = rank == 0
+        self._active, self._began = rank == 0, time.time()
         self._file: logging.FileHandler | None = None
         self._kept = MemoryHandler(10**4, flushLevel=logging.CRITICAL + 1, flushOnClose=False)
 
     def open(self, directory: Path, title: str) -> None:
-        """Begin, or go on with, the file in that folder; `title` is written before what was logged so far."""
+        """Begin, or go on with, the file in that folder; `title`, of the time when this object was made, stands before
+        what was logged since.
+        """
         if not self._active or self._file is not None:
             return
         try:
@@ -32,7 +35,9 @@ class LogFile:
             log.warning("%s: no log is written there: %s", directory / LOG_FILE, error.strerror)
             return
         self._file.setFormatter(logging.Formatter("%(asctime)s  %(message)s", "%Y-%m-%d %H:%M:%S"))
-        self._file.handle(log.makeRecord(log.name, logging.INFO, "", 0, title, (), None))
+        began = log.makeRecord(log.name, logging.INFO, "", 0, title, (), None)
+        began.created = self._began
+        self._file.handle(began)
         self._kept.setTarget(self._file)
         self._kept.flush()
         log.removeHandler(self._kept)
