@@ -79,8 +79,9 @@ def simulate(
     inputs = dict.fromkeys(job.surface.files, job.surface.fingerprint(comm))
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
     form = Form(
-        grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT
-    )
+        grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT,
+        job.run.io_hints,
+    )  # fmt: skip
     with (
         LogFile(comm.rank) as log_file,
         ResultWriter(
@@ -100,7 +101,7 @@ def simulate(
         observer = Observer(problem, job.output.asked, cutoff)
         control = LoadControl(job.load, problem, job.solver.tolerance)
         control.check_targets(job.load.targets)
-        checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job))
+        checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job), job.run.io_hints)
         with phases("write"):
             if writer.replacing:  # earlier results and their checkpoint stay until the first load is written;
                 checkpoints.aside = True  # until then a stopped run is begun again, not continued

@@ -150,6 +150,8 @@ REFUSED = {
     'output.fields=["gap", "gap"]': "; or a list of them, without repetition",
     "output.patches=8": "output.patches = 8: must be a table, [output.patches]",
     "output.patches.connectivity=6": "output.patches.connectivity = 6: must be one of 8, 4",
+    "run.io_hints=cb_nodes": 'run.io_hints = "cb_nodes": must be a text "name=value" without spaces; or a list of them',
+    'run.io_hints=["cb_nodes= 8"]': 'must be a text "name=value" without spaces; or a list of them',
     "surface.path=\udcff": "belongs to kind",
     "grid": "--set grid: must be section.key=value",
     "n=3": "--set n=3: must be section.key=value",

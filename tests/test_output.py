@@ -335,6 +335,29 @@ def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatc
     assert not list((shared_tmp_path / "out" / "fields").iterdir())
 
 
+def test_hints_reach_mpi_io(comm, shared_tmp_path, monkeypatch):
+    """HDF5 opens a file that all ranks write with the hints of the job, whatever characters follow the name, and what
+    is written is the same.
+    """
+    if not hdf5_slabs.is_collective(comm):
+        pytest.skip("the ranks do not write through MPI-IO")
+    given, opened, open_file = ("cb_nodes=1", "of_another=a=b;c"), [], h5py.File
+
+    def recorded(*arguments, **options):
+        file = open_file(*arguments, **options)
+        if options.get("driver") == "mpio":
+            opened.append(dict(file.id.get_access_plist().get_fapl_mpio()[1].items()))
+        return file
+
+    monkeypatch.setattr(hdf5_slabs.h5py, "File", recorded)
+    with writer(comm, shared_tmp_path / "out", hints=given) as result:
+        result.write_heights(FIELD[result.form.rows])
+    assert len(opened) == 1 and {"cb_nodes": "1", "of_another": "a=b;c"}.items() <= opened[0].items()
+    monkeypatch.undo()
+    comm.Barrier()
+    np.testing.assert_array_equal(Results(shared_tmp_path / "out").field("height"), FIELD)
+
+
 def test_wrong_slab_on_one_rank(comm, shared_tmp_path):
     """A slab of the wrong shape on the last rank is an error on all ranks, not a hang in a collective write."""
     with (

@@ -26,6 +26,7 @@ finally:
 
 PRECISIONS = 3  # FFTW exports its wisdom as three texts: for double, single and long double precision
 BETWEEN = b"\0"
+_loaded: tuple[int, int] | None = None  # which file of wisdom this process has read last
 
 
 def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], None]:
@@ -73,8 +74,12 @@ def wisdom_file() -> Path | None:
 
 def _load_wisdom(path: Path) -> None:
     """Adds what other processes have learnt; a file that cannot be read is as good as none."""
+    global _loaded
     with contextlib.suppress(OSError):
-        wisdom = tuple(path.read_bytes().split(BETWEEN))
+        found = os.stat(path)
+        if (stamp := (found.st_ino, found.st_mtime_ns)) == _loaded:
+            return
+        wisdom, _loaded = tuple(path.read_bytes().split(BETWEEN)), stamp
         if len(wisdom) == PRECISIONS:
             pyfftw.import_wisdom(wisdom)
 

@@ -30,12 +30,22 @@ class Checkpoints:
 
     rows : slice of the global rows of the grid of that `shape` (nx, ny) which this rank holds
     job : a text that is the same for the same job; checkpoints of another job are ignored
+    hints : for MPI-IO, each "name=value"
 
     aside : `save` writes the file .new, since checkpoint.h5 belongs to results that are still to be replaced
     """
 
-    def __init__(self, comm: MPI.Comm, directory: str | os.PathLike, shape: tuple[int, int], rows: slice, job: str):
+    def __init__(
+        self,
+        comm: MPI.Comm,
+        directory: str | os.PathLike,
+        shape: tuple[int, int],
+        rows: slice,
+        job: str,
+        hints: tuple[str, ...] = (),
+    ):
         self.comm, self.shape, self.rows, self.job = comm, shape, rows, job
+        self.ranks = hdf5_slabs.Ranks(comm, rows, hints)
         self.path = Path(directory) / CHECKPOINT_FILE
         self.aside = False
 
@@ -51,7 +61,7 @@ class Checkpoints:
 
         path = atomic.successor(self.path) if self.aside else self.path
         fields = {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}
-        hdf5_slabs.replace_by(self.comm, path, self.rows, fields, create, not self.aside)
+        hdf5_slabs.replace_by(self.ranks, path, fields, create, not self.aside)
 
     def load(self, index: int) -> np.ndarray | None:
         """The newest good pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if there is none.

@@ -71,7 +71,8 @@ class FieldFiles:
             return dataset
 
         path = self.directory / self.folder / f"{name}.h5"
-        hdf5_slabs.replace_by(self.comm, path, form.rows, slabs, create, False)
+        ranks = hdf5_slabs.Ranks(self.comm, form.rows, form.hints)
+        hdf5_slabs.replace_by(ranks, path, slabs, create, False)
         for key in fields:
             link = key if key == name else f"{name}/{key}"
             self.links[link] = f"{name}.h5", key

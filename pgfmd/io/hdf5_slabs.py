@@ -33,6 +33,19 @@ METADATA_BYTES = 2**16  # more than HDF5 needs beside the numbers
 
 
 @dataclass(frozen=True)
+class Ranks:
+    """Who writes, and how: this rank of `comm` holds the global `rows`; hints, each "name=value", are for MPI-IO."""
+
+    comm: MPI.Comm
+    rows: slice
+    hints: tuple[str, ...] = ()
+
+    def info(self) -> MPI.Info:
+        """The hints, as MPI takes them."""
+        return MPI.Info.Create(dict(hint.split("=", 1) for hint in self.hints))
+
+
+@dataclass(frozen=True)
 class Field:
     """This rank's slab of a field, shape (rows, ny), and the type it has in the file."""
 
@@ -76,13 +89,14 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
     return h5py.Dataset(h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, layout))
 
 
-def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create) -> None:
-    """Write a new, sealed file of `fields`; this rank holds the global `rows`.  Collective.
+def write(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create) -> None:
+    """Write a new, sealed file of `fields`.  Collective.
 
     create(file, name) makes the dataset of a field by `create_dataset`; rank 0 calls it.  HDF5 crashes or hangs when a
     disk is full; so the space of the whole file is reserved before HDF5 writes.  An error on one rank is raised on all
     of them; OSError if the disk is full.
     """
+    comm, rows = ranks.comm, ranks.rows
     count = comm.allreduce(rows.stop - rows.start)
     size = count * sum(field.row_bytes for field in fields.values())
     size += 8 * (count + max(field.local.shape[1] for field in fields.values()))  # coordinates of the points
@@ -93,24 +107,24 @@ def write(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], cre
         arrays[name].add(sums[name], first, block)
 
     if is_collective(comm):
-        _write_together(comm, path, rows, fields, note)
+        _write_together(ranks, path, fields, note)
     else:
         _write_in_place(comm, path, rows, fields, note, arrays)
     arrays = {name: replace(array, sums=_sum_over_ranks(comm, sums[name])) for name, array in arrays.items()}
     from_root(comm, _seal, path, arrays)
 
 
-def replace_by(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], create: Create, keep: bool) -> None:
+def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create, keep: bool) -> None:
     """`write` under a temporary name, then rename; after a failure the temporary file is removed.  Collective.
 
     keep: the version that it replaces stays as `atomic.previous(path)`.  Raises like `write`.
     """
     draft = atomic.temporary(path)
     try:
-        write(comm, draft, rows, fields, create)
-        from_root(comm, atomic.commit, path, keep)
+        write(ranks, draft, fields, create)
+        from_root(ranks.comm, atomic.commit, path, keep)
     except BaseException:
-        if comm.rank == 0:
+        if ranks.comm.rank == 0:
             with suppress(OSError):
                 draft.unlink(missing_ok=True)
         raise
@@ -190,13 +204,14 @@ class _ReservedFile(io.RawIOBase):
         return self.size
 
 
-def _write_together(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note) -> None:
+def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: Note) -> None:
     """Each rank writes its own rows, all at the same time.  Collective.
 
     After each call of HDF5 the ranks agree whether it failed: an error on one rank is raised on all of them.
     """
+    comm, rows = ranks.comm, ranks.rows
     with raise_together(comm):
-        file = h5py.File(path, "r+", driver="mpio", comm=comm, libver=LIBVER)
+        file = h5py.File(path, "r+", driver="mpio", comm=comm, info=ranks.info(), libver=LIBVER)
     try:
         for name, field in fields.items():
             with raise_together(comm):

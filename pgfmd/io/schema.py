@@ -39,7 +39,8 @@ Groups = Mapping[str, Mapping[str, np.ndarray]]
 @dataclass(frozen=True)
 class Form:
     """The form of the files of one run: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of its rows
-    that this rank holds, the precision of real fields in the file, names of units, and the groups of a load.
+    that this rank holds, the precision of real fields in the file, names of units, the groups of a load, and hints
+    for MPI-IO.
     """
 
     shape: tuple[int, int]
@@ -49,6 +50,7 @@ class Form:
     length_unit: str = "length"
     pressure_unit: str = "pressure"
     groups: GroupLayout = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
 
     @property
     def units(self) -> dict[str, str]:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from pgfmd.errors import InputError
-from pgfmd.options.rules import POSITIVE, choice, number
+from pgfmd.options.rules import POSITIVE, assignment, choice, many, number
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
@@ -89,7 +89,9 @@ def _moduli(given: dict[str, float]) -> dict[str, float | None] | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Section):
-    """Checkpoints and time limit of a run, for machines that stop long jobs; in seconds."""
+    """Checkpoints and time limit of a run, for machines that stop long jobs; how its files are written.  Not compared
+    by --restart: it does not change results.
+    """
 
     where = "run"
     checkpoint_interval: float = key(
@@ -100,4 +102,10 @@ class Run(Section):
     )
     time_limit: float = key(
         number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted", unit="s"
+    )
+    io_hints: tuple[str, ...] = key(
+        many(assignment()),
+        (),
+        "for MPI-IO, which ignores those that it does not know; stripes: of the folder (lfs setstripe)",
+        example=["cb_nodes=8", "romio_cb_write=enable"],
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -91,6 +92,17 @@ def text() -> Rule:
         return value
 
     return Rule("a text in UTF-8, not empty", convert)
+
+
+def assignment() -> Rule:
+    """A text "name=value", short enough for any MPI library."""
+
+    def convert(value: Any) -> Any:
+        if not isinstance(value, str) or not re.fullmatch(r"[\w.-]{1,32}=[!-~]{1,255}", value, re.ASCII):
+            raise ValueError
+        return value
+
+    return Rule('a text "name=value" without spaces', convert)
 
 
 def flag() -> Rule:
