@@ -76,8 +76,11 @@ def test_reference_is_that_of_the_source():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_new_jobs_are_valid(kind):
-    """`pgfmd new KIND` prints a job that is valid, for every kind of surface and wall."""
-    parse(writer.example(SECTIONS.values(), kind))
+    """`pgfmd new KIND` prints a job that is valid, for every kind of surface and wall, and keeps what `pgfmd plot`
+    shows first: surface, pressure and gap, P(σ) and spectra.
+    """
+    kept = parse(writer.example(SECTIONS.values(), kind)).output
+    assert {"height", "pressure", "gap"} <= set(kept.fields) and {"histogram", "spectra"} <= set(kept.observables)
 
 
 def sections(table) -> list:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import ClassVar
 
 from pgfmd.io.schema import FIELDS
 from pgfmd.observables.contact_patches import ContactPatches
@@ -18,8 +19,19 @@ class Written(Section):
     """What is written.  Only what is listed is computed; options of observables that are not listed have no effect."""
 
     where = "output"
-    fields: tuple[str, ...] = key(many(choice(*FIELDS), distinct=True), (), "written for each load (height: once)")
-    observables: tuple[str, ...] = key(many(choice(*OBSERVABLES), distinct=True), (), "measured for each load")
+    shown: ClassVar[tuple[str, ...]] = ("fields", "observables")
+    fields: tuple[str, ...] = key(
+        many(choice(*FIELDS), distinct=True),
+        (),
+        "written for each load (height: once); none if left out",
+        example=("height", "pressure", "gap"),
+    )
+    observables: tuple[str, ...] = key(
+        many(choice(*OBSERVABLES), distinct=True),
+        (),
+        "measured for each load; none if left out",
+        example=("histogram", "spectra"),
+    )
     precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
     length_unit: str = key(text(), "length", "label; only heights from a file that says its own unit are converted")
     pressure_unit: str = key(text(), "pressure", "label")
