@@ -8,6 +8,8 @@ from reference import Contact, Real, Solid, Unable
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_patches import ContactPatches
+from pgfmd.observables.observer import Observer
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
@@ -202,3 +204,20 @@ def test_imposed_areas_and_gaps_are_found_below_the_hardness(comm, part):
     assert abs(again.mean_gap - found.mean_gap) <= 1e-4 * found.approach
     again = LoadControl(Load(displacement=(found.approach,)), problem).solution(found.approach)
     assert abs(again.approach - found.approach) <= 1e-4 * found.approach
+
+
+@pytest.mark.parametrize("part", [0.1, 0.2, 0.5, 0.9])
+def test_no_area_bears_more_than_the_hardness(comm, part):
+    """σ_Y times the corrected area is at least the load, of the whole and of each patch, where most of the edge bears
+    σ_Y; and the pixels count more.
+    """
+    grid = SlabGrid(comm, (64, 64))
+    heights, law = self_affine(grid, 0.8, 8.0, 0.1, 3), Hardness(hardness=0.01)
+    problem = ContactProblem(grid, heights, Elasticity(1.0), law, part * law.hardness)
+    observer = Observer(problem, [ContactPatches()])
+    contact = observer.contact(solve_contact(problem))
+    assert contact.line is not None
+    assert part <= contact.area.corrected < contact.area.fraction
+    patches = observer.groups(contact)["patches"]
+    if comm.rank == 0:
+        assert np.all(patches["area_corrected"] >= patches["load"] / law.hardness)

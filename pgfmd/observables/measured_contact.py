@@ -52,7 +52,7 @@ class MeasuredContact:
         """The contact area: that of the pixels in contact, and that inside the contact line."""
         if "patches" in self.asked:  # measured first, the lines of the patches spare the whole line its own pass
             self.line_of_patches(self.asked["patches"].connectivity)
-        return contact_area(self.grid, self.pressure, self.line)
+        return contact_area(self.grid, self.pressure, self.line, self.problem.least_area)
 
     @cached_property
     def line(self) -> ContactLine | None:
@@ -114,7 +114,7 @@ class MeasuredContact:
         """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.
         """
         line = None if pressure is None else self.line_of_patches(labels.connectivity)
-        table = patch_table(labels, self.grid.spacing, pressure, line)
+        table = patch_table(labels, self.grid.spacing, pressure, line, self.problem.law.highest)
         if table is None:
             return {}
         columns = {name: column for name, column in vars(table).items() if column is not None}

@@ -43,6 +43,11 @@ class ContactProblem:
         """Σ p over all points."""
         return self.mean_pressure * self.grid.size
 
+    @property
+    def least_area(self) -> float:
+        """p̄ over the largest pressure that the law admits: the relative contact area is at least that."""
+        return self.mean_pressure / self.law.highest
+
     def check(self) -> None:
         """Raise InputError for a mean pressure that the law does not admit."""
         pressure, law = self.mean_pressure, self.law

@@ -6,6 +6,7 @@ Each rank measures the pixels it holds; pieces of a patch on other ranks are add
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -32,7 +33,7 @@ class PatchTable:
     extent_y: np.ndarray
     percolates_x: np.ndarray  # bool: see `patch_table`
     percolates_y: np.ndarray
-    area_corrected: np.ndarray | None  # inside the contact line, if that is > 0, else `area`; None without a line
+    area_corrected: np.ndarray | None  # inside the line, or `area` if that is ≤ 0; ≥ load/highest; None without a line
     perimeter_corrected: np.ndarray | None  # length of the contact line, or `perimeter` likewise
 
 
@@ -41,11 +42,13 @@ def patch_table(
     spacing: tuple[float, float],
     pressure: np.ndarray | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
+    highest: float = math.inf,
 ) -> PatchTable | None:
     """Measure all patches; the table on rank 0, None on the others.  Collective.
 
     `pressure`: (rows, columns) float32 or float64, the slab of this rank; `spacing` = (ax, ay).
     `line`: area beyond that of the pixels and length of the contact line of each patch that this rank keeps.
+    `highest`: the largest pressure that the law admits (see `statistics.contact_area`).
 
     A patch percolates in x if, followed from pixel to pixel over the edges of the cell, it arrives at a periodic image
     of itself that is displaced along x (whatever the displacement along y), that is if the unrolled patch has no end
@@ -59,6 +62,7 @@ def patch_table(
     columns: dict[str, np.ndarray | None] = dict.fromkeys(field.name for field in fields(PatchTable))
     shapes = _shape_columns(labels, spacing)
     columns |= shapes
+    load = np.zeros(labels.kept)
     if pressure is not None:
         total, peak = _pressures(labels, pressure)
         load = total * (spacing[0] * spacing[1])
@@ -67,7 +71,7 @@ def patch_table(
         inside = shapes["area"] + line[0]
         none = inside <= 0  # of a pixel or two, close to other patches: as in `statistics.contact_area`
         columns |= {
-            "area_corrected": np.where(none, shapes["area"], inside),
+            "area_corrected": np.maximum(np.where(none, shapes["area"], inside), load / highest),
             "perimeter_corrected": np.where(none, shapes["perimeter"], line[1]),
         }
     gathered: dict[str, Any] = {name: _gather(labels, columns.pop(name)) for name in list(columns)}

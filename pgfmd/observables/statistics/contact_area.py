@@ -20,12 +20,16 @@ class Area:
     edges_y: int
     fraction: float  # relative contact area f_c
     edge_length: float  # S_d, length of all these edges
-    corrected: float  # f_c inside the contact line; `fraction` where there is none
+    corrected: float  # f_c inside the contact line, at least p̄/σ_Y; `fraction` where there is none
     perimeter: float  # length of the contact line; `edge_length` where there is none
 
 
-def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None) -> Area:
-    """Count contact pixels of a slab (nx_local, ny) and the edges around them, and measure the line.  Collective."""
+def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None, least: float = 0.0) -> Area:
+    """Count contact pixels of a slab (nx_local, ny) and the edges around them, and measure the line.  Collective.
+
+    least: p̄/σ_Y, which no area can be below if no pressure is above σ_Y.  Where most of an edge bears σ_Y, the line,
+    that of an elastic edge, lies too far inside: at λ_s = 8a by up to 5 % of the area, which is near the bound then.
+    """
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
     parts = grid.threads.collect(lambda a, b: count_edges(pressure, above, a, b), grid.local_shape[0])
     pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
@@ -35,4 +39,4 @@ def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None)
     corrected = fraction + beyond / (grid.size * grid.pixel_area)
     if corrected <= 0:  # of a pixel or two, whose line is none
         corrected, perimeter = fraction, edge_length
-    return Area(pixels, edges_x, edges_y, fraction, edge_length, corrected, perimeter)
+    return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)

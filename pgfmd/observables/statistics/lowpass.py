@@ -61,7 +61,8 @@ def _areas(
         if solution is None:
             areas[index] = np.nan
             continue
-        area = contact_area(grid, solution.pressure_in_contact(), line_of(smooth, solution, cutoff))
+        line = line_of(smooth, solution, cutoff)
+        area = contact_area(grid, solution.pressure_in_contact(), line, smooth.least_area)
         areas[index] = area.fraction, area.corrected
         before = solution.pressure if start is None else start
     return areas
