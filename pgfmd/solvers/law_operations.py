@@ -142,5 +142,19 @@ class LawOperations:
             if abs(trial - level) <= 1e-15 * abs(level):
                 break
             level = trial if low < trial < high else (low + high) / 2
-        state.pressure *= count / total
+        self._carry(state.pressure, total)
         state.level = level
+
+    def _carry(self, pressure: np.ndarray, total: float) -> None:
+        """Takes a factor on p̂, the sum of which is `total`, so that its mean is 1.  What bears the highest pressure
+        keeps it to the last digit, as energies are of first order in that.  Collective.
+        """
+        highest, missing = self.law.highest, self.grid.size - total
+        if highest == math.inf:
+            pressure *= 1 + missing / total
+            return
+        free = pressure < highest
+        carried = self.grid.reduction.sum(pressure[free])
+        if carried > 0:
+            np.multiply(pressure, 1 + missing / carried, out=pressure, where=free)
+            np.minimum(pressure, highest, out=pressure)
