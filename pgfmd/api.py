@@ -164,6 +164,7 @@ def solve(
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
+        closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
         if start is not None and (start := _real("start", start)).shape != heights.shape:
             raise InputError(f"start of shape {start.shape}: must be that of the heights, {heights.shape}")
     asked = comm.allgather((name, targets, single, spacings, solid, law, options, closeness, start is None))
@@ -196,10 +197,14 @@ def _targets(imposed: Mapping[str, Any]) -> tuple[str, tuple[float, ...], bool]:
     if len(given) != 1:
         raise InputError(f"give exactly one of {', '.join(imposed)}; found {' and '.join(given) or 'none'}")
     value = imposed[given[0]]
-    rules = {field.name: field.metadata["rule"] for field in dataclasses.fields(Load)}
     values = list(value) if isinstance(value, range) else value
     single = not isinstance(values, (list, tuple)) and np.ndim(values) == 0
-    return given[0], _checked(given[0], values, rules["pressure" if given[0] == "force" else given[0]]), single
+    return given[0], _checked(given[0], values, _rule("pressure" if given[0] == "force" else given[0])), single
+
+
+def _rule(name: str) -> Rule:
+    """The rule of a key of [load]."""
+    return {field.name: field.metadata["rule"] for field in dataclasses.fields(Load)}[name]
 
 
 def _law(wall: ContactLaw | Mapping[str, Any] | None, zeta: float | None) -> ContactLaw:

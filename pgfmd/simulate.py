@@ -29,6 +29,7 @@ from pgfmd.operation.estimate import estimate
 from pgfmd.operation.log_file import LogFile
 from pgfmd.operation.progress import Progress
 from pgfmd.operation.stop import Interruptions
+from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.elasticity import Elasticity
@@ -109,7 +110,7 @@ def simulate(
             elif writer.earlier.job is None:
                 checkpoints.remove()
             writer.begin()
-            log_file.open(writer.directory, f"{command_line()}, on {comm.size} rank{'s' * (comm.size > 1)}")
+            log_file.open(writer.directory, f"{command_line()}, on {counted(comm.size, 'rank')}")
             if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_heights(heights)
         pending, unreachable, count = writer.pending, {}, len(job.load.targets)

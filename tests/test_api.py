@@ -31,6 +31,7 @@ def mine(comm):
         ("thickness", 0.0), ("thickness", math.nan), ("base", "free"), ("poisson", math.nan),
         ("zeta", 0.0), ("zeta", -1.0), ("zeta", 1e-300), ("zeta", math.inf),
         ("zeta", 1e-200), ("method", "newton"), ("method", "fast"),
+        ("area_tolerance", math.nan), ("area_tolerance", np.ones(2)), ("gap_tolerance", 0.0), ("gap_tolerance", "1"),
         ("pressure", -1.0), ("pressure", math.nan), ("pressure", math.inf), ("pressure", "1"),
     ],
 )  # fmt: skip

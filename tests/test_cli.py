@@ -148,7 +148,7 @@ def test_check_and_info_need_no_mpi(tmp_path, job):
     code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
     for arguments, words in (
         (["check", job, "--ranks", "4"], ["valid", "8 × 6", "per rank on 4 ranks"]),
-        (["info", tmp_path / "out"], ["complete", "2 of 2 completed", "mean_pressure", "1 ranks"]),
+        (["info", tmp_path / "out"], ["complete", "2 of 2 completed", "mean_pressure", "1 rank × "]),
     ):
         done = subprocess.run([sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

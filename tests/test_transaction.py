@@ -155,6 +155,18 @@ def test_a_run_that_fails_leaves_the_old_results(tmp_path):
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
+def test_the_first_error_is_the_one_that_is_raised(tmp_path, monkeypatch):
+    """What then fails, whatever it is, while the end of the run is written, hides neither it nor holds the folder."""
+
+    def fails(*_):
+        raise RuntimeError("cannot be noted")
+
+    monkeypatch.setattr(ResultWriter, "_note_failure", fails)
+    with pytest.raises(SolverError, match="no descent"):
+        run(tmp_path / "out", 1.0, "new", stop=SolverError("no descent"))
+    assert atomic.holder(tmp_path / "out") is None
+
+
 def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
     """With --overwrite again; the old results and their checkpoint are not touched by it."""
     folder = tmp_path / "out"

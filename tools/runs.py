@@ -45,8 +45,9 @@ def run(line: str, folder: Path) -> str:
     log.addHandler(handler)
     try:
         simulate(config.load(path, overrides), MPI.COMM_SELF, folder / name, overwrite=True)
-    except (InputError, SolverError) as error:
-        raise RuntimeError(f"{name}: {error}") from None  # an exception that can be sent to the parent process
+    except (InputError, SolverError, OSError, MemoryError) as error:
+        reason = str(error) or type(error).__name__
+        raise RuntimeError(f"{name}: {reason}") from None  # an exception that can be sent to the parent process
     finally:
         log.removeHandler(handler)
         handler.close()

@@ -14,6 +14,7 @@ from pgfmd.io import checksum, ensemble
 from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results, Runs, table
 from pgfmd.io.schema import FIELDS_FILE, LOADS, OBSERVABLES_FILE, VTK_FILE, load_name, member_name
+from pgfmd.options.text import counted
 
 
 def damage(results: Results) -> dict[Path, str]:
@@ -103,7 +104,8 @@ def _origin(about: Mapping[str, Any]) -> dict[str, str]:
     return {
         "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
         "command": about["command"],
-        "started": f"{about['date']} on {about['host']}, {about['ranks']} ranks × {about['threads']} threads",
+        "started": f"{about['date']} on {about['host']}, {counted(about['ranks'], 'rank')} × "
+        f"{counted(about['threads'], 'thread')}",
     }
 
 

@@ -200,7 +200,7 @@ class ResultWriter:
         if self._lock is None:
             return
         if self._begun and error is not None:
-            with suppress(OSError):  # the disk may be what has failed; the first error is the one to report
+            with suppress(Exception):  # the disk, or a file, may be what has failed: the first error is to be reported
                 self._note_failure(error)
         self._lock.release()
         if not self._begun:

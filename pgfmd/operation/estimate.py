@@ -10,6 +10,7 @@ from pgfmd.grid.cost import Cost
 from pgfmd.grid.holders import largest_shares
 from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
+from pgfmd.options.text import counted
 from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.cost import cost as solver_cost
 
@@ -17,7 +18,7 @@ FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
 WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, as given and scaled, and strips
 BASE_BYTES = 2.17e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
-AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: contact area / area of Persson's theory − 1
+AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
@@ -132,10 +133,10 @@ def report(job: Job, ranks: int) -> str:
         "surface": ": ".join(filter(None, [job.surface.kind, understood])),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",
-        "memory": f"about {readable(found.memory)} per rank on {ranks} rank{'s' * (ranks > 1)} "
+        "memory": f"about {readable(found.memory)} per rank on {counted(ranks, 'rank')} "
         f"({readable(BASE_BYTES)} and {bytes_per_point(job):.0f} bytes per grid point)",
         "files": readable(found.files),
-        "time": f"about {duration(found.seconds)} on {ranks} core{'s' * (ranks > 1)}",
+        "time": f"about {duration(found.seconds)} on {counted(ranks, 'core')}",
     }
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)

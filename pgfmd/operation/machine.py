@@ -12,6 +12,7 @@ from pgfmd.errors import InputError
 from pgfmd.io import hdf5_slabs
 from pgfmd.io.provenance import git_commit, versions
 from pgfmd.operation.memory import available_memory, largest_memory, readable
+from pgfmd.options.text import counted
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
 
@@ -75,8 +76,8 @@ def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> 
     lines = [
         (
             logging.INFO,
-            f"{_count(len(found), 'rank')} on {_count(len(ranks), 'node')} ({spread}{more}) × "
-            f"{_count(counts[-1], 'thread')}" + f" (some {counts[0]})" * (len(counts) > 1),
+            f"{counted(len(found), 'rank')} on {counted(len(ranks), 'node')} ({spread}{more}) × "
+            f"{counted(counts[-1], 'thread')}" + f" (some {counts[0]})" * (len(counts) > 1),
         )
     ]
     tight = min(ranks, key=lambda node: memory[node] - ranks[node] * per_rank)
@@ -95,12 +96,8 @@ def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> 
         lines.append(
             (
                 logging.WARNING,
-                f"{crowded[0]}: {threads[crowded[0]]} threads on {_count(len(cores[crowded[0]]), 'core')}; "
+                f"{crowded[0]}: {threads[crowded[0]]} threads on {counted(len(cores[crowded[0]]), 'core')}; "
                 "set OMP_NUM_THREADS to cores / ranks",
             )
         )
     return lines
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'s' * (number != 1)}"

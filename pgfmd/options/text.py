@@ -21,6 +21,11 @@ def printable(name: str, longest: int = 60) -> str:
     return clean if len(clean) <= longest else clean[: longest - 1] + "…"
 
 
+def counted(number: int, noun: str) -> str:
+    """ "1 rank", "2 ranks"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def show(value: Any) -> str:
     """A value as TOML writes it, on one line, cut to a readable length."""
     try:
