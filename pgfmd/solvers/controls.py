@@ -20,29 +20,38 @@ LEAST_ERROR = 1e-24  # certified error below which the level's error is rounding
 
 
 class Control:
-    """A quantity that is imposed on one surface, and its value for a solution.  Collective to make.
+    """A quantity that is imposed on one surface, and its value for a solution.
 
-    top: largest height; summit: that above the mean height; rms_height: about the mean.  jumps: whether the quantity is
-    discontinuous in the load.
+    jumps: whether the quantity is discontinuous in the load.
     """
 
     jumps = False
 
     def __init__(self, problem: ContactProblem, load: Load):
         self.problem, self.options, self.grid = problem, load, problem.grid
-        heights, reduce = problem.heights, problem.grid.reduction
-        self.top = reduce.max(heights)
-        # Depths below the highest point keep their digits, however far from 0 heights are; their squares may underflow.
-        self.summit = reduce.sum(self.top - heights) / self.grid.size
-        size = self.top - reduce.min(heights) or 1.0
-        self.rms_height = size * math.sqrt(
-            reduce.sum(((self.top - heights - self.summit) / size) ** 2) / self.grid.size
-        )
         stiffness = problem.solid.mean_stiffness()
         self.mean_compliance = 1 / stiffness if stiffness > 0 else 0.0
 
+    @cached_property
+    def top(self) -> float:
+        """Largest height.  Collective."""
+        return self.grid.reduction.max(self.problem.heights)
+
+    @cached_property
+    def summit(self) -> float:
+        """The largest height above the mean.  Collective."""
+        # Depths below the highest point keep their digits, however far from 0 heights are.
+        return self.grid.reduction.sum(self.top - self.problem.heights) / self.grid.size
+
+    @cached_property
+    def rms_height(self) -> float:
+        """Of the heights about their mean.  Collective."""
+        heights, reduce = self.problem.heights, self.grid.reduction
+        size = self.top - reduce.min(heights) or 1.0  # squares of heights may underflow
+        return size * math.sqrt(reduce.sum(((self.top - heights - self.summit) / size) ** 2) / self.grid.size)
+
     def check_target(self, target: float) -> None:
-        """Raises InputError for a target that is wrong input."""
+        """Raises InputError for a target that is wrong input.  Collective."""
         if self.rms_height == 0:
             name = self.options.control
             raise InputError(f"load.{name}: the surface is flat: its contact is full at any load; impose a pressure")
@@ -163,7 +172,7 @@ class ContactArea(Control):
 
 class MeanGap(Control):
     """Mean gap, to `gap_tolerance`.  The search uses the approach since first contact, summit − mean gap, which grows
-    with the load.
+    with the load.  Collective to make.
     """
 
     def __init__(self, problem: ContactProblem, load: Load):
@@ -180,7 +189,8 @@ class MeanGap(Control):
         return found.approach
 
     def check_target(self, target: float) -> None:
-        """Raises InputError for full contact, which leaves the load open, unless the law admits overlap."""
+        """Raises InputError for full contact, which leaves the load open, unless the law admits overlap.  Collective.
+        """
         super().check_target(target)
         if self.approach(target) >= self.limit:
             name = self.options.control

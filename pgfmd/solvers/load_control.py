@@ -52,7 +52,7 @@ class LoadControl:
         self._totals = np.zeros(3)
 
     def check_targets(self, targets: Iterable[float]) -> None:
-        """Raises InputError for the first target that is wrong input on this surface."""
+        """Raises InputError for the first target that is wrong input on this surface.  Collective."""
         for target in targets:
             self.control.check_target(target)
 
