@@ -220,11 +220,13 @@ for back in (False, True):
     kernels.tiles_and_columns(tiles, 4, 0, 4, block, back)
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
+kernels.subtract_blocks(np.ones((1, 2)), np.ones((4, 4)), 0, 4, block)
+kernels.rest_in_blocks((block, block, block), np.ones((1, 2)), 0, 4, block)
 print(*Count.names)
 """
 
 
-LOOPS = ("rows_and_tiles", "tiles_and_columns", "_from_tile", "_to_tile")
+LOOPS = ("rows_and_tiles", "tiles_and_columns", "subtract_blocks", "rest_in_blocks", "_repeat")
 
 
 @pytest.mark.parametrize("count", [1, 3])

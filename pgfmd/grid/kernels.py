@@ -11,7 +11,9 @@ import numpy as np
 
 from pgfmd.parallel.compiled import compiled
 
-jit = compiled(fastmath={"contract", "arcp", "nsz", "reassoc"})
+FAST = {"contract", "arcp", "nsz", "reassoc"}
+jit = compiled(fastmath=FAST)
+inner = compiled(fastmath=FAST, no_cpython_wrapper=True)  # for what loops call
 
 u = np.uintp  # for indices: Numba tests signed ones for being negative, and does not vectorise loops with that test
 
@@ -37,37 +39,25 @@ def rows_and_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarra
 
 
 @jit
-def _from_tile(tile: np.ndarray, at: int, nx: int, block: np.ndarray) -> None:
-    """block[c, i] = tile[i, at + c] for i < nx: 16 rows at a time, so that both sides stay in cache."""
-    for low in range(0, nx, 16):
-        for j in range(block.shape[0]):
-            for i in range(low, min(low + 16, nx)):
-                block[j, i] = tile[i, at + j]
-
-
-@jit
-def _to_tile(block: np.ndarray, nx: int, tile: np.ndarray, at: int) -> None:
-    """tile[i, at + c] = block[c, i] for i < nx, likewise."""
-    for low in range(0, nx, 16):
-        for i in range(low, min(low + 16, nx)):
-            for j in range(block.shape[0]):
-                tile[i, at + j] = block[j, i]
-
-
-@jit
 def tiles_and_columns(tiles: np.ndarray, nx: int, first: int, count: int, block: np.ndarray, back: bool) -> None:
     """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2]; or
-    back.
+    back.  16 rows at a time, so that both sides stay in cache.
     """
     size, done = tiles.shape[2], 0
     while done < count:
         tile, at = tiles[(first + done) // size], (first + done) % size
         width = min(size - at, count - done)
         columns = block[done : done + width]
-        if back:
-            _to_tile(columns, nx, tile, at)
-        else:
-            _from_tile(tile, at, nx, columns)
+        for low in range(0, nx, 16):
+            high = min(low + 16, nx)
+            if back:
+                for i in range(low, high):
+                    for j in range(width):
+                        tile[i, at + j] = columns[j, i]
+            else:
+                for j in range(width):
+                    for i in range(low, high):
+                        columns[j, i] = tile[i, at + j]
         done += width
 
 
@@ -130,7 +120,7 @@ def squares_of_steps(field: np.ndarray) -> float:
     return total
 
 
-@jit
+@inner
 def _blend_rows(coarse: np.ndarray, first: int, weights: np.ndarray, line: np.ndarray) -> None:
     """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
     width = coarse.shape[1]
@@ -181,7 +171,7 @@ def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) 
             line[:] = 0
 
 
-@jit
+@inner
 def _repeat(means: np.ndarray, size: int, line: np.ndarray) -> None:
     """line[j] = means[j // size]"""
     for block in range(means.size):

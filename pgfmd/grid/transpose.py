@@ -26,13 +26,15 @@ from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 WIDE = 16 * ALIGNMENT  # bytes of a row from which its padding does not count
+WORD = np.dtype(np.int64)  # of copies that do not look at the numbers
 Counts = tuple[np.ndarray, np.ndarray]
 """Items of each rank's part of a buffer, and where the parts begin."""
 
 
 class Parts(NamedTuple):
-    """Where rows go.  For each (first, stop, offset, width) of the `table`: columns first … stop−1 go to tiles of
-    (height, width) items, one after the other in `flat` from the offset on.
+    """Where rows go, in words of eight bytes, so that one compiled loop serves both precisions.  For each (first, stop,
+    offset, width) of the `table`: words first … stop−1 of a row go to tiles of (height, width) words, one after the
+    other in `flat` from the offset on.
     """
 
     flat: np.ndarray
@@ -78,15 +80,15 @@ class Strips(ABC):
 
     def put(self, parts: Parts, first: int, half: np.ndarray) -> None:
         """Copy the row-transformed rows `half`, the first of which is local row `first`, into their parts."""
-        kernels.rows_and_tiles(half, self.first_row + first, *parts, False)
+        kernels.rows_and_tiles(half.view(WORD), self.first_row + first, *parts, False)
 
     def get(self, parts: Parts, first: int, half: np.ndarray) -> None:
         """Copy the rows `half`, the first of which is local row `first`, out of their parts."""
-        kernels.rows_and_tiles(half, self.first_row + first, *parts, True)
+        kernels.rows_and_tiles(half.view(WORD), self.first_row + first, *parts, True)
 
     @abstractmethod
     def parts(self, dtype: np.dtype) -> Parts:
-        """Where the parts of this rank's rows go, as complex `dtype`."""
+        """Where the parts of this rank's rows, of complex `dtype`, go."""
 
     @abstractmethod
     def strip(self, dtype: np.dtype) -> np.ndarray:
@@ -141,7 +143,7 @@ class SharedStrips(Strips):
         first, stop = self.column_starts[:-1], self.column_starts[1:]
         columns = np.full_like(first, TILE // dtype.itemsize)
         table = np.stack([first, stop, self.begins // dtype.itemsize, columns], axis=1)
-        return Parts(_items(self.flat, dtype), table, self.nx + 1)
+        return Parts(_items(self.flat, WORD), table * (dtype.itemsize // WORD.itemsize), self.nx + 1)
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this rank."""
@@ -200,7 +202,7 @@ class ExchangedStrips(Strips):
         offsets, strides = self._layout(dtype)[0][1], self._strides(dtype.itemsize)
         offsets[self.node_number] = self.row_starts[self.comm.rank] * strides[self.node_number]
         table = np.stack([self.node_starts[:-1], self.node_starts[1:], offsets, np.maximum(strides, 1)], axis=1)
-        return Parts(_items(self.flat, dtype), table, self.rows)
+        return Parts(_items(self.flat, WORD), table * (dtype.itemsize // WORD.itemsize), self.rows)
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this node."""

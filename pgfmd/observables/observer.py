@@ -18,7 +18,7 @@ from pgfmd.observables.measured_contact import MeasuredContact
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.spectra import Spectra
-from pgfmd.observables.statistics.correlations import lag_rings, mode_rings
+from pgfmd.observables.statistics.correlations import lag_rings
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
@@ -53,9 +53,9 @@ class Observer:
         spectra, acf = asked.get("spectra", Spectra()), asked.get("acf")
         assert isinstance(spectra, Spectra)
         cell = Cell(n=grid.shape, length=grid.lengths)
-        modes = mode_rings(grid, spectra.edges(cell, cutoff))
+        edges = spectra.edges(cell, cutoff)
         lags = lag_rings(grid, acf.edges(cell)) if isinstance(acf, Acf) else None
-        self.surface = RoughSurface(grid, problem.heights, cutoff, modes, lags)
+        self.surface = RoughSurface(grid, problem.heights, cutoff, edges, lags, bool(asked.keys() & {"spectra", "acf"}))
         options = Solver(method=problem.law.methods[0], tolerance=LOWPASS_TOLERANCE)
         self._given_solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable

@@ -12,7 +12,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
 from pgfmd.observables.contact_line.line import is_smooth
-from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings
+from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings, squared
 from pgfmd.observables.statistics.kernels import square_moments
 
 BANDWIDTH = 2.5
@@ -22,55 +22,66 @@ BANDWIDTH = 2.5
 
 @dataclass(frozen=True)
 class RoughSurface:
-    """The rigid surface.  The first use of `correlations` or `rms_slope` measures both and is collective.
+    """The rigid surface.  The first use of `modes`, `correlations` or `rms_slope` is collective.
 
     heights: (nx_local, ny), kept, not copied
     cutoff: wave number beyond which it has no modes; None: not known, every mode of the grid may count
-    modes: bins of the wave number in which spectra are averaged;  lags: those of the distance in which autocorrelations
-    are averaged, None if none is asked for
+    edges: of the bins of the wave number in which spectra are averaged;  lags: the bins of the distance in which
+    autocorrelations are averaged, None if none is asked for
+    correlated: whether `correlations` will be asked for, which are then measured together with the slopes
     """
 
     grid: SlabGrid
     heights: np.ndarray
     cutoff: float | None
-    modes: Rings
+    edges: np.ndarray
     lags: Rings | None
+    correlated: bool
 
     @property
     def cell(self) -> Cell:
         """The grid as a job describes it."""
         return Cell(n=self.grid.shape, length=self.grid.lengths)
 
+    @cached_property
+    def modes(self) -> Rings:
+        """The bins of the wave number.  Collective on first use."""
+        return mode_rings(self.grid, self.edges)
+
     def rings(self, edges: np.ndarray) -> Rings:
         """Bins of the wave number with these edges.  Collective."""
-        return self.modes if np.array_equal(edges, self.modes.edges) else mode_rings(self.grid, edges)
+        return self.modes if np.array_equal(edges, self.edges) else mode_rings(self.grid, edges)
 
     def correlate(self, fill: RowAction, watch: ColumnAction | None = None) -> Correlations:
         """Spectrum, and autocorrelation if one is asked for, of the field whose rows `fill` makes.  Collective."""
         return correlate(self.grid, fill, self.modes, self.lags, watch)
 
     @cached_property
-    def _measured(self) -> tuple[Correlations, float, float]:
-        """Spectrum and autocorrelation, √Σ q²|h̃|² and √Σ q⁴|h̃|² of the heights, in one pass.  Collective."""
+    def _measured(self) -> tuple[float, float, Correlations | None]:
+        """√Σ q²|h̃|², √Σ q⁴|h̃|², and the correlations if they will be asked for, in one pass.  Collective."""
         parts, grid = dict[int, tuple[float, float]](), self.grid
         along, across, weight = grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0].copy()
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
             parts[first] = square_moments(power, along, across[first:stop], weight[first:stop])
 
-        found = self.correlate(source(self.heights), watch)
-        moments = grid.reduction.sums_of_blocks(parts, 2)
-        return found, *(np.sqrt(moments) / grid.size)
+        found = None
+        if self.correlated:
+            found = self.correlate(source(self.heights), watch)
+        else:
+            grid.read_spectrum(source(self.heights), lambda block, *place: watch(squared(block), *place))
+        second, fourth = np.sqrt(grid.reduction.sums_of_blocks(parts, 2)) / grid.size
+        return float(second), float(fourth), found
 
-    @property
+    @cached_property
     def correlations(self) -> Correlations:
         """Spectrum of the heights, and autocorrelation if one is asked for."""
-        return self._measured[0]
+        return self._measured[2] or self.correlate(source(self.heights))
 
     @property
     def rms_slope(self) -> float:
         """√Σ q²|h̃|²."""
-        return float(self._measured[1])
+        return self._measured[0]
 
     @property
     def is_smooth(self) -> bool:
@@ -82,7 +93,7 @@ class RoughSurface:
         """The cutoff; where none is known, BANDWIDTH times the rms curvature over the rms slope."""
         if self.cutoff is not None:
             return self.cutoff
-        return BANDWIDTH * float(self._measured[2]) / self.rms_slope if self.rms_slope else 0.0
+        return BANDWIDTH * self._measured[1] / self.rms_slope if self.rms_slope else 0.0
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""

@@ -14,6 +14,7 @@ import numpy as np
 from pgfmd.parallel.compiled import compiled
 
 _jit = compiled()
+_inner = compiled(no_cpython_wrapper=True)  # for what loops call
 
 # Last axis of a table, see `table.EdgeTable`.  Not Python numbers: for each of those Numba compiles a function anew.
 OFFSET, COSINE, PLACE, INNER, OUTER = map(np.int64, range(5))
@@ -24,7 +25,7 @@ Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, n
 Lookup = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # see `line_of_pixel`
 
 
-@_jit
+@_inner
 def _distance(value: float, scale: float) -> float:
     """Roughly linear in the distance to the edge on both sides: p² inside, −(¾E'g/a)^(2/3) outside."""
     if value > 0:
@@ -32,7 +33,7 @@ def _distance(value: float, scale: float) -> float:
     return -np.cbrt((0.75 * max(value / scale, -_LARGEST)) ** 2)
 
 
-@_jit
+@_inner
 def describe(around: np.ndarray, ratio: float) -> tuple[float, float]:
     """(share of the pressure in p + E'g/a at the pair, angle between the pair and the apparent normal, 0 … π/2).
 
@@ -56,7 +57,7 @@ def describe_all(around: np.ndarray, ratio: float, share: np.ndarray, angle: np.
         share[i], angle[i] = describe(around[i], ratio)
 
 
-@_jit
+@_inner
 def _cell(at: float, count: int) -> tuple[int, float]:
     """First of the two of `count` points, evenly spaced from 0 to 1, about `at`, and the weight of the other."""
     x = min(at, 1.0) * (count - 1)
@@ -64,7 +65,7 @@ def _cell(at: float, count: int) -> tuple[int, float]:
     return i, x - i
 
 
-@_jit
+@_inner
 def _look(table: np.ndarray, row: tuple[int, float], column: tuple[int, float], which: int) -> float:
     """Bilinear interpolation in table (angles, shares, quantities)."""
     (j, y), (i, x) = row, column
@@ -73,7 +74,7 @@ def _look(table: np.ndarray, row: tuple[int, float], column: tuple[int, float], 
     return low * (1 - y) + high * y
 
 
-@_jit
+@_inner
 def _bounded(ratio: float, bound: float) -> float:
     return min(max(ratio, 1 / bound), bound)
 
@@ -106,7 +107,7 @@ def locate(around: np.ndarray, ratio: float, table: np.ndarray, bound: float) ->
     return _look(table, row, column, OFFSET), _look(table, row, column, COSINE)
 
 
-@_jit
+@_inner
 def _signed(pressure: np.ndarray, gap: np.ndarray, halo: np.ndarray, i: int, j: int, scale: float) -> float:
     """`signed` at row i, column j of a slab with two more rows before and after it: halo = (pressure, gap) of them."""
     rows, columns = pressure.shape
@@ -122,7 +123,7 @@ def _signed(pressure: np.ndarray, gap: np.ndarray, halo: np.ndarray, i: int, j: 
     return p if p > 0 else -scale * max(g, 0.0)
 
 
-@_jit
+@_inner
 def line_of_pixel(
     fields: Fields, lookup: Lookup, i: int, j: int, around: np.ndarray
 ) -> tuple[float, float, float, float]:
@@ -164,7 +165,7 @@ def line_of_pixel(
     return area, length_x, length_y, corners
 
 
-@_jit
+@_inner
 def add_line(fields: Fields, lookup: Lookup, i: int, columns: tuple[int, int], total: np.ndarray) -> None:
     """Adds `line_of_pixel` of the contact pixels of row i in columns start … stop−1 to `total` (4,)."""
     around = np.empty(8)

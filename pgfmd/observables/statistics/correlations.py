@@ -82,6 +82,13 @@ def lag_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
     return Rings(grid, y**2, x[grid.rows] ** 2, np.ones(grid.local_shape[0]), edges)
 
 
+def squared(block: np.ndarray) -> np.ndarray:
+    """|z|² of a block of modes, real, in its memory; the block itself becomes |z|² + 0i."""
+    parts = block.view(np.float64).reshape(*block.shape, 2)
+    power_in_place(parts)
+    return parts[..., 0]
+
+
 def correlate(
     grid: SlabGrid, fill: RowAction, modes: Rings, lags: Rings | None = None, watch: ColumnAction | None = None
 ) -> Correlations:
@@ -94,11 +101,10 @@ def correlate(
     power: dict[int, np.ndarray] = {}
 
     def square(block: np.ndarray, first: int, stop: int) -> None:
-        parts = block.view(np.float64).reshape(*block.shape, 2)
-        power_in_place(parts)
-        power[first] = modes.sums(parts[..., 0], first, stop)
+        values = squared(block)
+        power[first] = modes.sums(values, first, stop)
         if watch is not None:
-            watch(parts[..., 0], first, stop)
+            watch(values, first, stop)
 
     if lags is None:
         count = None if watch else int(np.searchsorted(grid.qy[:, 0], modes.edges[-1], side="right"))

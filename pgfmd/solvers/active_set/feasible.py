@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import jit
+from pgfmd.grid.kernels import inner, jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Unknowns
@@ -84,7 +84,8 @@ class Feasible:
 
 
 def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, stiffness: float) -> None:
-    """Multiplies the pressures below `highest`, and limits them to that, so that all sum to `load`.  Collective.
+    """Multiplies the pressures below `highest`, all ≥ 0, and limits them to that, so that they sum to `load`.
+    Collective.
 
     If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and
     `highest`, with the level that makes the sum `load` but for the level's rounding, a projected gradient step; then
@@ -92,6 +93,11 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
     """
     pressure, gap = fields
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
+    if math.isinf(highest):
+        total = reduction.sum(threads.collect(lambda a, b: float(pressure[a:b].sum()), len(pressure)))
+        if total > 0 and math.isfinite(load / total):
+            threads.scale(pressure, load / total)
+            return
 
     def excess(change: Change) -> tuple[float, float]:
         parts = threads.collect(lambda a, b: changed_sums(fields, change, highest, a, b), len(gap))
@@ -133,7 +139,7 @@ def _root(
     return at
 
 
-@jit
+@inner
 def _changed(p: float, g: float, change: Change, highest: float) -> float:
     """factor · p where p < highest, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `highest`."""
     factor, stiffness, level = change

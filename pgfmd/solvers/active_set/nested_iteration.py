@@ -70,7 +70,7 @@ class ActiveSetIteration(NestedIteration[State]):
         if (state := _full_contact(problem)) is not None:
             return state
         grid, highest = problem.grid, problem.law.highest
-        state = State(np.minimum(start * (problem.load / grid.reduction.sum(start)), highest), -problem.heights)
+        state = State(np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest), -problem.heights)
         fields = state.pressure, state.gap
         scale_to_load(grid, fields, problem.load, highest, problem.solid.contact_modulus / max(grid.spacing))
         state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))

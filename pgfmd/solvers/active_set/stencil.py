@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import jit, u
+from pgfmd.grid.kernels import inner, jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, Unknowns
 
@@ -69,7 +69,7 @@ def fill_wrapped(values: np.ndarray, points: Points, first: int, count: int, mar
             row[ny + margin + j] = row[margin + j]
 
 
-@jit
+@inner
 def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> float:
     """The stencil around flat index p of rows s apart.  Unsigned indices spare the test for negative ones."""
     a, b, c, d, e, f = weights
