@@ -3,9 +3,10 @@
 #
 #   bash tools/setup.sh [test] [bench] [EXTRA …]
 #
-# Without a word: what runs jobs and draws figures.  EXTRA: of pyproject.toml, in addition.  test: what the tests need, among it programs that read results (VTK,
-# h5grove, netCDF4, a notebook's kernel) or instruments' files, that solve the same contacts (tamaas, ContactMechanics),
-# that build the documentation, and a browser.  bench: what jobs/benchmark.sh compares with; compiles for some minutes.
+# Without a word: what runs jobs and draws figures.  EXTRA: of pyproject.toml, in addition.  test: what the tests need,
+# among it programs that read results (VTK, h5grove, netCDF4, a notebook's kernel) or instruments' files, that solve the
+# same contacts (tamaas, ContactMechanics), that build the documentation, and a browser.  bench: what jobs/benchmark.sh
+# compares with; compiles for some minutes.
 #
 # Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
 # installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
@@ -233,7 +234,7 @@ python_packages() {
     quietly "${offline[@]}" -e "${root}[$(IFS=,; echo "${extras[*]}")]"
     for extra in "$@"; do
         [ "$extra" = test ] && continue
-        say "installing the extra packages of '$extra' (bench compiles for some minutes)"
+        say "installing the extra packages of '$extra'$([ "$extra" != bench ] || echo ' (some minutes: they are compiled)')"
         quietly pip install -q --no-compile -e "${root}[$extra]"
     done
 }
