@@ -48,7 +48,7 @@ def test_a_self_affine_table_is_the_self_affine_surface(comm, shared_tmp_path):
     factor that makes the slope of the other kind exact; to rounding.
     """
     grid = SlabGrid(comm, (64, 48), (32.0, 24.0))
-    spectrum = theory.SelfAffine(hurst=0.7, lambda_s=2.0, lambda_r=8.0, lambda_l=24.0, rms_slope=0.2)
+    spectrum = theory.SelfAffineSpectrum(hurst=0.7, lambda_s=2.0, lambda_r=8.0, lambda_l=24.0, rms_slope=0.2)
     q = 2 * np.pi / np.array([24.0, 8.0, 2.0])
     table = np.stack([q, (2 * np.pi) ** 2 * spectrum.density(q)], axis=1)
     found = FromSpectrum(path=saved(comm, shared_tmp_path / "c.npy", table), seed=5).heights(grid)

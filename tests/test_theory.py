@@ -14,10 +14,10 @@ from pgfmd.theory import asperity, bearing, exact, exponential, hertz, persson, 
 
 MODULUS = 8 / 3
 SURFACES = [
-    surface.SelfAffine(hurst=0.3, lambda_s=32, lambda_l=2048, rms_slope=0.031),
-    surface.SelfAffine(hurst=0.8, lambda_s=1, lambda_l=100, rms_slope=0.2, lambda_r=30),
-    surface.SelfAffine(hurst=1.0, lambda_s=2, lambda_l=100, rms_slope=0.1, lambda_r=2),
-    surface.SelfAffine(hurst=0.0, lambda_s=2, lambda_l=500, rms_slope=0.1),
+    surface.SelfAffineSpectrum(hurst=0.3, lambda_s=32, lambda_l=2048, rms_slope=0.031),
+    surface.SelfAffineSpectrum(hurst=0.8, lambda_s=1, lambda_l=100, rms_slope=0.2, lambda_r=30),
+    surface.SelfAffineSpectrum(hurst=1.0, lambda_s=2, lambda_l=100, rms_slope=0.1, lambda_r=2),
+    surface.SelfAffineSpectrum(hurst=0.0, lambda_s=2, lambda_l=500, rms_slope=0.1),
 ]
 
 
@@ -280,7 +280,7 @@ def test_impossible_surfaces_are_refused():
         asperity.bush_gibson_thomas(1.0, surface.SpectralMoments(1.0, 1.0, 1.4), 1.0)
     for change in ({"lambda_s": 100}, {"lambda_r": 200}, {"rms_slope": 0}):
         with pytest.raises(InputError, match=list(change)[0]):
-            surface.SelfAffine(**{"hurst": 0.5, "lambda_s": 1, "lambda_l": 100, "rms_slope": 0.1, **change})
+            surface.SelfAffineSpectrum(**{"hurst": 0.5, "lambda_s": 1, "lambda_l": 100, "rms_slope": 0.1, **change})
 
 
 @pytest.mark.parametrize("fraction", [0.003, 0.3, 0.5, 0.9])

@@ -186,7 +186,7 @@ def test_generator_and_theory_mean_the_same_wavelengths(comm):
     grid = SlabGrid(comm, (256, 192), (128.0, 96.0))
     options = {"hurst": 0.7, "lambda_s": 4.0, "lambda_r": 32.0, "lambda_l": 96.0, "rms_slope": 0.2}
     power, q = modes(grid, SelfAffine(**{**options, "lambda_s": 8, "lambda_r": 64, "lambda_l": 192}).heights(grid))
-    expected = (2 * np.pi) ** 2 / (128 * 96) * theory.SelfAffine(**options).density(q)
+    expected = (2 * np.pi) ** 2 / (128 * 96) * theory.SelfAffineSpectrum(**options).density(q)
     factor = 0.2**2 / grid.reduction.sum(grid.hermitian_weight * q**2 * expected)
     assert abs(factor - 1) < 0.05
     edges = 2 * np.pi / np.array([96.0, 32.0, 16.0, 8.0, 4.0])

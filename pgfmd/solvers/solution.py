@@ -34,9 +34,11 @@ Monitor = Callable[[SlabGrid, SolverState], None]
 class ContactSolution:
     """Solved contact at one load.  Fields are slabs (nx_local, ny); numbers are the same on all ranks.
 
-    pressure ≥ 0 (exactly 0 outside hard contact); gap = u − h (zero in hard contact); mean_pressure p̄; mean_gap ⟨gap⟩;
-    elastic_energy ½⟨p u⟩ per unit area, without the q = 0 mode; certified_error, a rigorous bound on the energy error
-    relative to twice the elastic energy; max_violation, the largest violation of the law over the rms height;
+    pressure ≥ 0 (exactly 0 outside hard contact); gap = u − h (zero in hard contact, ≤ 0 where a limited hardness is
+    reached); mean_pressure p̄; mean_gap ⟨gap⟩; elastic_energy E_el = ½⟨p u⟩ per unit area, without the q = 0 mode;
+    certified_error, a rigorous bound on J(p) − J(p*) over 2 E_el, J the energy that the solution p* minimises
+    (`physics.laws.law`; errors of gaps and of E_el are of first order in p − p*, and the active set computes them in
+    single precision where that certifies p); max_violation, the largest violation of the law over the rms height;
     iterations and transforms (pairs, in double-precision equivalents of the finest grid); seconds of wall time;
     threshold, the pressure above which a point counts as in contact (0 but under laws that touch everywhere); approach
     of the solid from where the undeformed one touches the highest point; pressure_error, an estimate of

@@ -11,8 +11,9 @@ from pgfmd.theory.reals import Reals
 
 
 @dataclass(frozen=True)
-class SelfAffine:
-    """An isotropic power spectrum: constant for 2π/λ_l ≤ q < 2π/λ_r, ∝ q^(−2(1+H)) up to 2π/λ_s, zero elsewhere.
+class SelfAffineSpectrum:
+    """The isotropic power spectrum of `surfaces.self_affine`: constant for 2π/λ_l ≤ q < 2π/λ_r, ∝ q^(−2(1+H)) up to
+    2π/λ_s, zero elsewhere.
 
     Lengths in any unit.  Without `lambda_r` there is no plateau.  The spectrum is scaled to the rms slope √⟨|∇h|²⟩.
 
