@@ -23,7 +23,7 @@ from reading import Load
 from scipy import ndimage
 
 from pgfmd.errors import InputError
-from pgfmd.options.text import printable
+from pgfmd.options.text import counted, printable
 
 PAGE = Path(__file__).with_name("page")
 FOLDER = "overview_tiles"
@@ -244,7 +244,7 @@ def _facts(load: Load) -> list[list[str]]:
     facts = {
         "folder": str(load.results.directory), "status": load.results.status, "command": about["command"],
         "version": f"pgfmd {about['softwareVersion']}, commit {about['commit']}",
-        "started": f"{about['date']}, {about['ranks']} ranks × {about['threads']} threads",
+        "started": f"{about['date']}, {counted(about['ranks'], 'rank')} × {counted(about['threads'], 'thread')}",
         "libraries": ", ".join(str(about["libraries"]).split("\n")),
     }  # fmt: skip
     return [[name, printable(str(text), 1000)] for name, text in facts.items()]

@@ -238,7 +238,7 @@ def limited(ensembles: Sequence, sheet: Sheet) -> Sequence:
     """The first MOST ensembles, with a note if there are more: no panel can tell more apart."""
     if len(ensembles) > MOST:
         sheet.notes.append(f"{len(ensembles)} settings were given; the first {MOST} are drawn: give fewer folders, "
-                           "or choose loads with --areas")  # fmt: skip
+                           "or choose loads with --targets")  # fmt: skip
     return ensembles[:MOST]
 
 

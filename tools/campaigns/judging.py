@@ -42,9 +42,10 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer]) -> tuple
         return WRONG, wrong
     solid = job["solid"]
     n = job["grid"]["n"]
-    steps = job["grid"].get("spacing") or [a / count for a, count in zip(job["grid"].get("length", n), n, strict=True)]
+    cell = job["grid"]
+    spacings = cell.get("spacing") or [a / count for a, count in zip(cell.get("length", n), n, strict=True)]
     slab = reference.Solid(solid["contact_modulus"], solid["thickness"], solid["base"], solid.get("poisson", 0.25))
-    contact = reference.Contact(heights, tuple(steps), slab)
+    contact = reference.Contact(heights, tuple(spacings), slab)
     for answer in answers:
         if wrong := wrong_answer(contact, job, control, answer):
             return WRONG, f"{control} = {answer.target:g}: {wrong}"
