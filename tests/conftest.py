@@ -21,9 +21,10 @@ from pgfmd.parallel.mpi import world
 
 ROOT = Path(__file__).resolve().parent.parent
 
-
 WORLD = world()  # this process alone where there is no MPI
 SIZE = WORLD.size
+CANNOT_LAUNCH = SIZE > 1 or shutil.which("mpirun") is None
+starts_mpirun = pytest.mark.skipif(CANNOT_LAUNCH, reason="needs mpirun, and not to be under it")
 
 
 def pytest_addoption(parser):
@@ -68,7 +69,7 @@ def mpirun():
 
     Returns the subprocess.CompletedProcess with its output as text.  Raises subprocess.TimeoutExpired.
     """
-    if SIZE > 1 or shutil.which("mpirun") is None:
+    if CANNOT_LAUNCH:
         pytest.skip("needs mpirun, and not to be under it")
 
     def run(ranks: int, *arguments, timeout: float = 300, **keywords) -> subprocess.CompletedProcess:

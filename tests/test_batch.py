@@ -11,11 +11,11 @@ import time
 
 import launching
 import pytest
-from conftest import ROOT, SIZE, WORLD
+from conftest import ROOT, starts_mpirun
 
 from pgfmd.io.results import Results
 
-pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+pytestmark = starts_mpirun
 
 LOADS = [1e-3 + 1e-6 * number for number in range(2000)]
 

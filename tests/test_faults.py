@@ -10,11 +10,11 @@ from contextlib import contextmanager
 
 import launching
 import pytest
-from conftest import SIZE, WORLD
+from conftest import starts_mpirun
 
 from pgfmd.io.results import Results
 
-pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+pytestmark = starts_mpirun
 
 LOADS = [5e-4, 1e-3, 2e-3, 4e-3]
 FAULTY = """

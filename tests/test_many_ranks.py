@@ -10,9 +10,9 @@ from contextlib import ExitStack, contextmanager
 import launching
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE, WORLD
+from conftest import ROOT, starts_mpirun
 
-pytestmark = pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+pytestmark = starts_mpirun
 
 SAME = 1e-10  # relative L2 of pressures that are solved to a certified energy error of 1e-12
 # Every message through the network layer, none through shared memory, and strips that are exchanged in messages too.

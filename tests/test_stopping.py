@@ -8,7 +8,7 @@ import time
 
 import launching
 import pytest
-from conftest import SIZE, WORLD
+from conftest import starts_mpirun
 
 from pgfmd.errors import NoProgress, Stopped
 from pgfmd.io.results import Results
@@ -176,7 +176,7 @@ def test_full_disk(comm, shared_tmp_path):
             run.between_steps(lambda: full([comm.size - 1]))
 
 
-@pytest.mark.skipif(SIZE > 1 or WORLD is None, reason="starts mpirun itself")
+@starts_mpirun
 @pytest.mark.parametrize("how", ["SIGUSR1", "SIGTERM", "STOP", "time limit"])
 def test_stop_and_go_on(tmp_path, how):
     """A run that is asked to stop ends within seconds, with 75 and one line, and goes on where it was."""
