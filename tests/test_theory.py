@@ -112,20 +112,25 @@ def test_fit_recovers_the_width_of_a_sampled_distribution():
     alive = (free > 0) & (rng.random(count) > np.exp(-2 * load * np.maximum(free, 0) / std**2))
     edges = np.linspace(0, 7, 141)
     density = np.histogram(free[alive], edges)[0] / (count * np.diff(edges))
-    assert persson.fit_std(edges, density, load) == pytest.approx(std, rel=4 / np.sqrt(2 * alive.sum()))
+    assert persson.fit_std(edges, density, load) == pytest.approx(std, rel=4 / np.sqrt(2 * alive.sum()), abs=0)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.45])
 def test_persson_energy_and_gap_are_one_thermodynamics(gamma):
-    """dE/dp̄ = −p̄ dḡ/dp̄, by central differences of step 1e-3 (error 1e-6); E of full contact is ½⟨u K u⟩."""
+    """dE/dp̄ = −p̄ dḡ/dp̄, by central differences of relative step 1e-3; E of full contact is ½⟨u K u⟩.
+
+    Errors of the two differences differ by step²/3 (1 − p̄E''/E'), which is 1 + p̄²/s² for E' ∝ exp(−p̄²/2s²); three times
+    that leaves room for the smaller s of long waves, which weigh little.
+    """
     q, variance = SURFACES[0].lines(500)
+    std = MODULUS * SURFACES[0].rms_slope / 2
     options = dict(contact_modulus=MODULUS, gamma=gamma)
     for load in (3e-4, 0.003, 0.05, 0.2):
         energy, gap = (
             function(load * 1.001, q, variance, **options) - function(load * 0.999, q, variance, **options)
             for function in (persson.elastic_energy, persson.mean_gap)
         )
-        assert energy == pytest.approx(-load * gap, rel=3e-6)
+        assert energy == pytest.approx(-load * gap, rel=1e-6 * (1 + (load / std) ** 2), abs=0)
     full = np.sum(MODULUS / 4 * q * variance)
     assert persson.elastic_energy(1.0, q, variance, **options) == pytest.approx(full, rel=1e-12, abs=0)
     assert 0 <= persson.mean_gap(1.0, q, variance, **options) < 1e-12 * np.sqrt(variance.sum())
@@ -154,7 +159,7 @@ def test_persson_stress_spectrum_sums_to_the_energy():
     for load in (0.003, 0.05):
         spectrum = persson.stress_spectrum(load, q, variance, contact_modulus=MODULUS, gamma=0.45)
         energy = persson.elastic_energy(load, q, variance, contact_modulus=MODULUS, gamma=0.45)
-        assert np.sum(spectrum / (MODULUS * q)) == pytest.approx(energy, rel=2e-3)
+        assert np.sum(spectrum / (MODULUS * q)) == pytest.approx(energy, rel=2e-3, abs=0)
     fraction = persson.scale_contact_fraction(0.003, q, variance, contact_modulus=MODULUS)
     assert fraction[-1] == pytest.approx(persson.contact_fraction(0.003, MODULUS * 0.031 / 2), rel=1e-12, abs=0)
     assert np.all(np.diff(fraction) <= 0)
@@ -218,7 +223,7 @@ def test_bush_gibson_thomas_tends_to_proportionality(alpha):
     area, pressure = asperity.bush_gibson_thomas(np.array([15.0, 30.0]), moments, MODULUS)
     near, far = area * MODULUS * moments.rms_slope / pressure
     assert abs(far / asperity.LOW_LOAD_KAPPA_BGT - 1) < 0.3 * alpha / 30**2
-    assert (4 * far - near) / 3 == pytest.approx(np.sqrt(2 * np.pi), rel=4 * alpha**2 / 15**4)
+    assert (4 * far - near) / 3 == pytest.approx(np.sqrt(2 * np.pi), rel=4 * alpha**2 / 15**4, abs=0)
 
 
 def test_bush_gibson_thomas_quadrature():
@@ -243,7 +248,7 @@ def test_bush_gibson_thomas_quadrature():
     minor = np.sqrt(second / (first * t))  # at unit penetration
     area = np.sum(np.sum(shape * np.pi * minor**2 / axis, axis=1) * (weight @ root**2))
     load = np.sum(np.sum(shape * 2 / 3 * np.pi * minor**3 / axis * t / second, axis=1) * (weight @ root**3))
-    assert asperity.bush_gibson_thomas(separation, moments, 1.0) == pytest.approx((area, load), rel=3e-6)
+    assert asperity.bush_gibson_thomas(separation, moments, 1.0) == pytest.approx((area, load), rel=3e-6, abs=0)
 
 
 def test_greenwood_williamson_by_quadrature():
@@ -378,7 +383,7 @@ def test_periodic_hertz_minimises_the_energy(ratio):
     approach = interaction(best) / load + best**2 / (5 * tip)
     assert result.approach / approach == pytest.approx(1, abs=ratio**5 + 1e-6)
     # The load (2/3) p₀ π a² is P up to the square of the cubic correction.
-    assert 2 / 3 * np.pi * result.radius**2 * result.peak_pressure == pytest.approx(load, rel=3 * ratio**6)
+    assert 2 / 3 * np.pi * result.radius**2 * result.peak_pressure == pytest.approx(load, rel=3 * ratio**6, abs=0)
 
 
 @pytest.mark.parametrize("fraction", [0.02, 0.5, 0.95])
