@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import DTypeLike
 
 ALIGNMENT = 64  # bytes: a cache line and the widest vector register
+Count = TypeVar("Count", int, np.ndarray)
 
 
 def aligned_bytes(count: int) -> np.ndarray:
@@ -14,12 +17,12 @@ def aligned_bytes(count: int) -> np.ndarray:
     return raw[-raw.ctypes.data % ALIGNMENT :][:count]
 
 
-def row_stride(count: int, itemsize: int) -> int:
+def row_stride(count: Count, itemsize: int) -> Count:
     """Items from one row of `count` items to the next: padded to an odd number of cache lines.
 
     Rows then start on cache lines, and rows a power of two apart do not fall on the same cache sets.
     """
-    lines = -(-max(count, 1) * itemsize // ALIGNMENT) | 1
+    lines = -(-count * itemsize // ALIGNMENT) | 1
     return lines * ALIGNMENT // itemsize
 
 

@@ -170,43 +170,47 @@ class ExchangedStrips(Strips):
         self.peers, self.node_number = peers, peers.rank
         self.node_starts = self.column_starts[:: node.size]
         self.first_column = int(self.column_starts[comm.rank] - self.node_starts[self.node_number])
+        self._known: dict[int, tuple[Counts, Counts]] = {}  # layouts by itemsize
+        self._strides = {kind: self._stride(kind) for kind in (8, 16)}  # of each node's strip: items from row to row
         sizes = [[counts * kind for counts in self._sizes(kind)] for kind in (8, 16)]
         strip, packed = (max(each) for each in zip(*sizes, strict=True))
         self._packed = strip + node.rank * packed  # bytes before this rank's packed rows
         self._allocate(node, strip + node.size * packed if node.rank == 0 else 0)
 
-    def _strides(self, itemsize: int) -> np.ndarray:
-        """Items from row to row in the strip of each node."""
+    def _stride(self, itemsize: int) -> np.ndarray:
         widths = np.diff(self.node_starts)
-        return np.array([row_stride(n, itemsize) if n * itemsize >= WIDE else n for n in widths.tolist()])
+        return np.where(widths * itemsize >= WIDE, row_stride(widths, itemsize), widths)
 
     def _sizes(self, itemsize: int) -> tuple[int, int]:
         """Items of the strip of this node, and of the packed rows of one rank (those with most rows)."""
-        strides, lines = self._strides(itemsize), ALIGNMENT // itemsize
+        strides, lines = self._strides[itemsize], ALIGNMENT // itemsize
         most = int(np.diff(self.row_starts).max())
         counts = self.nx * int(strides[self.node_number]), most * int(strides.sum() - strides[self.node_number])
         return -(-counts[0] // lines) * lines, -(-counts[1] // lines) * lines
 
     def _layout(self, dtype: np.dtype) -> tuple[Counts, Counts]:
         """Of the packed rows of this rank, a part for each node; of the strip, a part for the rows of each peer."""
-        strides = self._strides(dtype.itemsize)
+        if dtype.itemsize in self._known:
+            return self._known[dtype.itemsize]
+        strides = self._strides[dtype.itemsize]
         mine = slice(self.node.rank, self.comm.size, self.node.size)
         rows, first = np.diff(self.row_starts)[mine], self.row_starts[mine]
         packed, strip = self.rows * strides, rows * strides[self.node_number]
         packed[self.node_number] = strip[self.node_number] = 0  # `put` writes them straight into the strip
         begin = self._packed // dtype.itemsize
-        return (packed, begin + np.cumsum(packed) - packed), (strip, first * strides[self.node_number])
+        found = (packed, begin + np.cumsum(packed) - packed), (strip, first * strides[self.node_number])
+        return self._known.setdefault(dtype.itemsize, found)
 
     def parts(self, dtype: np.dtype) -> Parts:
         """The packed rows for the other nodes, and this rank's rows of the strip."""
-        offsets, strides = self._layout(dtype)[0][1], self._strides(dtype.itemsize)
+        offsets, strides = self._layout(dtype)[0][1].copy(), self._strides[dtype.itemsize]
         offsets[self.node_number] = self.row_starts[self.comm.rank] * strides[self.node_number]
         table = np.stack([self.node_starts[:-1], self.node_starts[1:], offsets, np.maximum(strides, 1)], axis=1)
         return Parts(_items(self.flat, WORD), table * (dtype.itemsize // WORD.itemsize), self.rows)
 
     def strip(self, dtype: np.dtype) -> np.ndarray:
         """The strip of this node."""
-        stride = int(self._strides(dtype.itemsize)[self.node_number])
+        stride = int(self._strides[dtype.itemsize][self.node_number])
         return _items(self.flat, dtype)[: self.nx * stride].reshape(1, self.nx, stride)
 
     def to_columns(self, dtype: np.dtype) -> None:
