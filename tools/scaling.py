@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import threading
 import time
 import tracemalloc
 from collections import defaultdict
@@ -24,6 +25,10 @@ import scaling_emulation
 import scaling_model
 
 SLOPE, PRESSURE = 0.031, 0.0036  # of the problem: H = .8, λ_s = n/64, some 8 % in contact
+JOB = """grid.n = {n}
+surface = {{kind = "self-affine", hurst = 0.8, lambda_s = {shortest}, rms_slope = {slope}}}
+load.pressure = {pressure}
+"""  # the same for `pgfmd check`
 SLABS = (2, 4, 8, 16, 32, 64, 128, 256, 512)  # among which contact is counted
 
 
@@ -159,17 +164,23 @@ def _costs(grid, repeats: int = 200) -> dict[str, float]:
 
 def memory(path: Path, n: int) -> None:
     """Points of all grids over all ranks, the largest array of a rank, and its peak over that of an idle rank, in a
-    solve.  Collective.
+    solve, beside what `pgfmd check` says.  Collective.
+
+    A rank's resident memory contains all pages of its node's strips that it has seen, so that several ranks count them;
+    that of the node counts them once.
     """
     from mpi4py import MPI
 
+    from pgfmd.grid.holders import largest_shares
     from pgfmd.grid.sub_grid import SubGrid
+    from pgfmd.job.job import parse
+    from pgfmd.operation.estimate import bytes_per_point, peak
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration
 
     comm = MPI.COMM_WORLD
     solve_hard_wall(problem_of(comm, 512))
-    idle = _status("VmRSS")
+    idle, idle_share = _status("VmRSS"), _status("Pss", "smaps_rollup")
     problem, held = problem_of(comm, n), defaultdict(int)
     make, coarser = SubGrid.__init__, NestedIteration.coarser
 
@@ -191,22 +202,46 @@ def memory(path: Path, n: int) -> None:
     SubGrid.__init__, NestedIteration.coarser = made, coarse
     held["points of levels"] = int(np.prod(problem.grid.local_shape))
     tracemalloc.start(1)
-    solve_hard_wall(problem, monitor=look)
+    with _Highest(lambda: _status("Pss", "smaps_rollup")) as highest:
+        solve_hard_wall(problem, monitor=look)
     points = {name: comm.allreduce(value) / n**2 for name, value in held.items() if name.startswith("points")}
-    share = n * n / comm.size
+    share, of_node = n * n / comm.size, comm.allreduce(highest.value - idle_share)
+    job = parse(JOB.format(n=n, shortest=n / 64, slope=SLOPE, pressure=PRESSURE))
     _append(
         comm, path, {"memory": n, "ranks": comm.size} | points | {
             "largest array": held["largest array"],
             "allowed array": 1.5 * 8 * share + 2**22,
             "bytes per point of the share": (_status("VmHWM") - idle) / share,
+            "bytes per point, all ranks": of_node / n**2,
+            "bytes per point by check": peak(largest_shares((n, n), comm.size), bytes_per_point(job)) / share,
         },
     )  # fmt: skip
 
 
-def _status(name: str) -> int:
+def _status(name: str, file: str = "status") -> int:
     """Bytes, from what the system knows of this process."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(name))
+    lines = Path("/proc/self", file).read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
+
+
+class _Highest(threading.Thread):
+    """A context manager: the highest `value` of what `look()` returns, twenty times a second."""
+
+    def __init__(self, look: Callable[[], int]) -> None:
+        super().__init__(daemon=True)
+        self.look, self.value, self.over = look, look(), threading.Event()
+
+    def run(self) -> None:
+        while not self.over.wait(0.05):
+            self.value = max(self.value, self.look())
+
+    def __enter__(self) -> _Highest:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.over.set()
+        self.join()
 
 
 def _append(comm, path: Path, found: dict) -> None:
