@@ -19,7 +19,7 @@ from pgfmd.parallel.mpi import MPI
 T = TypeVar("T")
 
 WAKEFUL = 0.05  # seconds for which a rank waits without sleeping
-NAP, LONGEST_NAP = 0.02, 0.01  # of the time waited; seconds.  A barrier may be late by log₂ P naps
+NAP, LONGEST_NAP = 0.02, 0.05  # of the time waited; seconds.  A barrier may be late by log₂ P naps
 
 TOGETHER = (InputError, SolverError)
 """Errors that all ranks raise together; any other may be of one rank alone."""

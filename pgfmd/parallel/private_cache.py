@@ -25,7 +25,7 @@ from typing import IO
 
 from pgfmd.parallel.mpi import first_of_node
 
-HEAD_START = 0.1  # seconds by which other ranks of a node ask later: the first loop of a process takes longest
+HEAD_START = 0.25  # seconds by which other ranks of a node ask later: the first loop of a process takes longest
 
 
 @functools.cache
