@@ -149,10 +149,13 @@ def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monke
 
 
 def test_more_seeds_are_added_by_restart(comm, shared_tmp_path):
-    """A longer list of seeds continues; any other change is refused, with the key, and nothing is touched."""
+    """A longer list of seeds continues, also with another [run]; any other change is refused, with the key, and nothing
+    is touched.
+    """
     pgfmd.run(with_seeds([3, 4]), shared_tmp_path / "out", comm=comm)
-    longer = pgfmd.run(with_seeds([3, 4, 9]), shared_tmp_path / "out", comm=comm, restart=True)
-    assert longer.seeds == [3, 4, 9] and longer.status == "complete"
+    other = {"io_hints": ["cb_nodes=1"], "time_limit": 1e6}
+    longer = pgfmd.run(with_seeds([3, 4, 9], run=other), shared_tmp_path / "out", comm=comm, restart=True)
+    assert longer.seeds == [3, 4, 9] and longer.status == "complete" and len(longer.runs) == 3
     with pytest.raises(InputError, match="job differs: grid.n"):
         pgfmd.run(with_seeds([3], grid={"n": 16}), shared_tmp_path / "out", comm=comm, restart=True)
     with pytest.raises(InputError, match="holds an ensemble"):

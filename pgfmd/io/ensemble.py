@@ -161,7 +161,7 @@ def _holds(folder: Path, job: str) -> bool:
 
 def _without_seed_and_run(job: str) -> str:
     """An effective job without what may differ between the seeds of an ensemble: `surface.seed` and [run]."""
-    return re.sub(r"(?m)^seed = .*\n|^\[run\]\n[^[]*", "", job)
+    return re.sub(r"(?ms)^seed = [^\n]*\n|^\[run\]\n.*?(?=^\[|\Z)", "", job)
 
 
 def solved_runs(runs: Iterable[Results]) -> np.ndarray:

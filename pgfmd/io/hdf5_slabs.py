@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,9 +40,14 @@ class Ranks:
     rows: slice
     hints: tuple[str, ...] = ()
 
-    def info(self) -> MPI.Info:
-        """The hints, as MPI takes them."""
-        return MPI.Info.Create(dict(hint.split("=", 1) for hint in self.hints))
+    @contextmanager
+    def info(self) -> Iterator[MPI.Info]:
+        """The hints, as MPI takes them, until the end of the block."""
+        info = MPI.Info.Create(dict(hint.split("=", 1) for hint in self.hints))
+        try:
+            yield info
+        finally:
+            info.Free()
 
 
 @dataclass(frozen=True)
@@ -210,8 +215,8 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: No
     After each call of HDF5 the ranks agree whether it failed: an error on one rank is raised on all of them.
     """
     comm, rows = ranks.comm, ranks.rows
-    with raise_together(comm):
-        file = h5py.File(path, "r+", driver="mpio", comm=comm, info=ranks.info(), libver=LIBVER)
+    with raise_together(comm), ranks.info() as info:  # HDF5 keeps copies
+        file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=LIBVER)
     try:
         for name, field in fields.items():
             with raise_together(comm):
