@@ -58,7 +58,7 @@ def describe_all(around: np.ndarray, ratio: float, share: np.ndarray, angle: np.
 
 
 @_inner
-def _cell(at: float, count: int) -> tuple[int, float]:
+def _bracket(at: float, count: int) -> tuple[int, float]:
     """First of the two of `count` points, evenly spaced from 0 to 1, about `at`, and the weight of the other."""
     x = min(at, 1.0) * (count - 1)
     i = min(int(x), count - 2)
@@ -91,9 +91,9 @@ def locate(around: np.ndarray, ratio: float, table: np.ndarray, bound: float) ->
     plain, angle = describe(around, ratio)
     pressure, gap = around[1], -around[2]
     inward, outward = max(around[0], 0.0) / pressure, max(-around[3], 0.0) / max(gap, 1e-300)  # p₂/p, g₂/g
-    row, share = _cell(angle * (2 / math.pi), table.shape[0]), plain
+    row, share = _bracket(angle * (2 / math.pi), table.shape[0]), plain
     for _ in range(_ROUNDS):
-        column = _cell(share, table.shape[1])
+        column = _bracket(share, table.shape[1])
         t = min(max(_look(table, row, column, PLACE), -0.2), 1.0)
         inner = _bounded(_look(table, row, column, INNER) * inward, bound)
         outer = _bounded(_look(table, row, column, OUTER) * outward, bound)
@@ -103,7 +103,7 @@ def locate(around: np.ndarray, ratio: float, table: np.ndarray, bound: float) ->
         before, share = share, pressure / (pressure + gap * math.exp(a * math.log(inner) + b * math.log(outer)))
         if abs(share - before) < 1e-4:
             break
-    column = _cell(share, table.shape[1])
+    column = _bracket(share, table.shape[1])
     return _look(table, row, column, OFFSET), _look(table, row, column, COSINE)
 
 
