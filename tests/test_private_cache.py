@@ -202,6 +202,7 @@ from numba.core import event
 import numpy as np
 import pgfmd
 from pgfmd.grid import kernels
+from pgfmd.observables.contact_line.kernels import describe_all
 
 class Count(event.Listener):
     names = []
@@ -220,13 +221,12 @@ for back in (False, True):
     kernels.tiles_and_columns(tiles, 4, 0, 4, block, back)
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
-kernels.subtract_blocks(np.ones((1, 2)), np.ones((4, 4)), 0, 4, block)
-kernels.rest_in_blocks((block, block, block), np.ones((1, 2)), 0, 4, block)
+describe_all(np.ones((1, 8)) * [1, 1, -1, -1, 1, 1, -1, -1], 1.0, np.empty(1), np.empty(1))
 print(*Count.names)
 """
 
 
-LOOPS = ("rows_and_tiles", "tiles_and_columns", "subtract_blocks", "rest_in_blocks", "_repeat")
+LOOPS = ("rows_and_tiles", "tiles_and_columns", "describe_all", "describe", "_distance")
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -13,7 +13,7 @@ from pgfmd.parallel.compiled import compiled
 
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 jit = compiled(fastmath=FAST)
-inner = compiled(fastmath=FAST, no_cpython_wrapper=True)  # for what loops call
+inlined = compiled(fastmath=FAST, inline="always")  # for what a loop calls in one place
 
 u = np.uintp  # for indices: Numba tests signed ones for being negative, and does not vectorise loops with that test
 
@@ -120,7 +120,7 @@ def squares_of_steps(field: np.ndarray) -> float:
     return total
 
 
-@inner
+@inlined
 def _blend_rows(coarse: np.ndarray, first: int, weights: np.ndarray, line: np.ndarray) -> None:
     """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
     width = coarse.shape[1]
@@ -171,7 +171,7 @@ def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) 
             line[:] = 0
 
 
-@inner
+@inlined
 def _repeat(means: np.ndarray, size: int, line: np.ndarray) -> None:
     """line[j] = means[j // size]"""
     for block in range(means.size):

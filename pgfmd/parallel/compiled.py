@@ -26,8 +26,8 @@ INTERVAL = 2.0  # seconds between two lines of progress
 def compiled(**options: Any) -> Callable[[Callable], Any]:
     """A decorator: the function is compiled, and runs without the interpreter's lock.
 
-    options: of `numba.njit`.  no_cpython_wrapper=True for a function that other loops call, and Python never does: it
-    compiles a fifth faster.  Called from Python it would crash.
+    options: of `numba.njit`.  To compile faster: inline="always" for a function that loops call in one place each, and
+    no_cpython_wrapper=True for one that they call in several; called from Python that would crash.
     """
 
     settings: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options

@@ -165,7 +165,7 @@ def line_of_pixel(
     return area, length_x, length_y, corners
 
 
-@_inner
+@compiled(inline="always")
 def add_line(fields: Fields, lookup: Lookup, i: int, columns: tuple[int, int], total: np.ndarray) -> None:
     """Adds `line_of_pixel` of the contact pixels of row i in columns start … stop−1 to `total` (4,)."""
     around = np.empty(8)
@@ -178,9 +178,9 @@ def add_line(fields: Fields, lookup: Lookup, i: int, columns: tuple[int, int], t
         if not row[j] > 0:
             continue
         left, right = j - 1 if j > 0 else ny - 1, j + 1 if j + 1 < ny else 0
-        least = min(row[left], row[right], above[j], below[j])
-        if min(least, above[left], above[right], below[left], below[right]) > 0:
-            continue
+        if row[left] > 0 and row[right] > 0 and above[left] > 0 and above[j] > 0 and above[right] > 0:
+            if below[left] > 0 and below[j] > 0 and below[right] > 0:
+                continue
         area, length_x, length_y, corners = line_of_pixel(fields, lookup, i, j, around)
         total[0] += area
         total[1] += length_x

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import inner, jit
+from pgfmd.grid.kernels import inlined, jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Unknowns
@@ -139,7 +139,7 @@ def _root(
     return at
 
 
-@inner
+@inlined
 def _changed(p: float, g: float, change: Change, highest: float) -> float:
     """factor · p where p < highest, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `highest`."""
     factor, stiffness, level = change

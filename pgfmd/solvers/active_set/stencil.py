@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import inner, jit, u
+from pgfmd.grid.kernels import FAST, inlined, jit, u
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.compiled import compiled
 from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, Unknowns
 
 Symbol = Callable[[np.ndarray], np.ndarray]
@@ -51,7 +52,7 @@ class Stencil:
         self.grid.threads.deal(part, rows)
 
 
-@jit
+@inlined
 def fill_wrapped(values: np.ndarray, points: Points, first: int, count: int, margin: int, rows: np.ndarray) -> None:
     """rows[i, margin + columns[k]] = values[k] for the points k of row first + i, i < count, 0 elsewhere; `margin`
     columns on either side repeat those of the other.
@@ -69,7 +70,7 @@ def fill_wrapped(values: np.ndarray, points: Points, first: int, count: int, mar
             row[ny + margin + j] = row[margin + j]
 
 
-@inner
+@compiled(fastmath=FAST, no_cpython_wrapper=True)
 def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> float:
     """The stencil around flat index p of rows s apart.  Unsigned indices spare the test for negative ones."""
     a, b, c, d, e, f = weights
@@ -79,7 +80,7 @@ def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> f
     return centre + e * corners + across
 
 
-@jit
+@inlined
 def apply_stencil(
     rows: np.ndarray, weights: np.ndarray, points: Points, first: int, count: int, values: np.ndarray
 ) -> None:
