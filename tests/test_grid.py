@@ -9,7 +9,7 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid import holders, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import Interpolation, restrict
+from pgfmd.grid.transfer import Interpolation, restrict, restrict_locally
 from pgfmd.parallel.collectives import await_all, slab_starts
 from pgfmd.parallel.layout import Layout
 
@@ -202,6 +202,32 @@ def test_restriction_keeps_the_long_waves(comm, monkeypatch, fine, coarse, least
     assert np.abs(restrict(big, small, waves(big, True)) - waves(small, False)).max(initial=0) < 1e-12
 
 
+@pytest.mark.parametrize(("fine", "coarse"), [((64, 48), (32, 24)), ((33, 30), (17, 15)), ((37, 41), (19, 21))])
+@pytest.mark.parametrize("least", [1, 16])
+def test_local_restriction_is_the_adjoint_of_interpolation(comm, monkeypatch, fine, coarse, least):
+    """Each coarse point is the mean of the fine ones with the weights by which interpolation takes a peak there to
+    them, here from `Interpolation` itself; in single precision, on any number of ranks, the field far from 0 or not.
+    """
+    monkeypatch.setattr(holders, "SMALL", 0)
+    big = SlabGrid(comm, fine, (3.0, 4.0))
+    small = SubGrid(big, coarse, big.lengths, least)
+    whole = 3 + field(fine)
+    found = restrict_locally(big, small, whole[big.rows])
+
+    def means(i: int, j: int) -> float:
+        peak = np.zeros(coarse)
+        peak[i, j] = 1
+        rows = Interpolation(small, big, [peak[small.layout.rows]]).rows(0, 0, big.local_shape[0])
+        total, weight = comm.allreduce(np.array([np.vdot(rows, whole[big.rows]), rows.sum()]))
+        return total / weight
+
+    for i, j in ((0, 0), (coarse[0] - 1, coarse[1] - 1), (5, 7)):
+        mean, own = means(i, j), i - small.layout.rows.start
+        if 0 <= own < len(found):
+            assert found[own, j] == pytest.approx(mean, rel=1e-6)
+    assert np.allclose(restrict_locally(big, small, np.full(big.local_shape, 3.0)), 3, rtol=1e-6, atol=0)
+
+
 @pytest.mark.parametrize("shape", [(35, 29), (32, 24)])
 def test_interpolation_is_exact_for_cubics(comm, shape):
     """Cubic interpolation reproduces cubics away from the wrap, for any ratio of points."""
@@ -259,5 +285,4 @@ def test_error_of_one_rank_of_a_smaller_grid(comm, error):
     with pytest.raises(error, match="alone"):
         place.on_all(work)
     if error is MemoryError and place.grid.comm.size < comm.size:
-        await_all(comm)  # for which the others wait
-        comm.bcast(None)
+        comm.bcast(None)  # for which the others wait

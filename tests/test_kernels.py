@@ -283,6 +283,14 @@ def test_interpolate_rows(rng):
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13, atol=0)
 
 
+def test_combine_columns(rng):
+    """Σ_t w_t field[i, j + t], columns periodic."""
+    field, first, weights, out = rng.random((3, 9)), np.array([-4, 0, 7, 9]), rng.random((4, 5)), np.empty((3, 4))
+    kernels.combine_columns(field, first, weights, out)
+    picked = field[:, (first[:, None] + np.arange(5)) % 9]
+    assert np.allclose(out, np.einsum("jt,ijt->ij", weights, picked), rtol=1e-13, atol=0)
+
+
 def test_vectors_of_conjugate_gradients(rng):
     """(Σ a b, Σ a, Σ b) in double precision; d = f d + z − m; x += s d and r −= s (p − m), in single."""
     a, b, direction, z, x = rng.standard_normal((5, 1000)).astype(np.float32)

@@ -156,6 +156,25 @@ def interpolate_rows(
 
 
 @jit
+def combine_columns(field: np.ndarray, first: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+    """out[i, j] = Σ_t weights[j, t] field[i, first[j] + t]; columns wrap, up to as many as there are weights."""
+    ny, margin = field.shape[1], weights.shape[1]
+    line = np.empty(ny + 2 * margin, field.dtype)
+    for i in range(field.shape[0]):
+        row, target = field[i], out[i]
+        for j in range(ny):
+            line[u(margin + j)] = row[u(j)]
+        for j in range(margin):
+            line[j] = line[ny + j]
+            line[margin + ny + j] = line[margin + j]
+        for j in range(target.size):
+            at, total = margin + first[j], 0.0
+            for t in range(margin):
+                total += weights[j, t] * line[u(at + t)]
+            target[j] = total
+
+
+@jit
 def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) -> None:
     """sums[(start + i) // size, j // size] += field[i, j]; rows are summed first, in a vectorised loop."""
     line = np.zeros(sums.shape[1] * size, sums.dtype)

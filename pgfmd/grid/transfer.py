@@ -1,4 +1,4 @@
-"""From one grid to another of the same cell: spectral restriction to fewer points, local interpolation to more."""
+"""From one grid to another of the same cell: spectral and local restriction, local interpolation."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
+
+TAPS = 8  # fine points at most within two coarse spacings, where these are at most twice the fine ones
 
 
 def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -48,6 +50,27 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLik
     return out
 
 
+def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
+    """The field on a coarse grid of half as many points or more each way (nx_coarse_local, ny_coarse), without
+    transforms: the mean of the fine points with the weights by which `Interpolation` takes that point to them, in
+    single precision.  Collective.
+    """
+    (first, weights), columns = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
+    narrow, weights = np.empty((len(field), coarse.shape[1]), np.float32), weights.astype(np.float32)
+    fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], *columns, narrow[a:b]), len(field))
+    start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
+    low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
+    rows, out = fine.fetch(narrow, low, high), np.empty(coarse.local_shape)
+
+    def combine(a: int, b: int) -> None:
+        for i in range(a, b):
+            at = first[start + i] - low
+            out[i] = weights[start + i] @ rows[at : at + TAPS]
+
+    fine.threads.deal(combine, len(out))
+    return out
+
+
 class Interpolation:
     """Local cubic interpolation of coarse fields to the rows of a fine grid.  Collective to make.
 
@@ -75,6 +98,17 @@ class Interpolation:
         out = self._buffer[thread, which, : stop - first]
         kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
         return out
+
+
+def _means(fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray]:
+    """For each coarse point, the first of the fine points within two coarse spacings and their weights (coarse, TAPS),
+    whose sum is 1.
+    """
+    at = np.arange(coarse)
+    first = (at - 2) * fine // coarse + 1
+    x = np.abs((first[:, None] + np.arange(TAPS)) * (coarse / fine) - at[:, None])
+    weights = np.where(x < 1, (1 - x**2) * (2 - x) / 2, (1 - x) * (2 - x) * (3 - x) / 6 * (x < 2))
+    return first, weights / weights.sum(axis=1, keepdims=True)
 
 
 def _weights(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict
+from pgfmd.grid.transfer import restrict_locally
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
@@ -107,7 +107,7 @@ class NestedIteration(Generic[StateType]):
         if min(problem.grid.shape) <= COARSEST:
             return None
         place = SubGrid.coarse(problem.grid)
-        heights = restrict(problem.grid, place, problem.heights, np.float32)
+        heights = restrict_locally(problem.grid, place, problem.heights)
         flat = problem.grid.reduction.dot(heights, heights) < FLAT**2 * place.size
         return None if flat else Coarse(place, heights)
 

@@ -99,11 +99,11 @@ class Relaxation:
         Uncertifiable if that is due to rounding in double precision.
         """
         precision, patience = self.precision, Patience(self.patience)
-        before = math.inf  # the last estimate
+        before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
             system = self.linearise(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            estimate = system.square / (2 * state.energy) if state.energy > 0 else math.inf
+            estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
             known = self.exact and state.energy > 0
@@ -112,6 +112,7 @@ class Relaxation:
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
+                raised *= max(1.0, state.error / max(estimate, MARGIN * tolerance))
             self.settle(state)
             if monitor is not None:
                 monitor(state)
