@@ -19,6 +19,7 @@ from pgfmd.solvers.patience import uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual, last_digits
 
 PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 bounds errors best
+ROUNDED = 1e-15  # part of the highest pressure that a factor for the load may exceed it by, to be cut off
 
 
 @dataclass
@@ -147,14 +148,15 @@ class LawOperations:
 
     def _carry(self, pressure: np.ndarray, total: float) -> None:
         """Takes a factor on p̂, the sum of which is `total`, so that its mean is 1.  What bears the highest pressure
-        keeps it to the last digit, as energies are of first order in that.  Collective.
+        keeps it to the last digit where it can, as energies are of first order in that.  Collective.
         """
-        highest, missing = self.law.highest, self.grid.size - total
-        if highest == math.inf:
-            pressure *= 1 + missing / total
-            return
-        free = pressure < highest
-        carried = self.grid.reduction.sum(pressure[free])
-        if carried > 0:
-            np.multiply(pressure, 1 + missing / carried, out=pressure, where=free)
-            np.minimum(pressure, highest, out=pressure)
+        highest, missing, reduction = self.law.highest, self.grid.size - total, self.grid.reduction
+        if highest < math.inf:
+            free = pressure < highest
+            below = pressure[free]
+            carried, most = reduction.sum(below), reduction.max(below)
+            if carried > 0 and 0 < (factor := 1 + missing / carried) and most * factor <= highest * (1 + ROUNDED):
+                np.multiply(pressure, factor, out=pressure, where=free)
+                np.minimum(pressure, highest, out=pressure)
+                return
+        pressure *= self.grid.size / total

@@ -119,8 +119,9 @@ def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
     unsure = exact.bound + 2 * np.sqrt(abs(error) * exact.bound)
     if error > answer.certified_error + unsure + FLOOR:
         return f"certified {answer.certified_error:.3g}, true error {float(error):.3g}"
-    room = 2 * np.sqrt(2 * reference.Real(answer.certified_error)) + 2 * answer.certified_error + ROUNDING
     energy = exact.work / 2
+    relative = reference.Real(answer.certified_error) * max(answer.elastic_energy / energy, 1) if energy > 0 else 0
+    room = 2 * np.sqrt(2 * relative) + 2 * relative + ROUNDING
     if abs(answer.elastic_energy - energy) > room * energy + 1e-323:
         return f"elastic energy {answer.elastic_energy:.17g} instead of {float(energy):.17g}"
     return ""

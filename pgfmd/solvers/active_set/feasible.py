@@ -15,6 +15,7 @@ import numpy as np
 
 from pgfmd.grid.kernels import inlined, jit
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Unknowns
 
@@ -101,7 +102,8 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
 
     def excess(change: Change) -> tuple[float, float]:
         parts = threads.collect(lambda a, b: changed_sums(fields, change, highest, a, b), len(gap))
-        total, slope = reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
+        totals, losses, slopes = zip(*parts, strict=True)
+        total, slope = reduction.sums(math.fsum(totals + losses), math.fsum(slopes))
         return float(total) - load, float(slope)
 
     def apply(change: Change) -> None:
@@ -123,18 +125,18 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
 def _root(
     excess: Callable[[float], tuple[float, float]], bracket: tuple[float, float, float], close: float
 ) -> float:
-    """Where `excess`, an increasing function that comes with its derivative, is 0 to `close`: by Newton's method in a
-    bracket (low, first guess, high).  inf if it is not there.
+    """Where `excess`, an increasing function that comes with its derivative, is 0: by Newton's method in a bracket
+    (low, first guess, high), with one more step from where it is 0 to `close`.  inf if it is not there.
     """
     low, at, high = bracket
     if excess(low)[0] > close:
         return math.inf
     while low < at < high:
         value, slope = excess(at)
-        if abs(value) <= close:
-            break
-        low, high = (at, high) if value < 0 else (low, at)
         trial = at - value / slope if slope > 0 else high
+        if abs(value) <= close:
+            return trial if low < trial < high else at
+        low, high = (at, high) if value < 0 else (low, at)
         at = trial if low < trial < high else (low + high) / 2
     return at
 
@@ -150,20 +152,25 @@ def _changed(p: float, g: float, change: Change, highest: float) -> float:
     return min(max(p, 0.0), highest)
 
 
-@jit
-def changed_sums(fields: Fields, change: Change, highest: float, first: int, stop: int) -> tuple[float, float]:
-    """Σ p after the change, over rows first … stop−1, and its derivative by the level, or by the factor if there is no
-    stiffness.
+@compiled()
+def changed_sums(fields: Fields, change: Change, highest: float, first: int, stop: int) -> tuple[float, float, float]:
+    """Σ p after the change, over rows first … stop−1, what rounding of that sum has lost (Knuth's two-sum), and its
+    derivative by the level, or by the factor if there is no stiffness.
+
+    Where most points bear `highest`, few others take all that the sum has lost.
     """
     pressure, gap = fields
-    total = slope = 0.0
+    total = lost = slope = 0.0
     for i in range(first, stop):
         for j in range(pressure.shape[1]):
             p = _changed(pressure[i, j], gap[i, j], change, highest)
-            total += p
+            after = total + p
+            part = after - total
+            lost += (total - (after - part)) + (p - part)
+            total = after
             if 0 < p < highest:
                 slope += change[1] if change[1] > 0 else pressure[i, j]
-    return total, slope
+    return total, lost, slope
 
 
 @jit
