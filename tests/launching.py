@@ -42,7 +42,7 @@ def _strict(pressures, interval: float, **output) -> dict:
     """Sections of a job with a tolerance close to rounding."""
     return {
         "load": {"pressure": list(pressures)},
-        "solver": {"tolerance": 1e-22},
+        "solver": {"tolerance": 1e-23},
         "output": {"fields": ["height", "pressure"], **output},
         "run": {"checkpoint_interval": interval},
     }
