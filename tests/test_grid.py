@@ -285,4 +285,5 @@ def test_error_of_one_rank_of_a_smaller_grid(comm, error):
     with pytest.raises(error, match="alone"):
         place.on_all(work)
     if error is MemoryError and place.grid.comm.size < comm.size:
-        comm.bcast(None)  # for which the others wait
+        await_all(comm)  # for which the others wait
+        comm.bcast(None)
