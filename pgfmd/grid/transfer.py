@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import sink, source
@@ -15,18 +14,14 @@ from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 TAPS = 8  # fine points at most within two coarse spacings, where these are at most twice the fine ones
 
 
-def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLike = np.float64) -> np.ndarray:
+def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
     """The field on the coarse grid (nx_coarse_local, ny_coarse): its modes below that grid's Nyquist frequencies are
     kept, the others dropped.  Collective.
-
-    dtype: precision of the transforms.
     """
     nx, ny = coarse.shape
-    complex_dtype = np.result_type(dtype, np.complex64)
     kx_max, ky_count = (nx - 1) // 2, (ny - 1) // 2 + 1  # Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), ky_count)
-    mine = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), complex_dtype)
-    scale = np.asarray(1 / fine.size, dtype)[()]
+    mine, scale = np.empty((starts[fine.comm.rank + 1] - starts[fine.comm.rank], nx), np.complex128), 1 / fine.size
 
     def keep(block: np.ndarray, first: int, stop: int) -> None:
         part = mine[first:stop]
@@ -35,7 +30,7 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLik
         if kx_max:
             np.multiply(block[:, -kx_max:], scale, out=part[:, -kx_max:])
 
-    fine.read_spectrum(source(field), keep, dtype, len(mine))
+    fine.read_spectrum(source(field), keep, count=len(mine))
     low, high = (min(ky, ky_count) for ky in (coarse.columns.start, coarse.columns.stop))
     spectrum = Layout(fine.comm, starts).fetch(mine, low, high, fine.threads)
     out = np.empty(coarse.local_shape)
@@ -46,7 +41,7 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray, dtype: DTypeLik
         block[len(part) :] = 0
 
     if coarse.grid is not None:
-        coarse.grid.make_field(copy, sink(out), dtype)
+        coarse.grid.make_field(copy, sink(out))
     return out
 
 

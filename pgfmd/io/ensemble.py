@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-import re
+import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -150,18 +150,21 @@ def folders(directory: str | os.PathLike) -> list[Path]:
     return [folder for folder in (path / member_name(seed) for seed in seeds) if _holds(folder, job)]
 
 
-def _holds(folder: Path, job: str) -> bool:
+def _holds(folder: Path, job: dict) -> bool:
     """Whether a folder has results of that job, or some that cannot be read, of which `Results` then says why."""
     if not (folder / OBSERVABLES_FILE).is_file():
         return False
-    with suppress(OSError), h5py.File(folder / OBSERVABLES_FILE, "r", locking=False) as file:
-        return _without_seed_and_run(str(file.attrs.get("effective_toml"))) == job
+    with suppress(OSError, KeyError, ValueError), h5py.File(folder / OBSERVABLES_FILE, "r", locking=False) as file:
+        return _without_seed_and_run(str(file.attrs["effective_toml"])) == job
     return True
 
 
-def _without_seed_and_run(job: str) -> str:
+def _without_seed_and_run(text: str) -> dict:
     """An effective job without what may differ between the seeds of an ensemble: `surface.seed` and [run]."""
-    return re.sub(r"(?ms)^seed = [^\n]*\n|^\[run\]\n.*?(?=^\[|\Z)", "", job)
+    job = tomllib.loads(text)
+    job["surface"].pop("seed", None)
+    job.pop("run", None)
+    return job
 
 
 def solved_runs(runs: Iterable[Results]) -> np.ndarray:
