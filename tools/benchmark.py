@@ -6,6 +6,7 @@
     python tools/benchmark.py transforms DIR                                            # an FFT pair, ours and others'
     python tools/benchmark.py cores DIR                                                 # what a second core gains
     python tools/benchmark.py phases DIR --n 4096                                       # a whole run, phase by phase
+    python tools/benchmark.py total DIR --hurst 0.8                                     # to a total error of the area
     python tools/benchmark.py report DIR                                                # tables, pictures once more
 
 All times are wall seconds of a complete solution: planning, coarse grids and all, but not the start of Python, the
@@ -61,7 +62,7 @@ PLAN = [  # (method, setting, ranks, threads)
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "phases", "report"))
+    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "phases", "total", "report"))
     parser.add_argument("folder", type=Path, help="for results; made if missing")
     parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores, phases: 4096)")
     parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
@@ -103,7 +104,14 @@ def main(arguments: list[str] | None = None) -> int:
 
         for n, length, ranks in itertools.product(options.n or [4096], options.lambda_s or ["16"], options.threads):
             phases(options.folder, n, _wavelength(length, n), ranks, options.repeat)
-    if options.what not in ("transforms", "cores", "phases"):
+    elif options.what == "total":
+        from benchmarks.total_error import total
+
+        peers = ("pgfmd", "ASPHER", "tamaas", "ContactMechanics")
+        plan = [p[:2] for p in PLAN if p[2:] == (1, 1) and p[0] in (options.methods or peers)]
+        for hurst in options.hurst:
+            total(options.folder, hurst, plan, options.budget, options.clock)
+    if options.what not in ("transforms", "cores", "phases", "total"):
         from benchmarks.report import report
 
         report(options.folder, options.clock)

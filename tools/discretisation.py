@@ -137,6 +137,11 @@ def _areas(case: Case, points: int, places: int) -> np.ndarray:
     return np.mean([[row[name] for name in COLUMNS[6:]] for row in found], axis=0)
 
 
+def limit(path: Path, key: tuple[float, ...]) -> float:
+    """The limit of the contact area of one surface (H, area, seed, across) of a table."""
+    return _limit(_rows(path), key)
+
+
 def _limit(rows: Rows, key: tuple[float, ...]) -> float:
     """c₀ of one surface; of each grid, the row with the most places."""
     best = {row[4]: max(other[5] for other in rows if other[:5] == row[:5]) for row in rows if row[:4] == key}

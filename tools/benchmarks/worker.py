@@ -45,7 +45,7 @@ def _measure(job: dict, case: Case, folder: Path) -> None:
         comm = MPI.COMM_WORLD
         rows = slab(case.n, comm.size, comm.rank)
     method = METHODS[job["method"]]
-    _warm_up(method, job, comm)
+    warm_up(method, job, comm)
     heights, reference = case.heights(folder, rows), case.reference(folder, rows)
     pressure = case.facts(folder)["mean_pressure"]
     for tolerance in TOLERANCES.get(job["method"], (TIGHTEST,)):
@@ -62,7 +62,8 @@ def _measure(job: dict, case: Case, folder: Path) -> None:
             break
 
 
-def _warm_up(method, job: dict, comm) -> None:
+def warm_up(method, job: dict, comm) -> None:
+    """A small problem, which loads libraries and compiled kernels."""
     n, (hurst, slope) = 128, (0.8, RMS_SLOPE)
     rng = np.random.default_rng(0)
     q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n)[None, :])
