@@ -13,11 +13,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import inlined, jit
+from pgfmd.grid.kernels import inlined, jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.layout import Layout, RowWindow
-from pgfmd.solvers.active_set.unknowns import Fields, Unknowns
+from pgfmd.solvers.active_set.unknowns import Fields, Part, Points, Unknowns
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
@@ -50,23 +50,19 @@ class Feasible:
         # Of each block: its load, and that of its pressures cut to their bounds; then the factor on these.
         blocks = self.window.rows.reshape(-1, 2, self.width)
 
-        def part(block: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
-            """Of a row of blocks: the pressure, where in it the points of the set are, and the block of each."""
+        def part(block: int) -> tuple[int, int]:
+            """The rows of a row of blocks."""
             low = self.window.low + block << SHIFT
-            first, stop = max(low, start) - start, min(low + (1 << SHIFT), end) - start
-            at = points.places(first, stop)[1]
-            return pressure[first:stop], at, at[1] >> SHIFT
+            return max(low, start) - start, min(low + (1 << SHIFT), end) - start
 
         def measure(_: int, first: int, last: int) -> None:
             for block in range(first, last):
-                field, at, column = part(block)
-                for which, p in enumerate((field[at], np.clip(field[at], 0.0, highest))):
-                    blocks[block, which] = np.bincount(column, p, self.width)
+                blocks[block] = 0
+                measure_blocks(pressure, points.lists, part(block), highest, blocks[block])
 
         def cut(_: int, first: int, last: int) -> None:
             for block in range(first, last):
-                field, at, column = part(block)
-                field[at] = np.minimum(blocks[block, 0, column] * np.maximum(field[at], 0.0), highest)
+                cut_in_blocks(pressure, points.lists, part(block), highest, blocks[block, 0])
 
         threads.share(measure, len(blocks), 1)
         self.window.add()
@@ -82,6 +78,33 @@ class Feasible:
         threads.share(cut, len(blocks), 1)
         if math.isfinite(highest):
             scale_to_load(self.grid, fields, load, highest, self.stiffness)
+
+
+@jit
+def measure_blocks(pressure: np.ndarray, points: Points, part: Part, highest: float, sums: np.ndarray) -> None:
+    """Adds the pressures of the points in a row of blocks to sums[0, block], and what they are when cut to 0 and
+    `highest` to sums[1, block].
+    """
+    columns, offsets = points
+    for i in range(part[0], part[1]):
+        row = pressure[i]
+        for k in range(offsets[i], offsets[i + 1]):
+            p, block = row[u(columns[k])], columns[k] >> SHIFT
+            sums[0, block] += p
+            sums[1, block] += min(max(p, 0.0), highest)
+
+
+@jit
+def cut_in_blocks(pressure: np.ndarray, points: Points, part: Part, highest: float, factors: np.ndarray) -> None:
+    """Cuts the pressures of the points in a row of blocks at 0, multiplies them by the factor of their block, and cuts
+    them at `highest`.
+    """
+    columns, offsets = points
+    for i in range(part[0], part[1]):
+        row = pressure[i]
+        for k in range(offsets[i], offsets[i + 1]):
+            j = u(columns[k])
+            row[j] = min(factors[columns[k] >> SHIFT] * max(row[j], 0.0), highest)
 
 
 def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, stiffness: float) -> None:

@@ -25,7 +25,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.layout import Exchange, Piece
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
+from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns, add_points, take_points
 
 SPLIT = 0.55  # α in 1/pixel: errors of the truncation and of the mesh are then about equal
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
@@ -177,13 +177,11 @@ class FullResponse:
         """out (count,) = the response on the set to `values`.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            part, at = points.places(first, stop)
             rows[...] = 0
-            rows[at] = values.own[part]
+            add_points(values.own, points.lists, first, rows)
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            part, at = points.places(first, stop)
-            out[part] = rows[at]
+            take_points(rows, points.lists, first, (0.0, 1.0), out)
 
         points.grid.convolve(fill, self.action, drain, np.float32)
 

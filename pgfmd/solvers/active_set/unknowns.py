@@ -10,6 +10,7 @@ import math
 import numpy as np
 from numpy.typing import DTypeLike
 
+from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Exchange
 
@@ -41,10 +42,10 @@ class Unknowns:
         self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO)
 
         def choose(pressure: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            chosen = ((pressure > 0) | (gap < level)) & ((pressure < highest) | (gap > level))
-            return np.count_nonzero(chosen, axis=1), np.nonzero(chosen)[1].astype(np.int32)
+            counts, columns = np.empty(len(gap), np.int64), np.empty(gap.size, np.int32)
+            return counts, columns[: choose_points((pressure, gap), level, highest, counts, columns)].copy()
 
-        parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows)
+        parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows, grid.band)
         before, after = (choose(*(field[part] for field in around)) for part in (slice(HALO), slice(HALO, None)))
         counts, columns = zip(before, *parts, after, strict=True)
         self.extended_offsets = np.concatenate([[0], *counts]).cumsum()
@@ -59,31 +60,19 @@ class Unknowns:
         """(columns, offsets) of this rank's points."""
         return self.columns, self.offsets
 
-    def places(self, first: int, stop: int) -> tuple[slice, tuple[np.ndarray, np.ndarray]]:
-        """Of the points in rows first … stop−1: where they are in a vector, and where in an array of these rows."""
-        offsets = self.offsets[first : stop + 1]
-        part = slice(offsets[0], offsets[-1])
-        return part, (np.repeat(np.arange(stop - first), np.diff(offsets)), self.columns[part])
-
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
         out = SetVector(self)
 
         def take(first: int, stop: int) -> None:
-            part, at = self.places(first, stop)
-            out.own[part] = np.clip(level - field[first:stop][at], -LARGEST, LARGEST)
+            take_points(field[first:stop], self.lists, first, (level, -1.0), out.own)
 
         self.grid.threads.deal(take, len(field))
         return out
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
         """Adds values (count,) to a field (nx_local, ny) on the set."""
-
-        def add(first: int, stop: int) -> None:
-            part, at = self.places(first, stop)
-            field[first:stop][at] += values[part]
-
-        self.grid.threads.deal(add, len(field))
+        self.grid.threads.deal(lambda a, b: add_points(values, self.lists, a, field[a:b]), len(field))
 
 
 class SetVector:
@@ -106,3 +95,39 @@ class SetVector:
         self.send(exchange)
         exchange.carry_out()
         return self.all
+
+
+@jit
+def choose_points(fields: Fields, level: float, highest: float, counts: np.ndarray, columns: np.ndarray) -> int:
+    """Lists the columns of the unknowns among some rows, and how many each row has; returns how many there are."""
+    pressure, gap = fields
+    count = 0
+    for i in range(counts.size):
+        before = count
+        for j in range(gap.shape[1]):
+            p, g = pressure[i, u(j)], gap[i, u(j)]
+            columns[u(count)] = j
+            count += ((p > 0) | (g < level)) & ((p < highest) | (g > level))
+        counts[i] = count - before
+    return count
+
+
+@jit
+def take_points(field: np.ndarray, points: Points, first: int, line: tuple[float, float], out: np.ndarray) -> None:
+    """out[k] = a + b · field[i, columns[k]], at most `LARGEST`, for the points k of row first + i; line: a and b."""
+    columns, offsets = points
+    a, b = line
+    for i in range(field.shape[0]):
+        row = field[i]
+        for k in range(offsets[first + i], offsets[first + i + 1]):
+            out[k] = min(max(a + b * row[u(columns[k])], -LARGEST), LARGEST)
+
+
+@jit
+def add_points(values: np.ndarray, points: Points, first: int, field: np.ndarray) -> None:
+    """field[i, columns[k]] += values[k] for the points k of row first + i."""
+    columns, offsets = points
+    for i in range(field.shape[0]):
+        row = field[i]
+        for k in range(offsets[first + i], offsets[first + i + 1]):
+            row[u(columns[k])] += values[k]
