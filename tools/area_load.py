@@ -21,9 +21,9 @@ from samples import Ensemble, ensembles
 from pgfmd.theory import asperity, persson
 from pgfmd.theory.surface import SpectralMoments
 
-CAPTION = """(a) Relative contact area against the mean pressure. (b) Their ratio κ: filled symbols with the area
-corrected for the pixels, open ones with the raw area. Lines: the theories of Persson and of Bush, Gibson and Thomas
-(BGT), at finite load for the surface in hand, and dashed at low load. Bars: standard error over seeds."""
+CAPTION = """(a) Relative contact area, corrected for the pixels, against the mean pressure. (b) Their ratio κ; open
+symbols: with the raw area. Full lines: the theories of Persson and of Bush, Gibson and Thomas (BGT) for this surface;
+dashed: their limits at low load. Bars: standard error over seeds."""
 NEEDS = ("area", "roughness")
 OPTIONS = {"--area": {"type": float, "help": "contact area at which κ is reported (default 0.08)"}}
 
@@ -48,7 +48,7 @@ def draw(loads: list[Load], area: float = 0.08) -> Sheet:
     _draw_theory(sheet, loads)
     sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area $f_c$", scale="log", legend=False)
     sheet.label(
-        1, "contact area $f_c$", r"$\kappa = f_c E'\bar g\,/\,\bar p$", scale="semilogx", columns=4, legend="figure"
+        1, "contact area $f_c$", r"$\kappa = f_c E'\bar g\,/\,\bar p$", scale="semilogx", columns=5, legend="figure"
     )
     return sheet
 

@@ -1,9 +1,9 @@
-"""Real-space autocorrelations of stress and contact, and the bounds that tie them together.
+"""Real-space autocorrelations of stress and contact, and the paper's bounds on their ratio.
 
     pgfmd plot autocorrelations DIR… [--area 0.14]
 
-From the observable acf, or from the field pressure in row blocks.  The bounds are C_c ≤ C_σ/σ_c² ≤ m₂ C_c with
-m₂ = ⟨σ²⟩_c/σ_c²; with 2 in place of m₂ the upper one is that of the paper.
+From the observable acf, or from the field pressure in row blocks.  The paper's bounds are C_c ≤ C_σ/σ_c² ≤ 2 C_c; the
+ratio is m₂ = ⟨σ²⟩_c/σ_c² at Δr = 0.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
 from reading import Load
 from samples import common_bins, ensembles
 
-CAPTION = """(a) Autocorrelation of the stress over σ_c², between those of the contact (lower bound) and twice those
-(upper bound of the paper). (b) Their ratio, with the bounds 1, the measured m₂, and 2. Bars: standard error over
-seeds. Beyond a few λ_s both are the square of the mean, but for the noise of one cell."""
+CAPTION = """(a) Autocorrelation of the stress over σ_c², beside that of the contact and twice that (the paper's lower
+and upper bound). (b) Their ratio, with the bounds 1 and 2, and its value m₂ at Δr = 0. Bars: standard error over seeds.
+At large Δr both tend to the square of the mean, up to the noise of one cell."""
 NEEDS = ("correlations", "area")
 OPTIONS = {"--area": {"type": float, "help": "the load near this contact area (default: the last)"}}
 MARKS = (0.0, 1 / 8, 1 / 2, 1.0, 4.0)  # distances in λ_s whose ratio is reported
@@ -35,21 +35,23 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     _, contact = common_bins([load.correlation("contact") for load in group])
     stress = stress / np.array([load.contact_pressure for load in group])[:, None] ** 2
     m2 = stress[:, 0] / contact[:, 0]
-    x, apart = r / group.wavelengths[0], r > 0
+    x, drawn = r / group.wavelengths[0], r > 0
     mean, below, ratio = stress.mean(axis=0), contact.mean(axis=0), stress / contact
-    sheet.curve(0, x[apart], below[apart], r"$C_c$, lower bound", color=BLUE, ls="--")
-    sheet.curve(0, x[apart], 2 * below[apart], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
-    sheet.curve(0, x[apart], mean[apart], r"$C_\sigma/\sigma_c^2$", error=_where(standard_error(stress), apart),
+    sheet.curve(0, x[drawn], below[drawn], r"$C_c$, lower bound", color=BLUE, ls="--")
+    sheet.curve(0, x[drawn], 2 * below[drawn], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
+    sheet.curve(0, x[drawn], mean[drawn], r"$C_\sigma/\sigma_c^2$", error=_where(standard_error(stress), drawn),
                 color=RED, marker="o", ms=2)  # fmt: skip
-    floor = np.full(np.count_nonzero(apart), np.mean([load.area**2 for load in group]))
-    sheet.curve(0, x[apart], floor, r"$f_c^2$: no correlation", color=GREY, lw=0.8)
+    floor = np.full(np.count_nonzero(drawn), np.mean([load.area**2 for load in group]))
+    sheet.curve(0, x[drawn], floor, r"$f_c^2$: no correlation", color=GREY, lw=0.8)
     sheet.label(0, r"$\Delta r\,/\,\lambda_s$", "autocorrelation", scale="log")
-    sheet.curve(1, x[apart], ratio.mean(axis=0)[apart], "simulation", color=RED, marker="o", ms=2,
-                error=_where(standard_error(ratio), apart))  # fmt: skip
-    bounds = ((1.0, "1", "--"), (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."), (2.0, "2", ":"))
+    sheet.curve(1, x[drawn], ratio.mean(axis=0)[drawn], "simulation", color=RED, marker="o", ms=2,
+                error=_where(standard_error(ratio), drawn))  # fmt: skip
+    bounds = (
+        (1.0, "lower bound", "--"), (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."), (2.0, "upper bound", ":"),
+    )  # fmt: skip
     for value, name, dashes in bounds:
-        sheet.curve(1, x[apart][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
-    sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx", columns=4)
+        sheet.curve(1, x[drawn][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
+    sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx")
     report(sheet, list(group), x, ratio, m2)
     second = np.array([load.normalised_second_moment for load in group])
     areas = np.array([load.area for load in group])

@@ -65,7 +65,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
         if group.hurst is not None:
             sheet.findings.add(f"theory 2 + H of the bearing area, {name}", bearing.spectrum_exponent(group.hurst))
         if drawn:
-            quantity = r"$f_c\,|\tilde\Theta(q)|^2\,/\,(1-f_c)\,|\tilde\Theta(0)|^2$" if panel == 0 else ""
+            quantity = r"$f_c\,|\tilde\Theta(q)|^2\,/\,[(1-f_c)\,|\tilde\Theta(0)|^2]$" if panel == 0 else ""
             sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log", columns=1)
             if group.label:
                 sheet.panels[panel].text(

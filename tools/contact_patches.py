@@ -22,10 +22,10 @@ from samples import ensembles
 from pgfmd.theory import bearing
 
 CAPTION = """(a) Load of each contact patch against its area (dots), and medians in bins of the area, one symbol for
-each contact area; with guides of Hertz (3/2) below and of constant mean pressure (1) above. (b) Probability density of
-the patch areas in elastic contact (filled) and of the bearing area (open), with the laws fitted by maximum likelihood
-(full lines) over the range that they span, and the law τ = 2 − H/2 of islands (broken). Dotted: the smallest patch in
-the fits."""
+each contact area; dashed: exponents of Hertz (3/2) and of constant mean pressure (1). (b) Probability density of the
+patch areas in elastic contact (filled) and of the bearing area (open), with power laws fitted by maximum likelihood
+over the range that they span (full lines; grey: bearing area), and the law τ = 2 − H/2 of islands (dashed). Dotted: the
+smallest patch in the fits."""
 NEEDS = ("patches", "area", "roughness")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -238,7 +238,7 @@ def _draw_sizes(sheet: Sheet, hurst: float | None, elastic: np.ndarray, islands:
             ends = np.array([resolved, tail.max()])
             scale = len(tail) / len(reference) * (tau - 1) / resolved
             sheet.curve(
-                1, ends, scale * (ends / resolved) ** -tau, f"2 − H/2 = {tau:.2f}", color=BLACK, ls="--", lw=0.8
+                1, ends, scale * (ends / resolved) ** -tau, f"τ = 2 − H/2 = {tau:.2f}", color=BLACK, ls="--", lw=0.8
             )
     sheet.panels[1].axvline(resolved, color=GREY, lw=0.7, ls=":")
     sheet.label(1, r"area $a_c\,/\,\lambda_s^2$", r"$P(a_c)\,\lambda_s^2$", scale="log", columns=2)
@@ -247,13 +247,13 @@ def _draw_sizes(sheet: Sheet, hurst: float | None, elastic: np.ndarray, islands:
 def _draw_law(sheet: Sheet, size: np.ndarray, least: float, most: float, name: str):
     tau = tail_exponent(size, least, most)[0]
     inside = size[(size >= least) & (size <= most)]
-    if np.isnan(tau) or len(inside) < 10:
+    if np.isnan(tau) or len(inside) < 10 or most < 2 * least:
         return
     ends = np.geomspace(inside.min(), inside.max(), 40)
     shape = (ends / least) ** -tau
     norm = np.sum((shape[1:] + shape[:-1]) / 2 * np.diff(ends))
-    sheet.curve(1, ends, shape / norm * len(inside) / len(size), f"τ = {tau:.2f}, {name}", color=BLACK, lw=0.9,
-                label=False, zorder=5)  # fmt: skip
+    sheet.curve(1, ends, shape / norm * len(inside) / len(size), f"τ = {tau:.2f}, {name}", label=False,
+                color=BLACK if name == "elastic contact" else GREY, lw=0.9, zorder=5)  # fmt: skip
 
 
 if __name__ == "__main__":

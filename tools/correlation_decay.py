@@ -14,13 +14,13 @@ import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
-from plotting import BLACK, Finding, Sheet, limited, standard_error, style
+from plotting import Finding, Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
-CAPTION = """Autocorrelation of the contact less its value at infinity, over its value at zero, against distance. Full
-lines: power laws fitted over the range that they span. Broken: the law Δr^(−ν) with ν = 1 − H, which follows from μ_c =
-1 + H. Bars: standard error over seeds."""
+CAPTION = """Autocorrelation of the contact less its limit at large distance, over its value at zero. Full lines: power
+laws fitted over the range that they span. Dashed: the law Δr^(−ν) with ν = 1 − H, which follows from μ_c = 1 + H. Bars:
+standard error over seeds."""
 NEEDS = ("correlations", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -44,8 +44,8 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
         if np.count_nonzero(inside) >= 3:
             slope, (offset,) = fit_power_law(x[inside], mean[inside])
             ends = x[inside][[0, -1]]
-            sheet.curve(0, ends, np.exp(offset) * ends**slope, f"ν = {-slope:.2f}, {group.name}", color=BLACK, lw=0.9,
-                        label=False, zorder=5)  # fmt: skip
+            sheet.curve(0, ends, np.exp(offset) * ends**slope, f"ν = {-slope:.2f}, {group.name}", lw=0.9, label=False,
+                        color=look["color"], zorder=5)  # fmt: skip
             if group.hurst is not None:
                 law = 0.7 * mean[inside][0] * (ends / ends[0]) ** (group.hurst - 1)
                 sheet.curve(0, ends, law, f"ν = 1 − H, {group.name}", color=look["color"], ls="--", lw=0.9, label=False)

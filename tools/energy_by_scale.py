@@ -22,8 +22,8 @@ from pgfmd.observables.statistics import spectra
 from pgfmd.theory import persson
 
 CAPTION = """(a) Share of the elastic energy that waves up to q hold. (b) Elastic energy per factor of e in q, over its
-sum. Symbols: simulation, with standard errors over seeds; lines: Persson's theory at the same load, over the
-simulation's energy."""
+sum. Filled symbols: simulation, with standard errors over seeds; lines with open symbols: Persson's theory at the same
+load, over the simulation's energy."""
 NEEDS = ("spectra", "load", "roughness")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
 
@@ -42,9 +42,10 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
             measured, expected = part(shares, axis=1), part(theory, axis=1)
             look = {**style(number), "ls": "none", "ms": 2.4}
             sheet.curve(panel, x, measured.mean(axis=0), label, error=standard_error(measured), **look)
-            sheet.curve(panel, x, expected.mean(axis=0), f"Persson, {name}", label=False, color=look["color"], lw=0.9)
+            sheet.curve(panel, x, expected.mean(axis=0), f"Persson, {name}", label=False, lw=0.9, markevery=(5, 10),
+                        **look | {"ls": "-", "mfc": "white"})  # fmt: skip
         report(sheet, group, name, shares, theory)
-    sheet.panels[0].plot([], [], color=BLACK, lw=0.9, label="Persson")
+    sheet.panels[0].plot([], [], color=BLACK, marker="o", ms=2.4, mfc="white", lw=0.9, label="Persson")
     sheet.label(0, r"$q\,/\,q_l$", "energy up to $q$ / total", scale="semilogx", columns=4, legend="figure")
     sheet.label(1, r"$q\,/\,q_l$", r"$\mathrm{d}E\,/\,\mathrm{d}\ln q$ / total", scale="semilogx", legend=False)
     return sheet

@@ -69,9 +69,9 @@ def draw(
         hurst, exponents, errors = np.array(reference).T
         sheet.curve(2, hurst + 0.03, exponents, "paper", error=errors, color=BLACK, marker="*", mfc="white", ls="none")
     sheet.panels[1].axhline(1, color=BLACK, lw=0.7)
-    scaled_name = r"$f_c\,\tilde C(q)\,/\,(1-f_c)\,\tilde C(0)$"
+    scaled_name = r"$f_c\,\tilde C(q)\,/\,[(1-f_c)\,\tilde C(0)]$"
     sheet.label(0, r"$q\,/\,q_l$", scaled_name, scale="log", columns=1)
-    sheet.label(1, r"$q\,/\,q_l$", "largest over smallest load", scale="semilogx", columns=1)
+    sheet.label(1, r"$q\,/\,q_l$", "spectra, largest over smallest load", scale="semilogx", columns=1)
     sheet.label(2, "Hurst exponent $H$", r"exponent $\mu$, joint fit", columns=1)
     return sheet
 
@@ -233,7 +233,7 @@ def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: i
         chosen = [(group, sheet.findings[name]) for group, name in with_hurst
                   if max(group.results.shape) == size and name in sheet.findings]  # fmt: skip
         if chosen:
-            x = np.array([group.hurst for group, _ in chosen]) + 0.012 * (number - len(sizes) / 2)
+            x = np.array([group.hurst for group, _ in chosen]) + 0.012 * (number - (len(sizes) - 1) / 2)
             colour = RED if size == largest else BLUE
             sheet.curve(2, x, [found.value for _, found in chosen], f"$n$ = {size}",
                         error=[found.error or 0.0 for _, found in chosen], color=colour, marker="os^Dv"[number % 5],

@@ -21,8 +21,8 @@ from samples import Ensemble, common_bins, ensembles
 from pgfmd.theory import exponential
 
 CAPTION = """(a) The stress spectrum under an exponential wall over that of full contact; lines: field theory to first
-order in the heights; broken: f(q) of Persson's theory of a hard wall. (b) The ratio to field theory in bands of q, both
-summed mode by mode, with standard errors over seeds; shaded: ±20 %."""
+order in the heights; dashed: f(q) of Persson's theory of a hard wall. (b) The ratio to field theory in bands of q, both
+summed mode by mode, with standard errors over seeds; settings are moved sideways; shaded: ±20 %."""
 NEEDS = ("exponential wall", "spectra", "height", "load")
 BANDS = ((1, 1), (2, 3), (4, 7), (8, 15), (16, 32))  # bins of q/q_l, rounded, both ends included
 

@@ -26,8 +26,8 @@ from pgfmd.theory import persson
 
 CAPTION = """The rigid surface, lit from the side, and the pressure where it touches; the gap, on a scale that spreads
 its small values; contact patches by their area; the distribution of contact pressures with Persson's prediction, which
-has no free parameter; spectra of the stress and of the contact, scaled so that they coincide where both are alike; and
-the contact area at all loads."""
+has no free parameter; spectra C̃ of the stress and of the contact, scaled so that they coincide where both are alike,
+up to q_s (dotted); and the contact area, corrected for the pixels, at all loads."""
 NEEDS = ("load",)
 OPTIONS = {
     "--loads": {"type": int, "nargs": "+", "metavar": "N", "dest": "chosen",
@@ -53,7 +53,7 @@ def draw(loads: list[Load], chosen: Sequence[int] | None = None, tiles: bool = T
     for panel in range(len(panels), len(sheet.panels)):
         sheet.drop(panel)
     sheet.notes += notes
-    sheet.beside.append(lambda output: write_page(run, output, chosen, tiles))
+    sheet.extra_files.append(lambda output: write_page(run, output, chosen, tiles))
     for name, value in {
         "mean pressure": load.mean_pressure, "contact area f_c": load.area,
         "contact area, corrected": load.corrected_area, "κ = f_c E' g/p̄": load.number("kappa"),
@@ -183,7 +183,8 @@ def draw_loads(sheet: Sheet, panel: int, run: Sequence[Load]):
         p = np.geomspace(x.min(), x.max(), 60)
         sheet.curve(panel, p, persson.contact_fraction(p, 1.0), "Persson", color=BLACK)
     label = r"$\bar p\,/\,(E'\bar g/2)$" if std > 0 else r"$\bar p$" + (f" / {unit}" if unit else "")
-    sheet.label(panel, label, "$f_c$" if touching else "mean gap", scale="log" if touching else "semilogx")
+    gap = "mean gap" + (f" / {_unit(run[0], 'length')}" if _unit(run[0], "length") else "")
+    sheet.label(panel, label, "contact area $f_c$" if touching else gap, scale="log" if touching else "semilogx")
 
 
 def draw_distribution(sheet: Sheet, panel: int, load: Load):
@@ -201,7 +202,7 @@ def draw_spectra(sheet: Sheet, panel: int, load: Load):
         sheet.curve(panel, q, value, name, color=colour, ls=dashes)
     sheet.panels[panel].axvline(load.q_limits[1] / load.q_unit, color=GREY, lw=0.8, ls=":")
     partial = 0 < load.area < 1
-    quantity = r"$f_c\,|\tilde f(q)|^2\,/\,(1-f_c)\,|\tilde f(0)|^2$" if partial else r"$|\tilde\sigma|^2/\bar p^2$"
+    quantity = r"$f_c\,\tilde C(q)\,/\,[(1-f_c)\,\tilde C(0)]$" if partial else r"$|\tilde\sigma|^2/\bar p^2$"
     sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log")
 
 

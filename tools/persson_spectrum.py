@@ -47,8 +47,8 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
         for number, group in enumerate(groups):
             title = setting.label + (", " if setting.label else "")
             _draw(sheet, panel, group, title, (colours[number], "os^DvPX"[number % 7]))
-        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="Persson")
-        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="solved")
+        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="$f(q)$, Persson")
+        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="$f(q)$, solved")
         sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=3)
         if setting.label:
             sheet.panels[panel].set_xlabel(rf"$q\,/\,q_l$   ({tex(setting.label)})")

@@ -18,7 +18,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
 
 COLUMN, PAGE = 3.4, 7.0  # inches
 ROW = 0.13  # inches that a row of the legend takes above the panels
@@ -143,8 +143,9 @@ class Sheet:
         self.figure, axes = plt.subplots(rows, columns, figsize=(width, height * rows), squeeze=False)
         self.panels = list(axes.flat)
         self.findings, self.notes = Findings(), []
-        self.beside: list[Callable[[Path], Path]] = []  # write further files into the folder of the figure
+        self.extra_files: list[Callable[[Path], Path]] = []  # each writes one into the folder of the figure
         self._legend_rows = 0
+        self._titles: list[list[str]] = [[] for _ in self.panels]  # of the legends, in the order of drawing
         self._table: list[tuple] = []
         self._tables: dict[str, tuple[Sequence[str], list[tuple]]] = {}
         if len(self.panels) > 1:
@@ -157,6 +158,7 @@ class Sheet:
         axes = self.panels[panel]
         x, y = np.atleast_1d(x), np.atleast_1d(y)
         shown = tex(name) if label and name else None
+        self._titles[panel] += [shown] * bool(shown)
         if error is None:
             axes.plot(x, y, label=shown, **style)
         else:
@@ -173,9 +175,10 @@ class Sheet:
     def label(
         self, panel: int, x: str, y: str, *, scale: str = "linear", columns: int = 2, legend: bool | str = True
     ) -> None:
-        """Axis labels, and the scale of both axes: "linear", "log", "semilogx" or "semilogy"; the legend above.
+        """Axis labels, and the scale of both axes: "linear", "log", "semilogx" or "semilogy"; the legend above, in at
+        most that many columns.
 
-        legend : "figure" puts the legend of this panel above all
+        legend : "figure" puts the legend of this panel above all panels
         """
         axes = self.panels[panel]
         axes.set(xlabel=x, ylabel=y)
@@ -183,14 +186,19 @@ class Sheet:
             axes.set_xscale("log")
         if scale in ("log", "semilogy"):
             axes.set_yscale("log")
-        labels = axes.get_legend_handles_labels()[1]
-        if legend and labels:
+        titles = [*self._titles[panel], *axes.get_legend_handles_labels()[1]]
+        # Matplotlib puts curves with error bars last.
+        entries = sorted(zip(*axes.get_legend_handles_labels(), strict=True), key=lambda entry: titles.index(entry[1]))
+        if legend and entries:
+            handles, labels = zip(*entries, strict=True)
             columns = 1 if max(map(len, labels)) > 44 and legend != "figure" else columns
+            rows = -(-len(labels) // columns)
+            columns = -(-len(labels) // rows)
             if legend == "figure":
-                self.figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=columns)
+                self.figure.legend(handles, labels, loc="outside upper center", ncols=columns)
             else:
-                axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=columns, borderaxespad=0.3)
-            self._legend_rows = max(self._legend_rows, -(-len(labels) // columns))
+                axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.3)
+            self._legend_rows = max(self._legend_rows, rows)
 
     def drop(self, panel: int):
         """Leave a panel out."""
@@ -216,7 +224,7 @@ class Sheet:
         for table, (columns, rows) in self._tables.items():
             paths.append(output / f"{name}_{table}.csv")
             _write_csv(paths[-1], columns, rows)
-        return paths + [write(output) for write in self.beside]
+        return paths + [write(output) for write in self.extra_files]
 
 
 def _write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence], heads: Iterable[str] = ()):
@@ -260,9 +268,12 @@ def guide(axes, x, y0: float, exponent: float, text: str, *, above: bool = False
 
 
 def _label_short_decades(axis):
-    """On a logarithmic axis of less than two decades label 1, 2 and 5 (or, in less than half a decade, 1 to 9)."""
+    """On a logarithmic axis of less than two decades label 1, 2 and 5; in less than .8 of a decade 1, 2, 3, 4, 6 and 8,
+    in less than half a decade 1 to 9.  Ticks at given places stay.
+    """
     low, high = sorted(axis.get_view_interval())
-    if axis.get_scale() == "log" and high < 100 * low:
-        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high > 3 * low else range(1, 10)))
+    if axis.get_scale() == "log" and high < 100 * low and not isinstance(axis.get_major_locator(), FixedLocator):
+        digits = (1, 2, 5) if high > 6.3 * low else (1, 2, 3, 4, 6, 8) if high > 3 * low else range(1, 10)
+        axis.set_major_locator(LogLocator(subs=digits))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

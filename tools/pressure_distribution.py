@@ -2,7 +2,7 @@
 
     pgfmd plot pressure_distribution DIR… [--areas 0.08]
 
-Theory is drawn at the load of the run with the surface's own slope: no free parameter.  The broken curve is the same
+Theory is drawn at the load of the run with the surface's own slope: no free parameter.  The dashed curve is the same
 form with the width that fits best.  Runs that differ by the seed alone are averaged.
 """
 
@@ -13,14 +13,14 @@ import sys
 import figures
 import numpy as np
 from choosing import near
-from plotting import BLACK, GREY, Sheet, limited, standard_error, style
+from plotting import BLACK, GREY, MOST, Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, ensembles
 
 from pgfmd.theory import persson
 
 CAPTION = """Probability density of the contact pressure over the whole surface (its integral is the contact area), (a)
-linear, (b) logarithmic. Black lines: Persson's theory at the same load, without a free parameter; grey broken lines:
+linear, (b) logarithmic. Black lines: Persson's theory at the same load, without a free parameter; grey dashed lines:
 the same form with the width that fits best. Bars: standard error over seeds."""
 NEEDS = ("histogram", "area", "roughness")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
@@ -33,7 +33,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     sheet = Sheet(1, 2)
     groups = ensembles(near(loads, areas) if areas else loads)
     for number, group in enumerate(limited(groups, sheet)):
-        _draw(sheet, group, number)
+        _draw(sheet, group, number, last=number + 1 == min(len(groups), MOST))
     for group in groups:
         report(sheet, group)
     for panel, scale in enumerate(("linear", "semilogy")):
@@ -96,7 +96,7 @@ def report(sheet: Sheet, group: Ensemble):
                     load.corrected_area, load.normalised_second_moment, _fitted(load)))  # fmt: skip
 
 
-def _draw(sheet: Sheet, group: Ensemble, number: int):
+def _draw(sheet: Sheet, group: Ensemble, number: int, last: bool):
     top = max(distribution(load)[0][-1] / load.full_contact_std for load in group)
     edges = np.linspace(0, top, BINS + 1)
     samples = averaged(group, edges)
@@ -113,7 +113,7 @@ def _draw(sheet: Sheet, group: Ensemble, number: int):
                                  ("same form, fitted width", width, {"color": GREY, "ls": "--"})):  # fmt: skip
             theory = persson.pressure_density(sigma * std, group.mean("mean_pressure"), form) * std
             shown = theory > (floor if panel else -1)
-            sheet.curve(panel, sigma[shown], theory[shown], name, label=number == 0, lw=0.9, **line)
+            sheet.curve(panel, sigma[shown], theory[shown], name, label=last, lw=0.9, **line)
 
 
 def _fitted(load: Load) -> float:

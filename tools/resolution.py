@@ -18,8 +18,8 @@ from samples import difference
 
 from pgfmd.errors import InputError
 
-CAPTION = """Deviation from the finest grid against grid points per shortest wave: (a) contact area, (b) absolute
-deviations of area, mean gap and mean square pressure, with power laws as guides."""
+CAPTION = """Relative deviation from the finest grid against grid points per shortest wave: (a) contact area, (b)
+absolute values for area, mean gap and mean square pressure, with power laws as guides."""
 NEEDS = ("area",)
 
 
@@ -41,11 +41,14 @@ def draw(loads: list[Load]) -> Sheet:
             sheet.curve(1, x, np.abs(values), name, color=colour, marker=marker)
     for values, order in ((0.5 * np.abs(raw[0]), -1), (0.4 * np.abs(gap[0]), -2)):
         if len(x) > 1 and values > 0:
-            guide(sheet.panels[1], x[[0, -1]], values, order, f"−{-order}")
+            guide(sheet.panels[1], x[[0, -1]], values, order, f"slope −{-order}")
     sheet.panels[0].axhline(0, color=GREY, lw=0.7)
     quantity = r"$\lambda_s\,/\,a$" if limit.hurst is not None else "grid points per side"
-    sheet.label(0, quantity, "deviation of the contact area", scale="semilogx", legend=False)
-    sheet.label(1, quantity, "|deviation|", scale="log")
+    sheet.label(0, quantity, "relative deviation of area", scale="semilogx", legend=False)
+    sheet.label(1, quantity, "|relative deviation|", scale="log", columns=4, legend="figure")
+    for panel in sheet.panels:
+        panel.set_xticks(x, [f"{at:.3g}" for at in x])
+        panel.set_xticks([], minor=True)
     sheet.findings.add(f"corrected area on the finest grid, {points[-1]:.3g}", limit.corrected_area)
     for at, *values in zip(x, raw, corrected, gap, square, strict=True):
         for name, value in zip(("area raw", "area corrected", "mean gap", "⟨p²⟩"), values, strict=True):

@@ -70,12 +70,13 @@ def ensembles(found: Iterable[Load], *, by_load: bool = True) -> list[Ensemble]:
     several = by_load and len({target for _, target in groups}) > 1
     found = []
     for group, values in zip(members, settings, strict=True):
-        apart = [_named(key, values[key]) for key in keys if key in values]
+        differences = [_named(key, values[key]) for key in keys if key in values]
         control, target = group[0].target
         asked = [f"{CONTROLS[control]} = {target:g}"] * by_load
-        label = ", ".join([*apart, *[_loaded(group)] * several])
-        found.append(Ensemble(tuple(group), label, ", ".join([*apart, *asked]) or "simulation"))
-    return found
+        labels = [", ".join([*differences, *[text] * several]) for text in (_area(group), _pressure(group))]
+        found.append((tuple(group), labels, ", ".join([*differences, *asked]) or "simulation"))
+    chosen = len({labels[0] for _, labels, _ in found}) < len(found)  # equal areas: loads are told by their pressures
+    return [Ensemble(group, labels[chosen], name) for group, labels, name in found]
 
 
 def _differs(key: str, settings: Sequence[dict]) -> bool:
@@ -124,10 +125,12 @@ def _named(key: str, value) -> str:
     return f"{SYMBOLS.get(key, key)} = {shown}"
 
 
-def _loaded(group: Sequence[Load]) -> str:
+def _area(group: Sequence[Load]) -> str:
     areas = [load.area for load in group]
-    if all(math.isfinite(area) for area in areas):
-        return f"f_c = {float(np.mean(areas)):.3g}"
+    return f"f_c = {float(np.mean(areas)):.3g}" if all(map(math.isfinite, areas)) else _pressure(group)
+
+
+def _pressure(group: Sequence[Load]) -> str:
     return f"p̄ = {float(np.mean([load.mean_pressure for load in group])):.3g}"
 
 

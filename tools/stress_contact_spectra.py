@@ -18,7 +18,7 @@ from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|; settings are
-moved apart by factors of 10 (named in the legend), with the bounds 1 (full line) and 2 (broken line) of each. (b) Their
+moved apart by factors of 10 (named in the legend), with the bounds 1 (full line) and 2 (dashed) of each. (b) Their
 ratio, with the bounds 1 and 2; bars: standard error over seeds."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
@@ -50,7 +50,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
                 lw=0.6,
                 ls=dashes,
             )
-        sheet.curve(1, x, ratio, name, error=error, lw=0.7, ms=2, color=drawn["color"], marker=drawn["marker"])
+        sheet.curve(1, x, ratio, name, error=error, lw=0.7, ms=2, **style(number, filled=number % 2 == 0))
         report(sheet, group, name, (x, count, stress, contact, ratio))
     for value, dashes in ((1, "-"), (2, "--")):
         sheet.panels[1].axhline(value, color=BLACK, lw=0.7, ls=dashes)
