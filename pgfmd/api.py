@@ -43,7 +43,7 @@ Tables = Mapping[str, Mapping[str, Any]]
 
 
 class Options(TypedDict, total=False):
-    """Arguments of `solve` beside the heights and what is imposed."""
+    """Arguments of `solve` other than the heights and what is imposed."""
 
     contact_modulus: float
     spacing: float | tuple[float, float]
@@ -62,8 +62,8 @@ class Options(TypedDict, total=False):
     progress: bool | None
 
 
-class One(Options, total=False):
-    """With what is imposed instead of a pressure: one number."""
+class OneLoad(Options, total=False):
+    """`Options`, and what can be imposed instead of a pressure, as one number."""
 
     contact_area: float
     mean_gap: float
@@ -71,8 +71,8 @@ class One(Options, total=False):
     force: float
 
 
-class Several(Options, total=False):
-    """The same with a list of numbers."""
+class SeveralLoads(Options, total=False):
+    """The same, as a list of numbers."""
 
     contact_area: Sequence[float]
     mean_gap: Sequence[float]
@@ -81,12 +81,12 @@ class Several(Options, total=False):
 
 
 @overload
-def solve(heights: np.ndarray, pressure: float | None = None, **options: Unpack[One]) -> Contact: ...
+def solve(heights: np.ndarray, pressure: float | None = None, **options: Unpack[OneLoad]) -> Contact: ...
 
 
 @overload
 def solve(
-    heights: np.ndarray, pressure: Sequence[float] | np.ndarray | None = None, **options: Unpack[Several]
+    heights: np.ndarray, pressure: Sequence[float] | np.ndarray | None = None, **options: Unpack[SeveralLoads]
 ) -> Iterator[Contact]: ...
 
 
@@ -120,17 +120,17 @@ def solve(
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
 
     Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
-    times the area of the cell) says what is imposed: a number, or a list, whose contacts are solved one after another
-    as they are asked for, each from the last if that is near.  area_tolerance, gap_tolerance: how closely they are met.
+    times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
+    them, each starting from the last if its p̄ is within 5 %.  area_tolerance, gap_tolerance: see [load] of a job.
 
     spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; zeta: the range of an exponential
     wall with σ_ref = contact_modulus; neither: a hard wall.  thickness, base ("bonded" if None), poisson: a slab
     instead of a half-space.  method: see `solvers.options`.  start: a pressure to begin with, split like the heights.
     tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
-    this process; OMP_NUM_THREADS or the free cores if None.  progress: whether a bar shows it; None: in notebooks.
+    this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.
 
-    Raises InputError for heights that are masked, not finite or wrongly split, values out of range and ranks that do
-    not ask for the same, SolverError if the tolerance cannot be reached, Unreachable for a load that cannot be.
+    Raises InputError for heights that are masked, not finite or wrongly split, values out of range and arguments that
+    differ between ranks, SolverError if the tolerance cannot be reached, Unreachable if no load gives the target.
 
     >>> import numpy as np, pgfmd
     >>> wave = np.cos(2 * np.pi * np.arange(64) / 64)
@@ -231,7 +231,7 @@ def _contacts(control: LoadControl, targets: Sequence[float]) -> Generator[Conta
 def _solve(
     options: Solver, shown: bool, problem: ContactProblem, start: np.ndarray | None, tolerance: float
 ) -> ContactSolution:
-    """One contact, with a bar of its progress if that is shown.  Collective."""
+    """One contact, with a progress bar if `shown`.  Collective."""
     options, grid = dataclasses.replace(options, tolerance=tolerance), problem.grid
     if not shown:
         return solve_contact(problem, options, start)
@@ -239,8 +239,8 @@ def _solve(
     bar = Progress(grid.comm.rank, 1, grid.shape, tolerance)
     bar.begin(label)
 
-    def see(its_grid: SlabGrid, state: SolverState) -> None:
-        bar.step(its_grid.shape, state.error, state.contact / its_grid.size, grid.transforms - before)
+    def see(level: SlabGrid, state: SolverState) -> None:
+        bar.step(level.shape, state.error, state.contact / level.size, grid.transforms - before)
 
     try:
         return solve_contact(problem, options, start, see)
@@ -252,8 +252,8 @@ def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None)
     """The heights of the surface in a run of `job`.  Collective over `comm`.
 
     job: a `Job`, the path of a TOML file, or its tables, of which only "grid" and "surface" are needed.  Without `comm`
-    all heights (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny), the same surface on any
-    number of ranks.  In units of the job.  Raises InputError on all ranks.
+    all heights (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny).  The surface does not
+    depend on the number of ranks.  In units of the job.  Raises InputError on all ranks.
 
     >>> import pgfmd
     >>> rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": 3}
@@ -279,10 +279,9 @@ def run(
 ) -> Results | Ensemble:
     """Run a job, as `pgfmd run` does, and open its results.  Collective over `comm`, all ranks if None.
 
-    job: a `Job`, the path of a TOML file, or its tables.  output: folder of the results; None: a temporary one, which
-    is removed when nothing on rank 0 refers to the results any more, or if the run fails.  overwrite: replaces results
-    that are there; restart: continues them.  Raises InputError (nothing is written), SolverError (completed loads are
-    written), Stopped.
+    job: a `Job`, the path of a TOML file, or its tables.  output: folder of the results; None: a temporary one, removed
+    when rank 0 drops its last reference to the results, or if the run fails.  overwrite: replaces results; restart:
+    continues them.  Raises InputError (nothing is written), SolverError (completed loads are written), Stopped.
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
@@ -316,7 +315,7 @@ SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither 
 def _real(name: str, values: Any) -> np.ndarray:
     """An array of real numbers in float64, row by row; raises InputError for anything else."""
     if np.ma.is_masked(values):
-        raise InputError(f"{name}: {np.ma.count_masked(values)} are masked; fill them, all must be known")
+        raise InputError(f"{name}: {np.ma.count_masked(values)} values are masked; fill them")
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "fiu":

@@ -1,4 +1,4 @@
-"""The command line: `new` prints a job, `run` runs it, `check` judges it beforehand, `info` and `plot` show results.
+"""The command line: `new` prints a job, `check` validates it, `run` runs it, `info` and `plot` show results.
 
     python -m pgfmd new [KIND …] > JOB.toml
     mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
@@ -35,12 +35,12 @@ from pgfmd.parallel.mpi import MPI, launched_rank, world
 
 PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 INTERRUPTED = 130
-MEND = "; remove a damaged file of fields, and a run with --restart writes it again"
+REPAIR = "; remove a damaged file of fields, and a run with --restart writes it again"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; the exit code.  `run` is collective over COMM_WORLD, the others need no MPI."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal that does not know × shows ? instead
+    for stream in (sys.stdout, sys.stderr):  # a terminal without × shows ?
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -57,18 +57,18 @@ def main(arguments: list[str] | None = None) -> int:
         return _complain(error) if launched_rank() == 0 else INTERRUPTED
     except InputError as error:
         return _complain(error) if launched_rank() == 0 else 2
-    except BrokenPipeError:  # the reader of the table has seen enough
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         sys.stdout = open(os.devnull, "w")
         return 0
 
 
 def _show(text: str) -> None:
-    """Print lines without control characters, which names and texts from files may hold."""
+    """Print lines without control characters, which texts from files may hold."""
     print("\n".join(printable(line, len(line)) for line in text.split("\n")))
 
 
 class _Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line, like every other wrong input."""
+    """An argument parser that raises InputError with one line, as for any wrong input."""
 
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message} (see {self.prog} --help)")
@@ -165,7 +165,7 @@ def _info(options: argparse.Namespace) -> str:
         return info.summary_of_ensemble(ensemble.Ensemble(options.directory)) if several else info.summary(runs[0])
     faults = {path: fault for run in runs for path, fault in info.damage(run).items()}
     if faults:
-        raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + MEND)
+        raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + REPAIR)
     return f"{options.directory}: every byte is the one that was written"
 
 
@@ -183,10 +183,10 @@ def _plot(words: list[str]) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """The run itself; its exit code.  Collective."""
-    atexit.register(gc.freeze)  # at the end nobody looks for cycles, which takes a tenth of a second with numba loaded
+    """Run a job; the exit code.  Collective."""
+    atexit.register(gc.freeze)  # no garbage collection at exit: it takes a tenth of a second with numba loaded
     comm = world()
-    farewell = comm.Dup()  # made now: once a rank has failed, it is too late to agree on anything
+    end_comm = comm.Dup()  # made now: a rank that has failed may never join a collective call on `comm`
     _log_on_root(comm.rank)
     try:
         from pgfmd.job.job import load
@@ -196,13 +196,12 @@ def _run(options: argparse.Namespace) -> int:
         job = from_root(comm, load, options.job, options.set)
         run_job(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
     except (Exception, KeyboardInterrupt) as error:  # whatever it is, all ranks must end, and one of them must say why
-        return _leave(farewell, error)
+        return _end_all_ranks(end_comm, error)
     return 0
 
 
-def _leave(comm: MPI.Comm, error: BaseException) -> int:
-    """End all ranks with the error's exit code; rank 0 says why.  Aborts if one does not come in PATIENCE.
-    Collective."""
+def _end_all_ranks(comm: MPI.Comm, error: BaseException) -> int:
+    """End all ranks with the error's exit code; rank 0 prints the error.  Aborts after PATIENCE.  Collective."""
     request = comm.Ibarrier()
     deadline = time.monotonic() + PATIENCE
     while not request.Test():
@@ -214,7 +213,7 @@ def _leave(comm: MPI.Comm, error: BaseException) -> int:
         _complain(error)
     comm.Barrier()  # a rank that left before rank 0 has printed would make mpirun end the others
     if comm.size > 1:
-        MPI.Finalize()  # `python -m mpi4py` aborts on an exit code that is not 0 while MPI is active, with much noise
+        MPI.Finalize()  # while MPI is active, `python -m mpi4py` aborts on an exit code other than 0
     return _code(error)
 
 
@@ -239,7 +238,7 @@ def _complain(error: BaseException) -> int:
 
 
 def _log_on_root(rank: int) -> None:
-    """Log messages of rank 0 to stderr, with the time, warnings of libraries among them; silence on the others."""
+    """Log messages and library warnings of rank 0 to stderr, with the time; the other ranks log nothing."""
     from pgfmd.operation.progress import STEP, updates
 
     warnings.showwarning = lambda message, kind, *_: log.warning("%s: %s", kind.__name__, message)
@@ -254,12 +253,12 @@ def _log_on_root(rank: int) -> None:
 
 
 class _Terminal(logging.StreamHandler):
-    """Lines on stderr, above a line of progress that may be there."""
+    """Prints lines to stderr, above a progress bar if there is one."""
 
     def emit(self, record: logging.LogRecord) -> None:
         from tqdm import tqdm
 
         try:
             tqdm.write(self.format(record), file=sys.stderr)
-        except Exception:  # as logging does it: the run goes on
+        except Exception:  # as in logging: the run goes on
             self.handleError(record)

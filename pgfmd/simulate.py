@@ -105,7 +105,7 @@ def simulate(
         checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job), job.run.io_hints)
         with phases("write"):
             if writer.replacing:  # earlier results and their checkpoint stay until the first load is written;
-                checkpoints.aside = True  # until then a stopped run is begun again, not continued
+                checkpoints.aside = True  # until then a stopped run must start again with --overwrite
                 interruptions.resumption = "--overwrite"
             elif writer.earlier.job is None:
                 checkpoints.remove()
@@ -172,7 +172,7 @@ def solve(
 
 
 class _Steps:
-    """What happens between two steps of a solver: progress is shown, checkpoints are written, the run may stop."""
+    """Between two steps of a solver: shows progress, writes checkpoints, stops the run if asked to."""
 
     index: int
 
@@ -204,11 +204,11 @@ class _Steps:
             self.interruptions.between_steps()
 
     def solved(self, solution: ContactSolution) -> None:
-        """The load is solved, not yet written.  Collective."""
+        """Called when a load is solved, before it is written.  Collective."""
         self.interruptions.between_steps(partial(self._save, solution.mean_pressure, solution))
 
     def _save(self, mean_pressure: float, found: SolverState | ContactSolution) -> None:
-        """A checkpoint of a state's or solution's pressure, from the solver's units to the job's.  Collective."""
+        """Write a checkpoint of the pressure, converted from the solver's units to the job's.  Collective."""
         pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
         self.checkpoints.save(self.index, unit * pressure)

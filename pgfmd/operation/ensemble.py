@@ -1,4 +1,4 @@
-"""A job of an ensemble: one run for each seed, shared out over the ranks."""
+"""A job of an ensemble: one run for each seed, distributed over the ranks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import MPI, library
 
 log = logging.getLogger("pgfmd")
-progress = logging.getLogger("pgfmd.ensemble")  # its own level: the first rank of each group says what is done
+progress = logging.getLogger("pgfmd.ensemble")  # has its own level: the first rank of each group logs its seeds
 
 Simulate = Callable[..., None]
 """simulate(job, comm, directory, overwrite=…, restart=…, interruptions=…): runs one surface.  Collective."""
@@ -68,7 +68,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
 class _Folder:
     """The folder of an ensemble, locked, with its ensemble.h5; a context manager.  Its methods are collective.
 
-    Raises InputError on all ranks if the folder cannot be written, or holds what is not to be continued or replaced.
+    Raises InputError on all ranks if the folder cannot be written, or holds results that `mode` does not allow.
     """
 
     def __init__(self, job: Job, comm: MPI.Comm, path: Path, mode: str):
@@ -146,7 +146,7 @@ def _run_seeds(
         Interruptions(group, path, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
         ThreadPoolExecutor(1) as disk,  # syncs a folder while the next surface is solved
     ):
-        comm.Barrier()  # from here on a file that asks to stop is meant for this run
+        comm.Barrier()  # a stop file that appears from here on is for this run
         for position in range(own, len(seeds), groups):
             seed, began = seeds[position], time.perf_counter()
             try:
@@ -166,11 +166,11 @@ def _run_seeds(
                 stopped = reason
                 if group.rank == 0:
                     with suppress(OSError):
-                        interruptions.batch_stop_file.touch()  # for the other groups, which no signal may have reached
+                        interruptions.batch_stop_file.touch()  # other groups may have got no signal
                 break
             except (InputError, SolverError, OSError, MemoryError) as error:
                 if isinstance(error, MemoryError) and group.size > 1:
-                    raise  # perhaps of one rank alone, for which the others wait
+                    raise  # perhaps on one rank only, while the others wait for it
                 failed[seed] = _without_frames(error)
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
                                  _reason(error))  # fmt: skip
@@ -191,14 +191,14 @@ def _reason(error: Exception) -> str:
 
 
 def _without_frames(error: Exception) -> Exception:
-    """The error without the frames in which it was raised: their arrays would be kept with it."""
+    """The error without its traceback, which would keep the arrays of its frames."""
     error.__context__ = error.__cause__ = None
     return error.with_traceback(None)
 
 
 def _found(folder: Path, job: Job) -> str:
-    """What a folder holds for a job: "stale", results of another one (`--overwrite` was broken off before it came to
-    them); "complete", all that the job asks for, undamaged and by this version; or "", which `simulate` judges.
+    """What a folder holds for a job: "stale", results of another job (left by an interrupted `--overwrite`);
+    "complete", all that the job asks for, undamaged and by this version; or "", anything else: `simulate` decides.
     """
     with suppress(InputError):
         results = Results(folder)
@@ -215,9 +215,7 @@ def _found(folder: Path, job: Job) -> str:
 
 @contextmanager
 def _quiet(group: MPI.Comm) -> Iterator[None]:
-    """The terminal shows warnings of the runs, and what the first rank of each group has done; the log file of a run
-    keeps every line.
-    """
+    """The terminal shows warnings, and a line from each group for each seed; a run's log file has every line."""
     handlers, before = list(log.handlers), log.level
     for handler in handlers:
         handler.addFilter(_is_shown)

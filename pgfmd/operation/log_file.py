@@ -1,4 +1,4 @@
-"""What a run says is kept beside its results, in DIR/run.log; later runs in the folder add to it."""
+"""The log of a run, DIR/run.log; later runs in the folder append to it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ log = logging.getLogger("pgfmd")
 
 
 class LogFile:
-    """A context manager, within which rank 0 keeps what is logged; after `open` it goes to a file.
+    """A context manager in which rank 0 buffers log lines until `open`, then writes them to a file.
 
-    A run that is refused does not open it, and so leaves its folder as it was.  A log that cannot be written does not
-    end the run.
+    A run with wrong input never opens it, and leaves the folder as it was.  A log that cannot be written does not end
+    the run.
     """
 
     def __init__(self, rank: int) -> None:
@@ -24,13 +24,11 @@ class LogFile:
         self._kept = MemoryHandler(10**4, flushLevel=logging.CRITICAL + 1, flushOnClose=False)
 
     def open(self, directory: Path, title: str) -> None:
-        """Begin, or go on with, the file in that folder; `title`, of the time when this object was made, stands before
-        what was logged since.
-        """
+        """Open the file in that folder; write `title`, dated when this object was made, and the buffered lines."""
         if not self._active or self._file is not None:
             return
         try:
-            self._file = _Quiet(directory / LOG_FILE, encoding="utf-8")
+            self._file = _LossyFile(directory / LOG_FILE, encoding="utf-8")
         except OSError as error:
             log.warning("%s: no log is written there: %s", directory / LOG_FILE, error.strerror)
             return
@@ -59,8 +57,8 @@ class LogFile:
             self._file.close()
 
 
-class _Quiet(logging.FileHandler):
-    """A file whose disk may be full."""
+class _LossyFile(logging.FileHandler):
+    """A log file that drops lines if the disk is full."""
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """A line is lost; the run goes on."""
+        """Drop the line; the run goes on."""

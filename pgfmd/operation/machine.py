@@ -18,7 +18,7 @@ from pgfmd.parallel.threads import threads_per_rank
 
 log = logging.getLogger("pgfmd")
 
-TOO_MUCH = 1.2  # an estimate above so many times a node's memory is refused; estimates are right to 15 %
+TOO_MUCH = 1.2  # an estimate above this many times a node's memory is refused; estimates are right to 15 %
 
 
 def _nodes(comm: MPI.Comm) -> list[tuple[str, int, float]]:
@@ -29,7 +29,7 @@ def _nodes(comm: MPI.Comm) -> list[tuple[str, int, float]]:
 
 
 def room_per_rank(comm: MPI.Comm) -> float:
-    """Bytes that each rank can have if all take as much, on the node where that is least.  Collective."""
+    """Bytes per rank on the node with the least memory per rank.  Collective."""
     return min(largest / count for _, count, largest in _nodes(comm))
 
 
@@ -44,8 +44,8 @@ def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
 
 
 def report(comm: MPI.Comm, per_rank: float) -> None:
-    """Log ranks, nodes, threads, libraries and the memory needed, `per_rank` bytes; warn if memory or cores are too
-    few.  Collective.
+    """Log ranks, nodes, threads, libraries and the memory needed, `per_rank` bytes; warn of too little memory or too
+    few cores.  Collective.
     """
     here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
     found = comm.gather(here)
@@ -60,7 +60,7 @@ def report(comm: MPI.Comm, per_rank: float) -> None:
 def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> list[tuple[int, str]]:
     """The lines of the log, each with its level.
 
-    found: of each rank its node, the cores that it may use, its threads, and the bytes available on the node.
+    found: for each rank its node, the cores that it may use, its threads, and the bytes available on the node.
     per_rank: bytes that each rank needs.
     """
     ranks = Counter(node for node, *_ in found)

@@ -1,6 +1,6 @@
 """Slabs of rows, reductions over ranks, and errors raised on all ranks together.
 
-What communicates takes the communicator as its first argument; nothing here knows about grids or physics.
+Functions that communicate take the communicator first; nothing here knows about grids or physics.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pgfmd.parallel.mpi import MPI
 
 T = TypeVar("T")
 
-WAKEFUL = 0.05  # seconds for which a rank waits without sleeping
-NAP, LONGEST_NAP = 0.02, 0.05  # of the time waited; seconds.  A barrier may be late by log₂ P naps
+BUSY_WAIT = 0.05  # seconds for which a rank polls without sleeping
+SLEEP, LONGEST_SLEEP = 0.02, 0.05  # of the time waited; seconds.  A barrier may be late by log₂ P sleeps
 
 TOGETHER = (InputError, SolverError)
-"""Errors that all ranks raise together; any other may be of one rank alone."""
+"""Errors that all ranks raise together; one rank alone may raise any other."""
 
 
 def slab(count: int, size: int, rank: int) -> slice:
@@ -74,8 +74,8 @@ class Reduction:
     def sums_of_blocks(self, parts: Mapping[int, tuple[float, ...]], count: int) -> np.ndarray:
         """Sums (count,) of `count` numbers per block of rows or columns, over the blocks of all ranks.  Collective.
 
-        parts: first row of a block → its numbers, for each block of this rank, which may have none.  A rank adds its
-        blocks in the order of their rows, so that the sums do not depend on which thread was first.
+        parts: first row of a block → its numbers, for each block of this rank, if any.  Blocks are added in the order
+        of their rows, so that the sums do not depend on the order of the threads.
         """
         blocks = np.array([parts[first] for first in sorted(parts)])
         return self.sums(*blocks.reshape(-1, count).sum(axis=0))
@@ -86,13 +86,13 @@ class Reduction:
 
 
 def await_all(comm: MPI.Comm) -> None:
-    """A barrier for ranks that have nothing to do until others come, perhaps after seconds: who has waited for
-    `WAKEFUL` seconds sleeps between two looks.  MPI's own waiting keeps a core busy.  Collective.
+    """A barrier for ranks that may wait for seconds: after `BUSY_WAIT` seconds they sleep between polls.  MPI's own
+    barrier keeps a core busy.  Collective.
     """
     request, began = comm.Ibarrier(), time.monotonic()
     while not request.Test():
         waited = time.monotonic() - began
-        time.sleep(min(NAP * waited, LONGEST_NAP) if waited > WAKEFUL else 0)
+        time.sleep(min(SLEEP * waited, LONGEST_SLEEP) if waited > BUSY_WAIT else 0)
 
 
 @contextmanager
@@ -115,7 +115,7 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
 
 
 def _for_others(failure: Exception, rank: int) -> Exception:
-    """What other ranks raise for a failure of `rank`: one of the kinds that callers tell apart, or RuntimeError."""
+    """What other ranks raise for a failure of `rank`: one of the types that callers distinguish, or RuntimeError."""
     for kind in (InputError, Unreachable, Uncertifiable, SolverError, OSError, MemoryError):
         if isinstance(failure, kind):
             return kind(str(failure))

@@ -1,6 +1,6 @@
-"""`compiled`: numba's decorator for the loops of this package, kept for later runs and compiled by one process only.
+"""`compiled`: numba's decorator for the loops of this package.  One process compiles a loop, others load it.
 
-A loop is compiled when it is first called with arrays of a kind, once for a machine; a default job needs some fifty.
+A loop is compiled at its first call with arguments of new types, once for a machine; a default job needs some fifty.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ INTERVAL = 2.0  # seconds between two lines of progress
 
 
 def compiled(**options: Any) -> Callable[[Callable], Any]:
-    """A decorator: the function is compiled, and runs without the interpreter's lock.
+    """A decorator: the function is compiled, and releases the GIL.
 
     options: of `numba.njit`.  To compile faster: inline="always" for a function that loops call in one place each, and
     no_cpython_wrapper=True for one that they call in several; called from Python that would crash.
@@ -42,10 +42,10 @@ def compiled(**options: Any) -> Callable[[Callable], Any]:
 
 
 class _SharedCache(caching.FunctionCache):
-    """Numba's cache of one function.  While a process compiles it, others that need it wait, and load it then.
+    """Numba's cache of one function.  While a process compiles it, others that need it wait, then load it.
 
-    The lock is the kernel's (flock), so that it dies with its process; where a file system has none, each compiles.
-    Who compiles a function holds no lock but its and those of the functions that call it: there is no circle.
+    The lock is the kernel's (flock) and ends with its process; without locks, each process compiles.  A process holds
+    only the locks of the function it compiles and of the callers of that: no deadlock.
     """
 
     _lock: IO | None = None
@@ -75,21 +75,22 @@ class _SharedCache(caching.FunctionCache):
             outdated.unlink(missing_ok=True)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the compiled code; whoever waits for it goes on."""
+        """Save the compiled code, and let waiting processes load it."""
         try:
             super().save_overload(sig, data)
         finally:
             self.release()
 
     def release(self) -> None:
-        """Let others compile it."""
+        """Let other processes load or compile it."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
 
 
 class _Compiling(event.Listener):
-    """Logs how compiling goes on, and keeps the garbage collector out of it, which would take a tenth of the time."""
+    """Logs the progress of compiling, and disables garbage collection meanwhile, which would take a tenth of the time.
+    """
 
     def __init__(self) -> None:
         self.depth, self.count, self.seconds = 0, 0, 0.0
@@ -97,7 +98,7 @@ class _Compiling(event.Listener):
         self._collects = False
 
     def on_start(self, _: event.Event) -> None:
-        """A function is compiled, perhaps for another one."""
+        """A function begins to compile, perhaps within another one."""
         self.depth += 1
         if self.depth > 1:
             return

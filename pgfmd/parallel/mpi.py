@@ -1,8 +1,8 @@
-"""MPI where it is needed, and its stand-in for one process, which needs none.
+"""`MPI`: mpi4py's module, or a stand-in for one process.
 
-Every module takes `MPI` from here.  It is mpi4py's once that has been imported, by the caller or by `world`; until then
-it is `alone`, so that a process that never asks for other ranks neither needs nor initialises an MPI library, and may
-still start `mpirun`, which an initialised Open MPI forbids its children.
+Every module imports `MPI` from here.  It is mpi4py's once that has been imported, by the caller or by `world`; until
+then it is `alone`.  So a process that never asks for other ranks neither needs nor initialises an MPI library, and may
+start `mpirun`, which an initialised Open MPI forbids its children.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 else:
     MPI = _Chosen()
 
-ALONE: MPI.Intracomm = alone.COMM_SELF  # type: ignore[assignment]  # what is used of a communicator, for one process
+ALONE: MPI.Intracomm = alone.COMM_SELF  # type: ignore[assignment]  # has the methods that are used here
 
 
 def world() -> MPI.Intracomm:
@@ -62,19 +62,19 @@ def launched() -> MPI.Intracomm:
 
 
 def for_library(comm: MPI.Comm) -> MPI.Comm:
-    """A communicator of MPI itself in place of one that may be the stand-in; initialises MPI.  Raises ImportError."""
+    """`comm`, or MPI's COMM_SELF if it is the stand-in; initialises MPI.  Raises ImportError."""
     from mpi4py import MPI
 
     return comm if isinstance(comm, MPI.Comm) else MPI.COMM_SELF
 
 
 def launched_rank() -> int:
-    """This process's rank as its launcher tells it, without MPI; 0 if it was started alone."""
+    """This process's rank from the launcher's environment, without MPI; 0 if it was started alone."""
     return _launched(_RANKS, 0)
 
 
 def first_of_node() -> bool:
-    """Whether this is the first process on its node, as the launcher tells it, without MPI; True if it does not."""
+    """Whether this is the first process on its node, from the launcher's environment; True if that does not say."""
     return _launched(_LOCAL_RANKS, 0) == 0
 
 

@@ -1,7 +1,7 @@
-"""A folder for what takes long to make and is loaded again by later runs: compiled kernels and plans of transforms.
+"""A folder that keeps compiled loops and FFTW's wisdom for later runs.
 
-What is loaded from it is executed.  So the user must own it, and nobody else may be able to write in it or to put
-another folder in its place.  The first of these that can be made and is private is used:
+Its content is executed.  So the user must own it, and nobody else may be able to write in it or to replace it.  The
+first of these that can be made and is private is used:
 
     $PGFMD_CACHE/pgfmd, $XDG_CACHE_HOME/pgfmd, ~/.cache/pgfmd
     pgfmd-UID in the folder of temporary files, then in /dev/shm    (a container's user may have no home)
@@ -30,7 +30,7 @@ HEAD_START = 0.25  # seconds by which other ranks of a node ask later: the first
 
 @functools.cache
 def private_folder() -> Path | None:
-    """The folder, made if it is not there; None if none can be had."""
+    """The folder, made if missing; None if there is no private one."""
     for folder in _candidates():
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -42,8 +42,8 @@ def private_folder() -> Path | None:
 
 
 def lock(path: Path) -> IO | None:
-    """Sleeps until no other process has locked this file, and locks it, until what is returned is closed or the process
-    ends; None where the file system knows no locks.  To make what is not there, once: look again first.
+    """Sleeps until no other process holds the lock of this file, and takes it; the lock ends when the returned file is
+    closed or the process ends.  None where the file system has no locks.  After it, look again before making a file.
     """
     if not first_of_node():
         time.sleep(HEAD_START)
@@ -85,9 +85,8 @@ def _candidates() -> Iterator[Path]:
 
 
 def keep_compiled_code() -> None:
-    """Have numba keep what it compiles in the private folder; it also looks for a folder beside the source, which may
-    be somebody else's.  To be called before loops are imported.  Without such a folder each process compiles for itself
-    (`compiled`).
+    """Have numba keep compiled code in the private folder, not beside the source, where others may write.  Call it
+    before loops are imported.  Without a private folder each process compiles for itself (`compiled`).
     """
     folder = private_folder()
     if folder is None:
