@@ -78,9 +78,9 @@ class NestedIteration(Generic[StateType]):
             coarse.place.free()
             raise
         iterations = found.iterations
-        state, is_solution = self.prolong(coarse, found, problem)
         transforms *= coarse.place.size / problem.grid.size
         coarse.place.free()
+        state, is_solution = self.prolong(coarse, found, problem)
         del found, coarse
         if not is_solution:
             state = self.relax(problem, state, exact)

@@ -127,6 +127,7 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
     grid, highest = problem.grid, problem.law.highest
     found.gap -= found.level
     interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
+    found.pressure = found.gap = coarse.place.no_rows()  # the interpolation has copies: one field of this grid less
     compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
     pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
 
