@@ -26,15 +26,15 @@ def row_stride(count: Count, itemsize: int) -> Count:
     return lines * ALIGNMENT // itemsize
 
 
-def aligned(shape: tuple[int, int], dtype: DTypeLike, apart: bool = True) -> np.ndarray:
+def aligned(shape: tuple[int, int], dtype: DTypeLike, pad: bool = True) -> np.ndarray:
     """A new array of that shape whose rows start on cache lines.
 
-    apart: rows are padded, so that they start on different cache sets.  Without it, rows that fill whole cache lines
-    are not padded: compiled loops are faster on a contiguous array.
+    pad: rows are padded, so that they start on different cache sets.  Without it, rows that fill whole cache lines are
+    not padded: compiled loops are faster on a contiguous array.
     """
     itemsize = np.dtype(dtype).itemsize
     whole = shape[1] * itemsize % ALIGNMENT == 0
-    stride = shape[1] if whole and not apart else row_stride(shape[1], itemsize)
+    stride = shape[1] if whole and not pad else row_stride(shape[1], itemsize)
     return aligned_bytes(shape[0] * stride * itemsize).view(dtype).reshape(shape[0], stride)[:, : shape[1]]
 
 

@@ -9,7 +9,7 @@ from pgfmd.options.rules import POSITIVE, integer, pair
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
-TRANSFORMS = ("blocked", "mpi4py-fft")  # who transforms: `grid.transforms`, or the library (`grid.library_transform`)
+TRANSFORMS = ("blocked", "mpi4py-fft")  # `grid.transforms`, or the library (`grid.library_transform`)
 WORKSPACE = {"blocked": 8.0, "mpi4py-fft": 52.0}
 """Memory of transforms in bytes per grid point: the strips of blocked ones on one node (on several it is twice that);
 the library's arrays in both precisions, measured."""

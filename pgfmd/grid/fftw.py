@@ -1,4 +1,4 @@
-"""One-dimensional FFTW plans for blocks of rows, and the wisdom that makes planning instant the second time."""
+"""One-dimensional FFTW plans for blocks of rows; FFTW's wisdom, kept on disk, so that each plan is measured once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.parallel.private_cache import lock, private_folder
 
-sys.modules.setdefault("scipy.fftpack", None)  # type: ignore[arg-type]  # pyfftw would import it: a tenth of the start
+sys.modules.setdefault("scipy.fftpack", None)  # type: ignore[arg-type]  # pyfftw would import it: 10 % of the start-up
 try:
     import pyfftw
 except ImportError:
@@ -25,8 +25,8 @@ finally:
         del sys.modules["scipy.fftpack"]
 
 PRECISIONS = 3  # FFTW exports its wisdom as three texts: for double, single and long double precision
-BETWEEN = b"\0"
-_loaded: tuple[int, int] | None = None  # which file of wisdom this process has read last
+SEPARATOR = b"\0"
+_loaded: tuple[int, int] | None = None  # inode and time of the wisdom file that was read last
 
 
 def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], None]:
@@ -63,7 +63,7 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], 
 
 
 def wisdom_file() -> Path | None:
-    """Where wisdom is kept, per processor model and pyFFTW version; None if no private folder can be had."""
+    """The wisdom file of this processor model and pyFFTW version; None if there is no private folder."""
     folder, model = private_folder(), platform.processor() or platform.machine()
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
@@ -73,20 +73,20 @@ def wisdom_file() -> Path | None:
 
 
 def _load_wisdom(path: Path) -> None:
-    """Adds what other processes have learnt; a file that cannot be read is as good as none."""
+    """Import the wisdom of other processes; a file that cannot be read is ignored."""
     global _loaded
     with contextlib.suppress(OSError):
         found = os.stat(path)
         if (stamp := (found.st_ino, found.st_mtime_ns)) == _loaded:
             return
-        wisdom, _loaded = tuple(path.read_bytes().split(BETWEEN)), stamp
+        wisdom, _loaded = tuple(path.read_bytes().split(SEPARATOR)), stamp
         if len(wisdom) == PRECISIONS:
             pyfftw.import_wisdom(wisdom)
 
 
 def _save_wisdom(path: Path) -> None:
-    """Keeps what was learnt, by a rename, so that no reader sees half a file.  Quiet where it cannot."""
+    """Write the wisdom file, by a rename, so that no reader sees half of it.  Errors are ignored."""
     with contextlib.suppress(OSError), tempfile.TemporaryDirectory(dir=path.parent) as folder:  # removed in any case
         file = Path(folder) / path.name
-        file.write_bytes(BETWEEN.join(pyfftw.export_wisdom()))
+        file.write_bytes(SEPARATOR.join(pyfftw.export_wisdom()))
         os.replace(file, path)

@@ -1,4 +1,4 @@
-"""Small grids on fewer ranks, so that computing outweighs messages.  Only the smallest lie on one rank alone."""
+"""Small grids on fewer ranks, so that messages do not dominate.  Only the smallest lie on one rank."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ T = TypeVar("T")
 class SubGrid:
     """A grid on some of the ranks of a larger one.  Collective to make.
 
-    Attributes: shape, lengths, size; spacing; layout, of its rows over the ranks of the larger grid; local_shape of a
-    field on this rank, which may have no rows; grid: None on ranks without rows.
+    Attributes: shape, size; spacing; layout, of its rows over the ranks of the larger grid; local_shape of a field on
+    this rank, which may have no rows; grid: None on ranks without rows.
     """
 
     def __init__(
@@ -56,10 +56,10 @@ class SubGrid:
         return RowWindow(self.layout, span, self.shape[1], dtype)
 
     def on_all(self, work: Callable[[SlabGrid], T], without_rows: Callable[[T], T] = lambda value: value) -> T:
-        """`work(grid)` on the ranks that hold the grid; the others receive what `without_rows` makes of the value of
-        rank 0.  Collective.
+        """`work(grid)` on the ranks that hold the grid; the others receive `without_rows` of the value of rank 0.
+        Collective.
 
-        Errors that those that hold it raise together (`TOGETHER`) are raised on all ranks; any other at once by the
+        Errors of `work` that its ranks raise together (`TOGETHER`) are raised on all ranks; any other at once by the
         rank that has it, since the others may wait for it in `work`.
         """
         if self.grid is not None and self.grid.comm.size == self.comm.size:

@@ -47,8 +47,7 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
 
 def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
     """The field on a coarse grid of half as many points or more each way (nx_coarse_local, ny_coarse), without
-    transforms: the mean of the fine points with the weights by which `Interpolation` takes that point to them, in
-    single precision.  Collective.
+    transforms: means of fine points, weighted by the transpose of `Interpolation`, in single precision.  Collective.
     """
     (first, weights), columns = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
     narrow, weights = np.empty((len(field), coarse.shape[1]), np.float32), weights.astype(np.float32)

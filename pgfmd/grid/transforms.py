@@ -24,11 +24,11 @@ from pgfmd.grid.fftw import plan
 from pgfmd.grid.transpose import Strips
 from pgfmd.parallel.threads import Threads
 
-ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it stays in the second-level cache beside its transform
+ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it and its transform stay in the second-level cache
 COLUMN_BLOCK = 1 << 19  # bytes of a block of columns: half of that cache, which two threads of a core share
-# Bytes that a block of rows moves to or from one tile, and a block of columns to or from one row of a strip, at least,
-# even if the block is then larger than those: shorter pieces of memory cost more than the cache saves.  Per point of
-# 65536² on 4096 ranks: rows 9.1 ns with 128 bytes, 3.4 with 512, 1.4 with 2048; columns 2.8 with 48, 2.0 with 144.
+# Least bytes that a block of rows moves to or from one tile, and a block of columns to or from one row of a strip, even
+# if the block then exceeds the above: shorter pieces of memory cost more than the cache saves.  Per point of 65536² on
+# 4096 ranks: rows 9.1 ns with 128 bytes, 3.4 with 512, 1.4 with 2048; columns 2.8 with 48, 2.0 with 144.
 TILE_PIECE, ROW_PIECE = 1 << 11, 1 << 7
 
 
@@ -41,7 +41,7 @@ class _Worker:
     def __init__(self, transform: Transform) -> None:
         nx, ny = transform.shape
         real, cplx = transform.real, transform.complex
-        self.rows = aligned((transform.row_block, ny), real, apart=False)
+        self.rows = aligned((transform.row_block, ny), real, pad=False)
         self.half = aligned((transform.row_block, ny // 2 + 1), cplx)
         self.rows_forward = plan(self.rows, self.half, True)
         self.rows_backward = plan(self.half, self.rows, False)
@@ -129,9 +129,8 @@ class Transform:
 def _per_block(target: int, count: int, threads: int, multiple: int = 1) -> int:
     """How many of `count` rows (or columns) make one block: about `target` of them.
 
-    All blocks are equally large and each thread gets equally many, since a partly filled block takes the time of a full
-    one; so few more than a block are one block.  With threads the number is rounded up to a `multiple`, so that no two
-    blocks write to one cache line.
+    A partly filled block takes the time of a full one: so all blocks are equally large, and each thread gets equally
+    many.  With threads the number is rounded up to a `multiple`, so that no two blocks write to one cache line.
     """
     target = max(1, target)
     blocks = max(1, count // target if count < 4 * target else -(-count // target))

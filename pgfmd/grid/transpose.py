@@ -26,8 +26,8 @@ from pgfmd.parallel.mpi import MPI, datatype
 from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
-WIDE = 16 * ALIGNMENT  # bytes of a row from which its padding does not count
-WORD = np.dtype(np.int64)  # of copies that do not look at the numbers
+WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part
+WORD = np.dtype(np.int64)  # type of copies, whatever the numbers are
 Counts = tuple[np.ndarray, np.ndarray]
 """Items of each rank's part of a buffer, and where the parts begin."""
 
@@ -63,9 +63,9 @@ class Strips(ABC):
         self.window: MPI.Win | None = None
 
     def _allocate(self, node: MPI.Comm, count: int) -> None:
-        """Takes that many bytes, and sees those of all ranks of the node.  Collective over the node.
+        """Allocate `count` bytes, shared with the node.  Collective over the node.
 
-        flat: all of their memory.  begins: where in it that of each rank begins, on a cache line.
+        Sets flat: the memory of all its ranks, and begins: where that of each rank begins in it, on a cache line.
         """
         self.node = node
         if node.size == 1:
@@ -96,9 +96,7 @@ class Strips(ABC):
         """The strip of this rank, as complex `dtype`."""
 
     def meet(self) -> None:
-        """Wait until all ranks of the node have written their part; then each sees what the others wrote.
-        Collective.
-        """
+        """Wait until all ranks of the node have written, and make their writes visible.  Collective."""
         if self.window is not None:
             self.window.Sync()
             self.node.Barrier()
@@ -170,7 +168,7 @@ class SharedStrips(Strips):
         return _items(self.flat[self.begins[self.comm.rank] :], dtype)[: math.prod(shape)].reshape(shape)
 
     def to_columns(self, dtype: np.dtype) -> None:
-        """Waits: what was `put` is in its place.  Collective."""
+        """Waits only: `put` has written to the strips.  Collective."""
         self.meet()
 
     to_rows = to_columns
@@ -208,7 +206,7 @@ class ExchangedStrips(Strips):
         return -(-counts[0] // lines) * lines, -(-counts[1] // lines) * lines
 
     def _layout(self, dtype: np.dtype) -> tuple[Counts, Counts]:
-        """Of the packed rows of this rank, a part for each node; of the strip, a part for the rows of each peer."""
+        """The parts of this rank's packed rows, one for each node, and of the strip, one for the rows of each peer."""
         if dtype.itemsize in self._known:
             return self._known[dtype.itemsize]
         strides = self._strides[dtype.itemsize]

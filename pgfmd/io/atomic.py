@@ -1,4 +1,4 @@
-"""Files that are either the old version or the new one, never something between; one writer per folder.  No MPI."""
+"""Files that are replaced as a whole, never in part; one writer per folder.  No MPI."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ PAUSE = 0.05  # seconds before a lock is asked for again: `holder` has it for a 
 
 
 def temporary(path: Path) -> Path:
-    """Where the next version of `path` is written before it takes its place: always the same name, so none pile up."""
+    """Where the next version of `path` is written: always the same name, so that none pile up."""
     return path.with_name(f".{path.name}.tmp")
 
 
 def previous(path: Path) -> Path:
-    """Where the version of `path` before the present one is kept, if it is kept."""
+    """Where the previous version of `path` is kept, if it is."""
     return path.with_name(f".{path.name}.previous")
 
 
@@ -82,7 +82,7 @@ def revise(
 
 @contextlib.contextmanager
 def named(path: Path) -> Iterator[None]:
-    """Adds `path` to an OSError of the block that names no file, as that of a full disk."""
+    """Adds `path` to an OSError of the block that names no file, such as ENOSPC."""
     try:
         yield
     except OSError as error:
@@ -120,7 +120,7 @@ def _sync(path: Path) -> None:
 class OutputFolder:
     """A folder held by one run: made if missing, locked until `release`.  On one rank only.
 
-    The lock is the kernel's (flock), so that it dies with its process; the file's text only says who holds it.
+    The lock is the kernel's (flock) and ends with its process; the file's text only says who holds it.
     Raises InputError if the folder cannot be made or written, or if another run holds it.
     """
 
@@ -159,7 +159,7 @@ class OutputFolder:
                     os.close(handle)
                     raise
                 # A file system without locks: the run goes on unprotected.
-            # A run that has just ended removes its lock file: is the locked file still the one of that name?
+            # A run that has just ended removes its lock file: check that the locked file still has that name.
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(handle), os.stat(name)):
                     break

@@ -4,8 +4,8 @@
     .checkpoint.h5.previous     the checkpoint before it, read if checkpoint.h5 is damaged
     .checkpoint.h5.new          the checkpoint of a run that is to replace results, until it has replaced them
 
-A checkpoint can be read on any number of ranks.  A damaged one cannot make a result wrong, since every solver
-certifies what it returns; it would only cost time, and the seal saves that.
+A checkpoint can be read on any number of ranks.  A damaged one cannot make a result wrong, since every solver certifies
+what it returns; it would only cost time.  Its seal (`checksum`) saves that.
 """
 
 from __future__ import annotations

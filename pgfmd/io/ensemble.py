@@ -34,9 +34,9 @@ COUNT = "number of seeds whose load was solved"
 
 
 class Ensemble(Runs):
-    """The folder of an ensemble, also of one that goes on or was broken off: whatever its seeds have completed.
+    """The folder of an ensemble, complete or not.
 
-    seeds: as the job lists them; runs: of those that have begun; failed: what went wrong, by seed; provenance: of the
+    seeds: as the job lists them; runs: of the seeds that have begun; failed: error messages by seed; provenance: of the
     last command.  Raises InputError if the folder holds no ensemble.
 
     >>> import pgfmd
@@ -92,7 +92,7 @@ class Ensemble(Runs):
 class Column:
     """One dataset of several runs: mean and standard error, entry by entry, over the runs in which it is finite.
 
-    about: its description and units; axes: names of the datasets that hold its coordinates; is_axis: it is one itself.
+    about: description and units; axes: names of the datasets that hold its coordinates; is_axis: it holds coordinates.
     """
 
     about: dict[str, str] = field(default_factory=dict)
@@ -103,15 +103,15 @@ class Column:
     _count: np.ndarray = field(default_factory=lambda: np.zeros(()))
 
     def add(self, values: np.ndarray) -> None:
-        """Take in the values of one more run, by Welford's recurrence (doi:10.1080/00401706.1962.10490022)."""
+        """Add the values of one more run, by Welford's recurrence (doi:10.1080/00401706.1962.10490022)."""
         values = np.asarray(values, np.float64)
         if not self._count.any():
             self._mean, self._squares, self._count = (np.zeros(values.shape) for _ in range(3))
         known = np.isfinite(values)
         self._count = self._count + known
-        apart = np.where(known, values, self._mean) - self._mean
-        self._mean = self._mean + apart / np.maximum(self._count, 1)
-        self._squares = self._squares + apart * (np.where(known, values, self._mean) - self._mean)
+        deviation = np.where(known, values, self._mean) - self._mean
+        self._mean = self._mean + deviation / np.maximum(self._count, 1)
+        self._squares = self._squares + deviation * (np.where(known, values, self._mean) - self._mean)
 
     @property
     def error(self) -> np.ndarray:
@@ -121,12 +121,12 @@ class Column:
 
     @property
     def mean(self) -> np.ndarray:
-        """The mean; NaN where no run knows it."""
+        """The mean; NaN where no run has a finite value."""
         return np.where(self._count > 0, self._mean, np.nan)
 
     def named(self, name: str, group: Mapping[str, Column]) -> Iterable[tuple[str, np.ndarray]]:
-        """The mean under that name, and the error, unless it is an axis, under NAME_error; NAME_seed_error where the
-        group has another NAME_error.
+        """The mean as NAME and, unless it is an axis, the error as NAME_error, or NAME_seed_error if the group has a
+        NAME_error of its own.
         """
         error = f"{name}_seed_error" if f"{name}_error" in group else f"{name}_error"
         return [(name, self.mean)] if self.is_axis else [(name, self.mean), (error, self.error)]
@@ -138,7 +138,7 @@ def is_ensemble(directory: str | os.PathLike) -> bool:
 
 
 def folders(directory: str | os.PathLike) -> list[Path]:
-    """The result folders in the folder of an ensemble, in the order of its seeds; of any other folder the folder.
+    """The result folders in the folder of an ensemble, in the order of its seeds; for any other folder, itself.
 
     Results of another job, which `--overwrite` has not replaced yet, are left out.
     """
@@ -151,7 +151,7 @@ def folders(directory: str | os.PathLike) -> list[Path]:
 
 
 def _holds(folder: Path, job: dict) -> bool:
-    """Whether a folder has results of that job, or some that cannot be read, of which `Results` then says why."""
+    """Whether a folder has results of that job, or unreadable ones, which `Results` reports."""
     if not (folder / OBSERVABLES_FILE).is_file():
         return False
     with suppress(OSError, KeyError, ValueError), h5py.File(folder / OBSERVABLES_FILE, "r", locking=False) as file:
@@ -195,7 +195,7 @@ def mean_loads(runs: list[Results]) -> dict[str, Column]:
 
 
 def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Column]]:
-    """The groups of curves of one load that all runs which have solved it have with equal axes."""
+    """The groups of curves of one load, as far as all runs that solved it have them, with equal axes."""
     found: dict[str, dict[str, Column]] = {}
     for number, run in enumerate(run for run in runs if index < len(run) and _solved(run)[index]):
         with h5py.File(run.directory / OBSERVABLES_FILE, "r", locking=False) as file:
@@ -231,7 +231,7 @@ def _fits(group: Mapping[str, Column], values: Mapping[str, np.ndarray]) -> bool
 
 
 class _LoadsOnly(Results):
-    """A result folder that was written a moment ago: nothing is read but the table of loads."""
+    """A result folder of which only the table of loads is read."""
 
     def __init__(self, directory: Path):
         self.directory = directory
@@ -240,7 +240,7 @@ class _LoadsOnly(Results):
 
 
 def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:
-    """Write ensemble.h5 anew: provenance, with the seeds, and the means over what is there.  Raises OSError."""
+    """Write ensemble.h5 anew: provenance, seeds and, unless it is running, the means.  Raises OSError."""
     path = directory / ENSEMBLE_FILE
 
     def begin(file: h5py.File) -> None:

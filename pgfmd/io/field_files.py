@@ -1,4 +1,4 @@
-"""The big fields of a run: the heights and those of each load, in files of their own, and the files that show them all.
+"""The fields of a run: files with the heights and the fields of each load, and small files that show them together.
 
     fields/height.h5, fields/load_0000.h5, …    written by all ranks, each in one piece on the disk
     fields.h5, fields.vtkhdf                    small; see `views`
@@ -42,7 +42,7 @@ class FieldFiles:
     ) -> None:
         self.comm, self.directory, self.folder, self.form = comm, directory, folder, form
         self._provenance, self.links = provenance, Links()
-        self._described: dict[str, views.Shown] = {}  # the links, as far as their files have been looked into
+        self._described: dict[str, views.Shown] = {}  # the links whose files have been read
 
     def write(self, name: str, fields: dict[str, np.ndarray], show: bool) -> None:
         """Write NAME.h5 with this rank's slabs (nx_local, ny) of `fields`, whose names are the same on all ranks.
@@ -81,8 +81,8 @@ class FieldFiles:
             from_root(self.comm, self.write_views)
 
     def _stored(self, name: str, local: np.ndarray) -> np.dtype:
-        """The type of a field in the file: the job's precision for real ones, or double where the field would overflow
-        in that, or be lost below its smallest numbers.  Collective.
+        """The type of a field in the file: the job's precision for real fields, or double where values would overflow
+        or underflow in that.  Collective.
         """
         if not np.issubdtype(local.dtype, np.floating):
             return local.dtype

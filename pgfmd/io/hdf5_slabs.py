@@ -1,5 +1,5 @@
-"""Distributed fields in one sealed HDF5 file, written by all ranks: through HDF5 where h5py has MPI, else past it, each
-at its place, since HDF5 keeps a contiguous dataset as plain numbers.  The bytes are the same.
+"""Distributed fields in one sealed HDF5 file, written by all ranks: by HDF5 where h5py has MPI, else each rank writes
+its rows at their offset, since HDF5 stores a contiguous dataset as plain numbers.  The bytes are the same.
 
 Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue 965).
 """
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 COLLECTIVE_BYTES = 2**30  # of one rank in one collective write; MPI-IO counts overflow from 2 GiB
 BLOCK_BYTES = 2**24  # written at once
-METADATA_BYTES = 2**16  # more than HDF5 needs beside the numbers
+METADATA_BYTES = 2**16  # more than HDF5 needs for metadata
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class Field:
 Arrays = dict[str, SealedArray]
 Create = Callable[[h5py.File, str], h5py.Dataset]
 Note = Callable[[str, int, np.ndarray], None]
-"""note(field name, first global row, rows as they are in the file): each rank calls it once for each of its blocks."""
+"""note(field name, first global row, rows as in the file) adds a block to the checksums; once for each block."""
 
 
 def is_collective(comm: MPI.Comm) -> bool:
-    """Whether the ranks write together through HDF5."""
+    """Whether the ranks write by collective HDF5 calls."""
     return comm.size > 1 and bool(h5py.get_config().mpi)
 
 
@@ -164,7 +164,7 @@ def _sum_over_ranks(comm: MPI.Comm, sums: np.ndarray) -> list[int]:
 
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create) -> Arrays:
-    """Reserve space; write a file with all but the numbers; returns where each field lies.  Rank 0."""
+    """Reserve space and write the file without the numbers; returns where each field lies.  Rank 0."""
     atomic.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
         target = _ReservedFile(raw)
@@ -210,10 +210,7 @@ class _ReservedFile(io.RawIOBase):
 
 
 def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: Note) -> None:
-    """Each rank writes its own rows, all at the same time.  Collective.
-
-    After each call of HDF5 the ranks agree whether it failed: an error on one rank is raised on all of them.
-    """
+    """The ranks write their rows by collective HDF5 calls; an error of one rank is raised on all.  Collective."""
     comm, rows = ranks.comm, ranks.rows
     with raise_together(comm), ranks.info() as info:  # HDF5 keeps copies
         file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=LIBVER)
@@ -240,10 +237,10 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: No
 
 
 def _write_in_place(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note, at: Arrays) -> None:
-    """Each rank writes its own rows where they lie in the file, past HDF5.  Collective.
+    """Each rank writes its rows at their offset in the file, without HDF5.  Collective.
 
-    The ranks of a node write at the same time, the nodes in turn: what another node writes at the same time a network
-    file system may lose.
+    The ranks of a node write at the same time, the nodes in turn: a network file system may lose simultaneous writes of
+    several nodes.
     """
     mine = _first_of_node(comm)
     for turn in sorted(set(comm.allgather(mine))):

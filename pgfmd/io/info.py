@@ -18,7 +18,7 @@ from pgfmd.options.text import counted
 
 
 def damage(results: Results) -> dict[Path, str]:
-    """What is wrong with each file of the results, in words; those that are whole are left out.  Reads all of them.
+    """What is wrong with each damaged file of the results, in words.  Reads all files.
 
     The heights, which are written before the first load, may be missing as long as there is none.
     """
@@ -32,8 +32,8 @@ def damage(results: Results) -> dict[Path, str]:
 
 
 def as_csv(results: Results | Runs) -> str:
-    """The table of loads as CSV in full precision: a line of names, then a line for each load, with the errors that
-    were measured.  The tables of several runs stand one below the other; their first column is the folder's name.
+    """The table of loads as CSV in full precision: a line of names, then a line for each load, with measured errors.
+    The tables of several runs are joined; their first column is the folder's name.
     """
     rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
     if isinstance(results, Runs):

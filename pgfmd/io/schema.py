@@ -1,4 +1,4 @@
-"""The form of the result files: names, the types in which datasets are described, and the tables that every run writes.
+"""The layout of the result files: names, types that describe datasets, and the tables that every run writes.
 
 What an observable writes is described in its own file (`observables/NAME.py`).  Units are written with {length} and
 {pressure}, which stand for the unit names that the job gives.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-FORMAT_VERSION = 2  # what earlier ones had otherwise: see `formats`
+FORMAT_VERSION = 2  # how earlier ones differ: see `formats`
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
 LIBVER = ("v108", "v110")
 
@@ -38,7 +38,7 @@ Groups = Mapping[str, Mapping[str, np.ndarray]]
 
 @dataclass(frozen=True)
 class Form:
-    """The form of the files of one run: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of its rows
+    """What the files of one run depend on: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of rows
     that this rank holds, the precision of real fields in the file, names of units, the groups of a load, and hints
     for MPI-IO.
     """
@@ -68,7 +68,7 @@ LOADS = {
     "contact_area_corrected": ("1", "relative area inside the contact line between pixels; f_c if there is no line"),
     "contact_perimeter": ("1/({length})", "length of the contact line, or of the pixels' edges, per area of the cell"),
     "contact_line": ("1", "1: there is a contact line; 0: none, as roughness goes down to the pixel or all is touched"),
-    "kappa": ("1", "f_c E' g_rms / p̄"),
+    "kappa": ("1", "f_c E' g_rms / p̄, with g_rms the rms slope"),
     "mean_gap": ("{length}", "mean gap"),
     "displacement": ("{length}", "approach of the solid's far side from where the flat solid touches the summit"),
     "elastic_energy": ("{pressure}*{length}", "elastic energy per area of the cell"),

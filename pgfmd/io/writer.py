@@ -1,11 +1,11 @@
 """The files of a run, each complete at every instant.
 
     observables.h5          small: one row per load, groups of curves and tables, provenance (`observables_file`)
-    fields.h5               shows the big fields together: height, load_0000/pressure, …; open this one to read them
+    fields.h5               shows the fields together: height, load_0000/pressure, …; open this one to read them
     fields.vtkhdf           shows them to ParaView
     fields/height.h5, fields/load_0000.h5, …        where they are (`field_files`)
 
-Every one of them ends in a seal (module `checksum`), so that a damaged file can be recognised.
+Each ends in a seal, checksums of its bytes (`checksum`), so that damage is recognised.
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
 results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5
@@ -54,10 +54,10 @@ Mode = Literal["new", "overwrite", "restart"]
 class ResultWriter:
     """Writes one run's folder; a context manager.  Every method is collective.
 
-    comm : communicator; directory : the folder, made if missing; origin : what is written about the run;  form : the
-    form of its files
+    comm : communicator; directory : the folder, made if missing; origin : what is written about the run; form : see
+    `schema.Form`
     mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
-    patience : as of `ObservablesFile`, for runs so short that writing it after each load would take most of their time
+    patience : as of `ObservablesFile`, for runs so short that writing after each load would take most of their time
 
     Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
     written, is in use, or holds results or files that are not to be replaced.
@@ -245,7 +245,7 @@ class ResultWriter:
         self._fields.write_views()
 
     def _describe(self, file: h5py.File) -> None:
-        """Write into observables.h5 where the run comes from, and that it runs."""
+        """Write the provenance and the status "running" into observables.h5."""
         about = self._provenance()
         if self.earlier.job is None:
             file.attrs.update(about)

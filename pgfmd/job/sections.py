@@ -1,7 +1,6 @@
 """The sections [solid] and [run] of a job.  No MPI here.
 
-The fields of a class are the keys of its TOML table.  All numbers are in one
-consistent set of units, chosen by the user.
+The fields of a class are the keys of its TOML table.  All numbers are in one consistent set of units, the user's.
 """
 
 from __future__ import annotations
