@@ -135,8 +135,8 @@ def draw_surface(sheet: Sheet, panel: int, load: Load):
 def draw_gap(sheet: Sheet, panel: int, load: Load):
     """The gap; where it vanishes, nothing."""
     gap, unit = thinned(load, "gap"), _unit(load, "length")
-    shown = np.ma.masked_where(gap <= 0, gap) if load.law != "exponential" else gap
-    norm = PowerNorm(0.5, vmin=0) if load.law != "exponential" else None
+    shown = np.ma.masked_where(gap <= 0, gap) if load.releases else gap
+    norm = PowerNorm(0.5, vmin=0) if load.releases else None
     _show(sheet, panel, load, shown, "gap" + (f" / {unit}" if unit else ""), cmap="viridis", norm=norm)
 
 

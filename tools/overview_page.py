@@ -120,7 +120,7 @@ def _spread(loads: list[Load], chosen: Sequence[int] | None) -> list[Load]:
 def _views(first: Load, shown: list[Load], folder: Path, notes: list[str]) -> Iterator[View]:
     """What there is to show, with its tiles written; notes: what is not shown, and why."""
     length, pressure = first.unit("length"), first.unit("pressure")
-    touching = first.law != "exponential"  # there, no point is free of pressure
+    touching = first.releases  # there, no point is free of pressure
     square = "points" if length == "grid spacings" else f"{length}²" if length else ""
     contact = "no contact" if touching else None
     views = (

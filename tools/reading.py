@@ -125,6 +125,11 @@ class Load:
         return self.job.get("wall", {}).get("kind", "hard")
 
     @property
+    def releases(self) -> bool:
+        """Whether points of the wall that do not touch bear nothing."""
+        return self.law not in ("exponential", "formula")
+
+    @property
     def zeta(self) -> float | None:
         """ζ of an exponential wall."""
         return self.job.get("wall", {}).get("zeta")

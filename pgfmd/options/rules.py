@@ -153,6 +153,19 @@ def pair(rule: Rule) -> Rule:
     return Rule(f"{rule.allowed}, or two of them [x, y]", convert)
 
 
+def interval() -> Rule:
+    """A list of two numbers, converted to a tuple."""
+    end = number()
+
+    def convert(value: Any) -> Any:
+        low, high = (end.convert(entry) for entry in _entries(value))
+        if not low < high:
+            raise ValueError
+        return low, high
+
+    return Rule("a number and a larger one, [a, b]", convert)
+
+
 def _entries(value: Any) -> list:
     """The entries of a list; any other value, also an array without axes, is the only one."""
     several = isinstance(value, (list, tuple)) or isinstance(value, np.ndarray) and value.ndim > 0

@@ -20,11 +20,6 @@ from pgfmd.physics.laws.law import ContactLaw, Units
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
-SHARE = 0.01
-"""Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  On rough surfaces of which a hard wall touches f_c = .09 to .11,
-f_c here differs from that by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, by 12 to 17 % at 5e-3,
-and is twice as large at .05 (`tests/test_exponential`)."""
-
 LAST = 2 * np.finfo(np.float64).eps  # relative error of a logarithm and of its argument
 
 _jit = compiled()
@@ -75,14 +70,6 @@ class ExponentialWall(ContactLaw):
     ) -> float:
         """The excess is ζ times the relative entropy of p to exp(−(g − level − ρ)/ζ)."""
         return excess(pressure, gap, residual, compliance, self.zeta, level)
-
-    def contact_above(self, mean: float, mean_square: float) -> float:
-        """1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure weighted with the pressure.
-
-        Under this law all points bear pressure.  As ζ → 0 the points above the threshold become those in contact with a
-        hard wall, except the 0.2 to 0.8 % of them that bear less there.
-        """
-        return SHARE * mean_square / mean
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """As `ContactLaw.finish`; the violation is taken over points with more than the mean pressure."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pgfmd.options.section import Kinds
 from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 
@@ -13,6 +14,7 @@ LAWS = Kinds(
         HardWall,
         ExponentialWall,
         Hardness,
+        FormulaWall,
     ),
     default=HardWall,
 )

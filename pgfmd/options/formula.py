@@ -1,0 +1,74 @@
+"""Formulas in a job: text with arithmetic and a few functions becomes a Python function, and no other code is run."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable
+from functools import cache
+from types import CodeType
+
+from pgfmd.options.rules import Rule, text
+
+FUNCTIONS = ("exp", "expm1", "log", "log1p", "sqrt", "sinh", "cosh", "tanh", "atan", "erf", "erfc")
+NAMES = {name: getattr(math, name) for name in FUNCTIONS} | {"abs": abs, "min": min, "max": max, "pi": math.pi}
+_ALLOWED = (
+    ast.Expression, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UnaryOp, ast.USub, ast.UAdd,
+    ast.Call, ast.Name, ast.Load, ast.Constant, ast.IfExp, ast.Compare, ast.Lt, ast.LtE, ast.Gt, ast.GtE,
+)  # fmt: skip
+LONGEST = 1000  # letters
+
+
+def formula(variable: str) -> Rule:
+    """A text that is a formula of one variable."""
+
+    def convert(value: object) -> str:
+        written = text().convert(value)
+        _code(written, variable)
+        return written
+
+    return Rule(f"a formula of {variable} with numbers, + - * / **, a if b < c else d, {', '.join(NAMES)}", convert)
+
+
+@cache
+def function(written: str, variable: str) -> Callable[[float], float]:
+    """The function of one real number that a formula says, for Python and for numba; raises ValueError."""
+    found: Callable[[float], float] = eval(_code(written, variable), dict(NAMES))
+    return found
+
+
+def value(of: Callable[[float], float], at: float) -> float:
+    """What compiled code would return: infinite or NaN where Python raises an error or leaves the real numbers."""
+    try:
+        found = of(at)
+        return float(found) if isinstance(found, int | float) else math.nan
+    except (OverflowError, ZeroDivisionError):
+        return math.inf
+    except (ValueError, TypeError):
+        return math.nan
+
+
+@cache
+def _code(written: str, variable: str) -> CodeType:
+    """The code of the function; raises ValueError for what is no formula."""
+    try:
+        tree = ast.parse(written.strip(), mode="eval")
+    except (SyntaxError, RecursionError, MemoryError):
+        raise ValueError from None
+    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    right = len(written) <= LONGEST and all(_is_allowed(node, variable, id(node) in called) for node in ast.walk(tree))
+    if not right:
+        raise ValueError
+    return compile(f"lambda {variable}: ({written.strip()})", "<formula>", "eval")
+
+
+def _is_allowed(node: ast.AST, variable: str, called: bool) -> bool:
+    """Whether a formula may contain that: a name either stands for a number or is called."""
+    if isinstance(node, ast.Name):
+        return node.id == variable and not called or node.id in NAMES and called == callable(NAMES[node.id])
+    if isinstance(node, ast.Constant):
+        return type(node.value) in (int, float)
+    if isinstance(node, ast.Call):
+        many = isinstance(node.func, ast.Name) and node.func.id in ("min", "max")
+        return not node.keywords and (len(node.args) >= 2 if many else len(node.args) == 1)
+    return isinstance(node, _ALLOWED)

@@ -1,0 +1,149 @@
+"""A wall of one's own: any pressure that decreases with the gap, as a formula.
+
+Nothing else is asked for.  The gap at a pressure is found on the graph (`graph`), and the excess of the certificate,
+the integral of p − P(g) over g from the gap at p to g' (P: the formula), is bounded by |p − P(g')| |g' − gap(p)|, as P
+decreases: at most twice the excess where P is linear between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.options import formula
+from pgfmd.options.rules import interval
+from pgfmd.options.section import key, wrong
+from pgfmd.physics.laws.exponential import LAST
+from pgfmd.physics.laws.graph import Graph, loops, tabulate
+from pgfmd.physics.laws.law import ContactLaw, Units
+
+if TYPE_CHECKING:
+    from pgfmd.physics.elasticity import Elasticity
+
+
+@dataclass(frozen=True, kw_only=True)
+class FormulaWall(ContactLaw):
+    """A wall of one's own: `pressure` is a formula that decreases with `gap`.  A point cannot come closer than the
+    first of `gaps`; beyond the second it bears nothing.
+    """
+
+    kind: ClassVar[str] = "formula"
+    methods: ClassVar[tuple[str, ...]] = ("gfmd",)
+    releases: ClassVar[bool] = False
+
+    pressure: str = key(
+        formula.formula("gap"), about="p(gap), in the units of both", needed=True, example="0.1 * (0.5 / gap)**9"
+    )
+    gaps: tuple[float, float] = key(
+        interval(), about="smallest and largest gap", unit="length", needed=True, example=[0.1, 10.0]
+    )
+
+    def check(self) -> None:
+        """The formula decreases between the gaps."""
+        try:
+            _ = self.graph
+        except InputError as error:
+            raise wrong(self, "pressure", str(error)) from None
+
+    @property
+    def graph(self) -> Graph:
+        """The formula as a table."""
+        return _graph(self.pressure, self.gaps)
+
+    @property
+    def range(self) -> float:
+        """The largest −p/(dp/dgap)."""
+        return self.graph.longest
+
+    def gap(self, pressure: float, solid: Elasticity) -> float:
+        """Where the formula gives that pressure."""
+        return self.graph.gap(pressure)
+
+    def in_units(self, units: Units) -> ContactLaw:
+        """The same between p̂ and ĝ."""
+        return _InUnits(self.graph, units)
+
+
+@cache
+def _graph(pressure: str, gaps: tuple[float, float]) -> Graph:
+    of = formula.function(pressure, "gap")
+    return tabulate(partial(formula.value, of), *gaps, of)
+
+
+class _InUnits(ContactLaw):
+    """The law of a graph between p̂ and ĝ."""
+
+    kind, releases = FormulaWall.kind, FormulaWall.releases
+
+    def __init__(self, graph: Graph, units: Units) -> None:
+        self.longest = graph.longest / units.height
+        self.away = abs(units.offset) / units.height  # of ĝ = 0 from the gap 0, from where rounding counts
+        table = (graph.gaps - units.offset) / units.height, graph.pressures / units.pressure
+        loop, scales = loops(graph.function), (units.height, units.pressure, units.offset)
+
+        def meet(line: tuple[float, float], *rows: np.ndarray) -> tuple[float, float]:
+            return loop(table, line, *rows, scales)
+
+        self.meet = meet
+
+    @property
+    def range(self) -> float:
+        """As of the formula."""
+        return self.longest
+
+    def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
+        """The point of the graph with compliance · p − gap = target + level."""
+        total = slope = 0.0
+        gap = np.empty((1, target.shape[1]))
+        for row in range(len(target)):
+            p, rate = self.meet((compliance, 1.0), target[row : row + 1] + level, gap, pressure[row : row + 1])
+            total, slope = total + p, slope + rate
+        return total, slope
+
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
+        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold)."""
+        potential = 0.0
+        for p, g, own in zip(pressure, gap, self._gaps(pressure), strict=True):
+            potential += float(p @ (g - own))
+        return potential, float(pressure.sum()), int(np.count_nonzero(pressure > threshold))
+
+    def excess(
+        self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
+    ) -> float:
+        """ρ is the distance of g − level from the gap of p⁺, so that the excess lies between two points of the graph;
+        what rounding may leave in both factors of its bound is added to them.
+        """
+        total, shape = 0.0, (1, pressure.shape[1])
+        answer, there = np.empty(shape), np.empty(shape)
+        for p, g, rest, own in zip(pressure, gap, residual, self._gaps(pressure), strict=True):
+            away = g - level
+            self.meet((compliance, 1.0), np.atleast_2d(compliance * p - away), there, answer)
+            np.subtract(away, there[0], out=rest)
+            digits = 8 * LAST
+            forces = np.abs(p - answer[0]) + digits * np.maximum(p, answer[0])
+            lengths = np.abs(there[0] - own) + digits * (np.abs(own) + self.away + self.longest)
+            total += float(forces @ lengths)
+        return total
+
+    def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
+        """As `ContactLaw.finish`; the violation is taken over points with more than the mean pressure."""
+        largest = 0.0
+        for p, g, own in zip(pressure, gap, self._gaps(pressure), strict=True):
+            g -= level
+            largest = max(largest, float(np.max(np.abs(g - own), where=p >= 1, initial=0.0)))
+            g *= units.height
+            g += units.offset
+        pressure *= units.pressure
+        return largest
+
+    def _gaps(self, pressure: np.ndarray) -> Iterator[np.ndarray]:
+        """The gap of the graph at each pressure, row by row; the same array each time."""
+        gap, ignored = np.empty((1, pressure.shape[1])), np.empty((1, pressure.shape[1]))
+        for row in range(len(pressure)):
+            self.meet((1.0, 0.0), pressure[row : row + 1], gap, ignored)
+            yield gap[0]

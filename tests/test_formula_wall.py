@@ -1,0 +1,263 @@
+"""A wall whose pressure is a formula of the gap: against the built-in exponential wall, brute force, and its limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from reference import Contact, Real
+
+import pgfmd
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.options import formula
+from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.formula import FormulaWall
+from pgfmd.physics.laws.graph import tabulate
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.law import Units
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.load_control import LoadControl
+from pgfmd.solvers.options import Load, Solver
+from pgfmd.surfaces.self_affine import self_affine
+
+pytestmark = pytest.mark.mpi
+
+DIGITS = 1e-13  # of a point that is found to the last digits of pressure and gap
+
+
+def solved(grid, heights, law, load, tolerance=1e-12, method="auto"):
+    """The contact with a solid of modulus 1."""
+    problem = ContactProblem(grid, heights, Elasticity(1.0), law, load)
+    return solve_contact(problem, Solver(tolerance=tolerance, method=method))
+
+
+def apart(grid, one, two) -> float:
+    """‖one − two‖/‖two‖ of the pressures.  Collective."""
+    difference = one.pressure - two.pressure
+    return math.sqrt(grid.reduction.dot(difference, difference) / grid.reduction.dot(two.pressure, two.pressure))
+
+
+@pytest.mark.parametrize("zeta", [0.02, 0.3])
+def test_the_exponential_wall_as_a_formula(comm, zeta):
+    """By the same dynamics the same pressure and gap to 1e-10, as both find the law's points to the last digits; an
+    error that is certified no smaller, and at most 2.2 times as large (twice the excess, where the law is straight).
+    """
+    grid = SlabGrid(comm, (96, 80))
+    heights = self_affine(grid, 0.8, 8.0, 0.1, 2)
+    law = FormulaWall(pressure=f"0.7 * exp(-gap / {zeta})", gaps=(-30 * zeta, 300 * zeta))
+    ours = solved(grid, heights, law, 0.02)
+    known = solved(grid, heights, ExponentialWall(zeta=zeta, sigma_ref=0.7), 0.02, method="gfmd")
+    assert apart(grid, ours, known) < 1e-10
+    assert grid.reduction.max(np.abs(ours.gap - known.gap)) < 1e-10 * grid.reduction.max(np.abs(known.gap))
+    assert ours.mean_gap == pytest.approx(known.mean_gap, rel=1e-10, abs=0)
+    assert known.certified_error * (1 - 1e-6) <= ours.certified_error <= 2.2 * known.certified_error
+    assert ours.threshold == pytest.approx(known.threshold, rel=1e-10, abs=0)
+
+
+LAWS = {
+    "power": ("0.01 * (0.5 / gap)**{n}", lambda g, n: 0.01 * (0.5 / g) ** n, (0.05, 50.0)),
+    "spring": ("0.05 * {n} * (9 - gap) if gap < 9 else 0", lambda g, n: 0.05 * n * (9 - g), (-60.0, 20.0)),
+    "exponential": ("0.1 * exp(-{n} * gap)", lambda g, n: 0.1 * np.exp(-n * g), (-3.0, 60.0)),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_random_contacts_by_brute_force(comm, law):
+    """Pressures of a tight solution obey the law where the gap is by a dense matrix in extended precision, to 1e-9 of
+    the largest, as those of no other field with that mean do (the energy is convex).  Loosely solved, the error of the
+    energy is not more than what is certified: with the dual energy φ as an integral of the gap over the pressure, by
+    Gauss' rule between the two pressures of each point, to its 1e-12.
+    """
+    text, exact, gaps = LAWS[law]
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    for seed in range(8):
+        random = np.random.default_rng([seed, len(law)])
+        heights, load, n = random.standard_normal((12, 16)), 10 ** random.uniform(-3, 0), int(random.integers(1, 10))
+        grid, contact = SlabGrid(comm, heights.shape), Contact(heights)
+        wall = FormulaWall(pressure=text.format(n=n), gaps=gaps)
+        whole = {}
+        for tolerance in (1e-22, 1e-5):
+            found = solved(grid, heights[grid.rows], wall, load, tolerance)
+            whole[tolerance] = grid.fetch(found.pressure, 0, 12).astype(Real).ravel()
+            bound = found.certified_error
+            if tolerance < 1e-20:
+                mean_gap, gap = found.mean_gap, grid.fetch(found.gap, 0, 12).ravel()
+        tight, loose = whole.values()
+        compliance = contact.compliance * contact.pixel  # displacements of pressures
+        away = compliance @ tight - contact.heights
+        away += mean_gap - away.mean()
+        assert np.abs(away - gap).max() < 1e-9 * np.abs(gap).max(), seed
+        inside = (tight < exact(gaps[0], n)) & (tight > 0)
+        assert inside.any()
+        assert np.abs(tight - exact(away.astype(float), n))[inside].max() < 1e-9 * tight.max(), seed
+        low, high = exact(np.array(gaps), n)
+        assert np.all(away[tight > low] < gaps[0] * (1 + 1e-9)) if high < low else True
+
+        def gap_at(p, law=law, n=n):
+            p = np.maximum(p.astype(float), 1e-300)
+            inverse = {
+                "power": lambda: 0.5 * (0.01 / p) ** (1 / n),
+                "spring": lambda: 9 - p / 0.05 / n,
+                "exponential": lambda: -np.log(p / 0.1) / n,
+            }[law]()
+            return np.clip(inverse, *gaps)
+
+        change = loose - tight
+        between = tight[:, None] + change[:, None] * (1 + nodes) / 2
+        dual = -(gap_at(between) @ weights) * change / 2
+        lost = away @ change + change @ (compliance @ change) / 2 + dual.sum()
+        assert lost <= (bound + 1e-12) * (tight @ (compliance @ tight)), seed
+        assert lost >= -1e-12 * (tight @ (compliance @ tight)), seed
+
+
+def test_its_ends(comm):
+    """Closer than the first of `gaps` is a hard wall, beyond the second is nothing: p ≥ P(first) at the first, ≤
+    P(second) at the second, 0 beyond, and P in between, gaps to 1e-6 of the rms height (pressures are to 1e-6).
+    """
+    grid = SlabGrid(comm, (64, 64))
+    heights = self_affine(grid, 0.8, 8.0, 0.1, 4)
+    law = FormulaWall(pressure="0.05 - 0.02 * gap", gaps=(0.5, 1.5))
+    found = solved(grid, heights, law, 0.03, 1e-16)
+    p, g, small = found.pressure, found.gap, 1e-6 * math.sqrt(grid.reduction.sum(heights**2) / grid.size)
+    closed, end, beyond, between = p > 0.04, (p > 0) & (p < 0.02), p == 0, (p > 0.02) & (p < 0.04)
+    for part in (closed, end, beyond, between):
+        assert grid.reduction.sum(part) > 20
+    assert np.all(np.abs(g[closed] - 0.5) < small) and np.all(np.abs(g[end] - 1.5) < small)
+    assert np.all(g[beyond] > 1.5 - small) and np.all(np.abs(g - (0.05 - p) / 0.02)[between] < small)
+
+
+def test_a_wall_that_is_weak_before_it_closes_is_hard(comm):
+    """With P ≤ 1e-9 p̄ before the gap is 0, pressures are those of the hard wall, to the 1e-5 of dynamics."""
+    grid = SlabGrid(comm, (64, 64))
+    heights = self_affine(grid, 0.8, 8.0, 0.1, 4)
+    ours = solved(grid, heights, FormulaWall(pressure="1e-11 * (1 - gap)", gaps=(0, 1)), 0.01)
+    hard = solved(grid, heights, HardWall(), 0.01)
+    assert apart(grid, ours, hard) < 1e-5
+    assert ours.mean_gap == pytest.approx(hard.mean_gap, rel=1e-5, abs=0)
+
+
+def test_loads_and_gaps_of_a_formula(comm):
+    """A mean gap and a displacement are met, to the tolerance asked for."""
+    grid = SlabGrid(comm, (32, 32))
+    heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
+    law = FormulaWall(pressure="0.1 * (0.5 / gap)**9", gaps=(0.05, 20))
+    found = solved(grid, heights, law, 0.05, 1e-10)
+    problem = ContactProblem(grid, heights, Elasticity(1.0), law)
+    again = LoadControl(Load(mean_gap=(found.mean_gap,)), problem).solution(found.mean_gap)
+    assert again.mean_gap == pytest.approx(found.mean_gap, rel=1e-3, abs=0)
+    assert again.mean_pressure == pytest.approx(0.05, rel=1e-2, abs=0)
+    with pytest.raises(InputError, match="contact_area"):
+        LoadControl(Load(contact_area=(0.1,)), problem).check_targets((0.1,))
+
+
+@pytest.mark.parametrize("text", ["(0.3 / gap)**7", "exp(-gap)", "2 - gap if gap < 1 else 0.8 / gap", "erfc(gap)"])
+@pytest.mark.parametrize("compliance", [1e-3, 1.0, 1e3])
+def test_points_of_the_graph(text, compliance):
+    """Points are on the line α p − g = t, and on the graph: the pressure is that of a gap which differs by the last
+    digits, or between the pressures on both sides of a jump.
+    """
+    random = np.random.default_rng(5)
+    gaps = (0.1, 2.0)
+    law = FormulaWall(pressure=text, gaps=gaps)
+    units = Units(0.7, 0.3, law.gap(0.3, None))
+    scaled, of = law.in_units(units), formula.function(text, "gap")
+    target, pressure = random.uniform(-9, 3 + compliance, (3, 200)), np.empty((3, 200))
+    total, slope = scaled.respond(target, pressure, compliance, 0.5)
+    more = np.empty_like(pressure)
+    up, _ = scaled.respond(target, more, compliance, 0.5 + 1e-6)
+    assert total == pytest.approx(pressure.sum(), rel=1e-13)
+    assert slope == pytest.approx((up - total) / 1e-6, rel=1e-3)
+    for t, p in zip(target.flat, pressure.flat, strict=True):
+        gap = (compliance * p - t - 0.5) * units.height + units.offset
+        close = DIGITS * (1 + compliance * p)
+        above = math.inf if gap - close <= gaps[0] else of(gap - close) if gap - close <= gaps[1] else 0.0
+        below = 0.0 if gap + close >= gaps[1] else of(gap + close) if gap + close >= gaps[0] else of(gaps[0])
+        assert below * (1 - DIGITS) <= p * units.pressure <= above * (1 + DIGITS)
+
+
+WRONG = {
+    "gap": "goes from",
+    "1 / gap": "is inf at gap 0",
+    "log(gap + 1)": "goes from 0",
+    "sqrt(0.5 - gap)": "is nan at gap",
+    "0.5 - gap": "must be finite and not negative",
+    "(0.5 - gap)**0.5": "is nan at gap",
+    "exp(-gap) + 1e30": "must decrease",
+    "0 * gap": "is 0 at gap 0",
+    "exp(1000 - gap)": "is inf at gap 0",
+    "__import__('os').system('true')": "must be a formula of gap",
+    "gap.real": "must be a formula of gap",
+    "exp": "must be a formula of gap",
+    "exp(gap, 2)": "must be a formula of gap",
+    "max(*gap)": "must be a formula of gap",
+    "gap if True else 1": "must be a formula of gap",
+    "x": "must be a formula of gap",
+    "1 +": "must be a formula of gap",
+    "1) + (2": "must be a formula of gap",
+    "(" * 300 + "gap" + ")" * 300: "must be a formula of gap",
+    3: "must be a formula of gap",
+}
+
+
+@pytest.mark.parametrize("text", WRONG, ids=lambda text: str(text)[:20])
+def test_what_is_no_wall_is_refused_in_one_line(text):
+    """Also where Python would raise an error or leave the real numbers; and none of it is run that is no formula."""
+    with pytest.raises(InputError, match=WRONG[text]) as error:
+        FormulaWall(pressure=text, gaps=(0, 1))
+    assert str(error.value).startswith("wall.pressure = ") and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("gaps", [(1, 0), (1, 1), 2.0, None, (0, math.inf), (0, math.nan)])
+def test_gaps_are_two_numbers(gaps):
+    """The smaller first, both finite."""
+    with pytest.raises(InputError, match=r"wall\.gaps"):
+        FormulaWall(pressure="exp(-gap)", gaps=gaps)
+
+
+def test_the_table_is_dense():
+    """From node to node the pressure falls by a tenth at most, but for a jump, whose nodes touch."""
+    graph = tabulate(lambda gap: math.exp(-40 * gap) if gap < 0.7 else 1e-20 * (2 - gap), 0.0, 1.5, math.exp)
+    steep = graph.pressures[:-1] > 1.1 * graph.pressures[1:]
+    assert np.count_nonzero(steep) == 1 and np.diff(graph.gaps)[steep] < 1e-15
+    assert graph.longest == pytest.approx(1.3, rel=0.01)  # (2 − g) at the jump
+
+
+TASK = """
+[grid]
+n = 64
+[surface]
+kind = "self-affine"
+hurst = 0.8
+lambda_s = 8.0
+rms_slope = 0.1
+[wall]
+kind = "formula"
+pressure = "0.1 * (0.5 / gap)**9"
+gaps = [0.05, 20]
+[load]
+pressure = [0.02, 0.05]
+[output]
+fields = ["pressure"]
+"""
+
+
+def test_from_a_job_file_and_from_python(tmp_path, comm):
+    """The same contact, at the loads of a job and by `pgfmd.solve`: pressures to the last digits."""
+    path = comm.bcast(tmp_path)
+    if comm.rank == 0:
+        (path / "own.toml").write_text(TASK)
+    comm.barrier()
+    results = pgfmd.run(path / "own.toml", path / "own", comm=comm)
+    wall = {"kind": "formula", "pressure": "0.1 * (0.5 / gap)**9", "gaps": [0.05, 20]}
+    heights = pgfmd.surface(path / "own.toml", comm)
+    for load, contact in zip(
+        results, pgfmd.solve(heights, [0.02, 0.05], wall=wall, contact_modulus=8 / 3, comm=comm), strict=True
+    ):
+        rows = contact.problem.grid.rows
+        assert np.abs(load.field("pressure")[rows] - contact.pressure).max() < 1e-12 * contact.pressure.max()
+        assert results.job["wall"]["pressure"] == wall["pressure"]
+    comm.barrier()
