@@ -33,7 +33,7 @@ class Written(Section):
         example=("histogram", "spectra"),
     )
     precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
-    length_unit: str = key(text(), "length", "label; only heights from a file that says its own unit are converted")
+    length_unit: str = key(text(), "length", "label; heights from a file that has a unit are converted to it")
     pressure_unit: str = key(text(), "pressure", "label")
 
     @property

@@ -105,6 +105,6 @@ class Run(Section):
     io_hints: tuple[str, ...] = key(
         many(assignment()),
         (),
-        "for MPI-IO, which ignores those that it does not know; stripes: of the folder (lfs setstripe)",
+        "for MPI-IO, which ignores unknown ones; stripes are set on the folder (lfs setstripe)",
         example=["cb_nodes=8", "romio_cb_write=enable"],
     )

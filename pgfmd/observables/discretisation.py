@@ -23,8 +23,8 @@ class Discretisation(Observable):
     points each way.
 
     An estimate is no bound.  On surfaces with many contacts it is at least as large as the true error in nine cases of
-    ten, and the median of their ratio is about three (`statistics.grid_error`).  With a single contact, both grids
-    may agree by chance.  NaN where roughness goes down to the pixel: the grid is then part of the surface.
+    ten, and the median ratio is about three (`statistics.grid_error`).  With a single contact, both grids may agree by
+    chance.  NaN where roughness goes down to the pixel: there is no limit of fine grids.
     """
 
     name = "discretisation"

@@ -22,8 +22,8 @@ POINTS_PER_WAVE = 8
 """Least number of grid points per shortest remaining wavelength.  The area inside the contact line is then within .2 %
 of that of an infinitely fine grid."""
 FEWEST_POINTS = 4
-"""Where POINTS_PER_WAVE needs the full grid, it is still coarsened by 2 if so many points per wavelength remain; the
-area is then within 1 %."""
+"""Where POINTS_PER_WAVE needs the full grid, it is still coarsened by 2 if at least so many points per wavelength
+remain; the area is then within 1 %."""
 LOWPASS_TOLERANCE = 1e-6
 """Certified error of the contacts that are solved: their area is then within .1 % of the converged one, mostly within
 .03 %.  Measured on eight surfaces of 256² and 1024² points; with 1e-5 areas were up to .3 % too small, with 1e-4

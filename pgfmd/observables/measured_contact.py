@@ -1,4 +1,4 @@
-"""`MeasuredContact`: what several observables need of one solved contact, each computed when it is first needed."""
+"""`MeasuredContact`: quantities of one solved contact that observables share, each computed at its first use."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ class MeasuredContact:
     @cached_property
     def area(self) -> Area:
         """The contact area: that of the pixels in contact, and that inside the contact line."""
-        if "patches" in self.asked:  # measured first, the lines of the patches spare the whole line its own pass
+        if "patches" in self.asked:  # the lines of the patches add up to the whole line, which then needs no pass
             self.line_of_patches(self.asked["patches"].connectivity)
         return contact_area(self.grid, self.pressure, self.line, self.problem.least_area)
 
     @cached_property
     def line(self) -> ContactLine | None:
         """The contact line, if there is one."""
-        return line_of(self.problem, self.solution, self.surface.highest)
+        return line_of(self.problem, self.solution, self.surface.q_max)
 
     @property
     def kappa(self) -> float:
@@ -96,15 +96,15 @@ class MeasuredContact:
         return (both - stress - alpha * (alpha * height)) / (2 * alpha)
 
     def labels(self, connectivity: int) -> Labels:
-        """The contact patches for that connectivity (4 or 8); found on the first call for it."""
+        """The contact patches for that connectivity (4 or 8); computed on the first call for it."""
         if connectivity not in self._labels:
             mask = self.pressure > 0
             self._labels[connectivity] = label_patches(self.grid.comm, mask, self.grid.starts, connectivity)
         return self._labels[connectivity]
 
     def line_of_patches(self, connectivity: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Area beyond that of the pixels and length of the line of each patch that this rank keeps, if there is one;
-        found on the first call.
+        """Area inside the line less that of the pixels, and length of the line, of each patch that this rank keeps;
+        None without a line.  Computed on the first call.
         """
         if connectivity not in self._lines:
             self._lines[connectivity] = None if self.line is None else self.line.of_patches(self.labels(connectivity))

@@ -58,15 +58,14 @@ class Observer:
         self.surface = RoughSurface(grid, problem.heights, cutoff, edges, lags, bool(asked.keys() & {"spectra", "acf"}))
         options = Solver(method=problem.law.methods[0], tolerance=LOWPASS_TOLERANCE)
         self._given_solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
-        _ = self.surface.rms_slope  # the first use measures the heights: here, not in the time of an observable
+        _ = self.surface.rms_slope  # measures the heights now, so that no observable is charged for it
 
     def contact(self, solution: ContactSolution) -> MeasuredContact:
         """The solved contact of one load, for `row` and `groups` to measure."""
         return MeasuredContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
 
     def _solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
-        """A further contact; None, and a line in the log, if it cannot be had: the load itself is solved.
-        Collective.
+        """A further contact; None, and a warning in the log, if it cannot be solved: the load itself is.  Collective.
         """
         try:
             return self._given_solve(problem, **options)

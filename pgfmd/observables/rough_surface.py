@@ -22,7 +22,7 @@ BANDWIDTH = 2.5
 
 @dataclass(frozen=True)
 class RoughSurface:
-    """The rigid surface.  The first use of `modes`, `correlations` or `rms_slope` is collective.
+    """The rigid surface.  The first use of `modes`, `correlations`, `rms_slope`, `q_max` or `is_smooth` is collective.
 
     heights: (nx_local, ny), kept, not copied
     cutoff: wave number beyond which it has no modes; None: not known, every mode of the grid may count
@@ -86,11 +86,11 @@ class RoughSurface:
     @property
     def is_smooth(self) -> bool:
         """Whether the grid resolves the surface."""
-        return is_smooth(self.grid, self.highest)
+        return is_smooth(self.grid, self.q_max)
 
     @property
-    def highest(self) -> float:
-        """The cutoff; where none is known, BANDWIDTH times the rms curvature over the rms slope."""
+    def q_max(self) -> float:
+        """The highest wave number: the cutoff; if not known, BANDWIDTH √(Σ q⁴|h̃|² / Σ q²|h̃|²)."""
         if self.cutoff is not None:
             return self.cutoff
         return BANDWIDTH * self._measured[1] / self.rms_slope if self.rms_slope else 0.0

@@ -17,7 +17,7 @@ MOST_SEEDS = 10**6  # of an ensemble
 
 @dataclass(frozen=True)
 class Rule:
-    """Which values are allowed, in words, and their conversion; `convert` raises ValueError for any other value."""
+    """Which values are allowed, in words, and their conversion, which raises ValueError for any other value."""
 
     allowed: str
     convert: Callable[[Any], Any]

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def guess(name: str, allowed: list[str]) -> str:
-    """The end of a message on an unknown name: the most similar allowed name, then all allowed names."""
+    """End of a message about an unknown name: the most similar allowed name, then all allowed names."""
     near = difflib.get_close_matches(name, allowed, n=1)
     return (f"; did you mean {near[0]}?" if near else ".") + f" Allowed: {', '.join(allowed)}"
 

@@ -1,4 +1,4 @@
-"""What can be imposed on a contact in place of the mean pressure, each as a quantity that grows with the load."""
+"""Quantities that can be imposed on a contact in place of the mean pressure; each is monotonic in the load."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 
-EQUAL = 4 * np.finfo(float).eps  # of the largest height: points that differ by less from the highest are as high
-TINY = 1e-300  # lower limit of what a logarithm is taken of
-LEAST_ERROR = 1e-24  # certified error below which the level's error is rounding, a few 1e-12, and not √error
+EQUAL = 4 * np.finfo(float).eps  # over the largest height: points this close to the highest count as equally high
+TINY = 1e-300  # least argument of a logarithm
+LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 
 
 class Control:
@@ -34,13 +34,13 @@ class Control:
 
     @cached_property
     def top(self) -> float:
-        """Largest height.  Collective."""
+        """Largest height, from any origin.  Collective."""
         return self.grid.reduction.max(self.problem.heights)
 
     @cached_property
     def summit(self) -> float:
-        """The largest height above the mean.  Collective."""
-        # Depths below the highest point keep their digits, however far from 0 heights are.
+        """Largest height, from the mean height.  Collective."""
+        # Depths below the highest point keep their digits even where heights are far from 0.
         return self.grid.reduction.sum(self.top - self.problem.heights) / self.grid.size
 
     @cached_property
@@ -63,8 +63,8 @@ class Control:
         """Whether the target needs no load, p̄ = 0."""
         return False
 
-    def distance_apart(self, target: float) -> float:
-        """Of the solid from where it touches the highest point, for a target that needs no load."""
+    def separation(self, target: float) -> float:
+        """Distance of the solid from first contact, for a target that needs no load."""
         return 0.0
 
     def guess(self, target: float) -> float:
@@ -72,7 +72,7 @@ class Control:
         raise NotImplementedError
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """Value less target of the imposed quantity, in a coordinate that is nearly linear in ln p̄ and grows with it.
+        """Value minus target of the imposed quantity, in a coordinate that is nearly linear in ln p̄, and increases.
         Collective.
         """
         raise NotImplementedError
@@ -93,8 +93,8 @@ class Control:
         return False
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """A bound of the change of the value by the solution's own error, over the tolerance, like `error`; 0 where
-        none is known.
+        """A bound of the value's error from the solution's certified error, over the tolerance, as `error`; 0 if none
+        is known.
         """
         return 0.0
 
@@ -130,7 +130,7 @@ class ContactArea(Control):
     jumps = True
 
     def check_reachable(self, target: float) -> None:
-        """Raises Unreachable below the area of first contact, all points as high as the highest.  Collective."""
+        """Raises Unreachable below the area of first contact, that of the highest points.  Collective."""
         heights, pixel = self.problem.heights, 1 / self.grid.size
         level = self.top - EQUAL * max(abs(self.top), self.summit)
         least = self.grid.reduction.sum(np.count_nonzero(heights >= level)) * pixel
@@ -151,13 +151,13 @@ class ContactArea(Control):
         return math.log(self.stress) + math.log(self._quantile(target))
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """ln of the ratio of Persson's mean pressures for the area found and for the target: his theory is nearly
-        right but for a factor on the load.  Collective.
+        """ln of the ratio of the mean pressures of Persson's theory for the area found and the target: the theory is
+        nearly right up to a factor on the load.  Collective.
         """
         return math.log(self._quantile(self.area(found)) / self._quantile(target))
 
     def _quantile(self, area: float) -> float:
-        """x with area = erf(x/√2), for half a point at least and all but half a point at most."""
+        """x with area = erf(x/√2); the area is kept half a point away from 0 and 1."""
         half = 0.5 / self.grid.size
         return NormalDist().inv_cdf((1 + min(max(area, half), 1 - half)) / 2)
 
@@ -189,7 +189,7 @@ class MeanGap(Control):
         return found.approach
 
     def check_target(self, target: float) -> None:
-        """Raises InputError for full contact, which leaves the load open, unless the law admits overlap.  Collective.
+        """Raises InputError for full contact, where any load is possible, unless the law admits overlap.  Collective.
         """
         super().check_target(target)
         if self.approach(target) >= self.limit:
@@ -201,12 +201,12 @@ class MeanGap(Control):
         """Whether the approach ends before first contact."""
         return self.problem.law.releases and self.approach(target) <= 0
 
-    def distance_apart(self, target: float) -> float:
+    def separation(self, target: float) -> float:
         """−approach."""
         return -self.approach(target)
 
     def guess(self, target: float) -> float:
-        """The stress of full contact if the gap is 0, and exponentially less for larger ones.  Collective."""
+        """ln of the stress of full contact at gap 0; it decreases linearly with the gap.  Collective."""
         beyond = (self.approach(target) - self.summit) / self.rms_height
         return math.log(self.stress) + max(-20.0, min(3.0, 2 * beyond))
 
@@ -249,7 +249,7 @@ class MeanGap(Control):
         if highest < math.inf:
             energy, change = self._energy(np.minimum(found.pressure, highest - found.pressure))
             roots = 4
-        if change == 0:  # every point is at a limit: the level may lie anywhere between their gaps
+        if change == 0:  # every point is at a bound: the level may lie anywhere between their gaps
             return math.inf
         curvature = energy + self.problem.law.range * change / 2
         return (roots * math.sqrt(bound * curvature) + bound) / (change * self.allowed(target))

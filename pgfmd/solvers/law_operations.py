@@ -18,8 +18,8 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.patience import uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual, last_digits
 
-PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 bounds errors best
-ROUNDED = 1e-15  # part of the highest pressure that a factor for the load may exceed it by, to be cut off
+PIXELS = 4  # diameter of the region whose compliance is the α of `second_order`: of 2, 4 and 8, 4 gives least bounds
+ROUNDED = 1e-15  # relative excess over the highest pressure that counts as rounding, and is cut off
 
 
 @dataclass
@@ -82,7 +82,7 @@ class LawOperations:
         return self.grid.reduction.sums(*np.sum(parts, axis=0))
 
     def each(self, function: Callable[..., None], *fields: np.ndarray) -> None:
-        """Calls a function with the same rows of some fields, a part of them for each thread."""
+        """Calls a function with the same rows of some fields; threads share the rows."""
         self.grid.threads.split(lambda a, b: function(*(field[a:b] for field in fields)), self.grid.local_shape[0])
 
     def certify(self, state: LawState) -> None:
@@ -147,8 +147,8 @@ class LawOperations:
         state.level = level
 
     def _carry(self, pressure: np.ndarray, total: float) -> None:
-        """Takes a factor on p̂, the sum of which is `total`, so that its mean is 1.  What bears the highest pressure
-        keeps it to the last digit where it can, as energies are of first order in that.  Collective.
+        """Multiplies p̂, the sum of which is `total`, so that its mean is 1.  Points at the highest pressure keep it to
+        the last digit if possible, as energies are of first order in its error.  Collective.
         """
         highest, missing, reduction = self.law.highest, self.grid.size - total, self.grid.reduction
         if highest < math.inf:

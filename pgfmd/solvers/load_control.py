@@ -25,11 +25,11 @@ SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 """(problem, pressure to start from or None, tolerance) → solution."""
 
 NEIGHBOURS = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
-LOOSE = 1e-5  # certified error of solutions on the way
-SURE = 0.3  # part of the target's tolerance that the solution's own error may take
+LOOSE = 1e-5  # certified error of intermediate solutions
+SURE = 0.3  # part of the target's tolerance that may be due to the solution's certified error
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
-JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs at its ends is said to jump
-SHARP = 1e-12  # certified error of its ends: at 1e-8, points at the edge change sides up to 4 % beside the jump
+JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs between its ends counts as jumping
+SHARP = 1e-12  # certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
 log = logging.getLogger("pgfmd")
@@ -74,16 +74,16 @@ class LoadControl:
         self.control.check_target(target)
         self._totals = np.zeros(3)
         if self.name == "pressure":
-            found = self._tried(target, self.tolerance, target)
+            found = self._solved(target, self.tolerance, target)
         elif self.control.met_without_load(target):
-            found = self._apart(target)
+            found = self._separated(target)
         else:
             self.control.check_reachable(target)
             found = self._search(target)
         iterations, transforms, seconds = map(float, self._totals)
         return dataclasses.replace(found, iterations=int(iterations), transforms=transforms, seconds=seconds)
 
-    def _at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
+    def _solve_at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
         """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  Collective."""
         before, start = self.previous, self._resumed
         self._resumed = self.previous = None
@@ -103,7 +103,7 @@ class LoadControl:
         search = _Search(self._first_guess(target), math.log(highest))
         best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
-            found = self._tried(min(math.exp(search.at), math.nextafter(highest, 0.0)), tolerance, target)
+            found = self._solved(min(math.exp(search.at), math.nextafter(highest, 0.0)), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
                 if control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
@@ -138,19 +138,19 @@ class LoadControl:
                 return math.log(total / self.grid.size)
         return self.control.guess(target)
 
-    def _apart(self, target: float) -> ContactSolution:
+    def _separated(self, target: float) -> ContactSolution:
         """The solid, undeformed, at a target before first contact."""
-        found = self._tried(0.0, self.tolerance, target)
-        moved = self.control.distance_apart(target)
+        found = self._solved(0.0, self.tolerance, target)
+        moved = self.control.separation(target)
         found.gap += moved
         return dataclasses.replace(found, mean_gap=found.mean_gap + moved, approach=found.approach - moved)
 
-    def _tried(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
+    def _solved(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
         """The contact at that mean pressure.  If it fails, the message says which key of the job asked for the
         tolerance.  Collective.
         """
         try:
-            return self._at(mean_pressure, tolerance)
+            return self._solve_at(mean_pressure, tolerance)
         except SolverError as failure:
             asked = f"solver.tolerance = {self.tolerance:g}"
             if tolerance < self.tolerance:

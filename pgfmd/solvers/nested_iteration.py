@@ -16,8 +16,8 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
 
-COARSEST = 32  # points of the shorter side below which coarser grids bring nothing
-FLAT = 1e-2  # rms height of a coarse grid over that of the surface, below which its solution is no good start
+COARSEST = 32  # points of the shorter side below which coarser grids gain nothing
+FLAT = 1e-2  # rms height on a coarse grid over that on the fine one, below which its solution is no good start
 
 StateType = TypeVar("StateType", bound=SolverState)
 
@@ -30,8 +30,8 @@ class Coarse(NamedTuple):
 
 
 class NestedIteration(Generic[StateType]):
-    """Solves problems to a tolerance, each grid from the next coarser one.  Only `contact` takes a problem that is not
-    dimensionless.
+    """Solves problems to a tolerance, each grid from the next coarser one.  `contact` takes physical problems, all else
+    dimensionless ones.
     """
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:

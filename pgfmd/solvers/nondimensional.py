@@ -1,4 +1,4 @@
-"""Contact problems in units of their own, so that solvers never meet overflow, and the way back."""
+"""Dimensionless contact problems, so that solvers never overflow, and their solutions in physical units."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ LARGEST = 1e120  # of heights over the grid spacing, of pressures over the conta
 STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
 UNIFORM = 1e15  # range of a law over the rms height above which a pressure in double precision is uniform
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
-SUMS = 1e-12  # relative error of sums over the grid that a certified error is made of
-BEYOND = 1.01  # factor on the depth that can touch, so that points that may just touch are not raised
+SUMS = 1e-12  # relative error of the sums in a certified error
+BEYOND = 1.01  # safety factor on the depth that can touch
 UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
 
 
@@ -152,9 +152,9 @@ class Dimensionless:
 
 
 def elastic_energy_is_lost(problem: ContactProblem) -> bool:
-    """Whether errors in the last digits of the pressure have more energy than the elastic one can be.  With heights h
-    of rms 1 and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance times ⟨p²⟩,
-    which is at most the number of points.
+    """Whether errors in the last digits of the pressure have more energy than any elastic energy of the problem.  With
+    heights h of rms 1 and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance
+    times ⟨p²⟩, which is at most the number of points.
     """
     grid, solid = problem.grid, problem.solid
     shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
@@ -166,8 +166,8 @@ def deepest(problem: ContactProblem, height: float) -> float:
     """How far below the highest point another may lie and still touch; inf if that is more than `height`.  Collective.
 
     A point i in contact lies below the highest one j by h_j − h_i ≤ u_j − u_i ≤ (max G − min G) Σp, and G lies between
-    ±⟨compliance(q)⟩, the mean over all modes.  The range of a law adds to that depth.  A law that limits the
-    pressure lets points sink in without limit, and has no such depth.
+    ±⟨compliance(q)⟩, the mean over all modes.  The range of a law adds to that depth.  A law that limits the pressure
+    admits any overlap, so that there is no such depth.
     """
     if problem.law.highest < math.inf:
         return math.inf

@@ -30,13 +30,13 @@ class Solver(Section):
     tolerance: float = key(
         number(above=0, below=1),
         1e-8,
-        "certified error of the energy over 2 E_el at which it stops; of second order, so that 1e-8 leaves an error of "
-        "some 1e-3 ... 1e-4 of the pressure's rms value",
+        "certified error of the energy over 2 E_el at which the solver stops; it is of second order: at 1e-8 the error "
+        "of the pressure is 1e-3 ... 1e-4 of its rms value",
         unit="1",
     )
     max_iterations: int | None = key(integer(1), about='time steps of "gfmd", 10000 if not given; others need no limit')
     transform: str = key(
-        choice(*TRANSFORMS), "blocked", "who transforms: blocks that stay in cache, or the library mpi4py-fft"
+        choice(*TRANSFORMS), "blocked", "transforms by blocks that stay in cache, or by the library mpi4py-fft"
     )
 
     def check(self) -> None:
@@ -73,14 +73,14 @@ class Load(Section):
     area_tolerance: float = key(
         number(above=0, below=1),
         0.005,
-        "relative, of contact_area: it is met to this or to one pixel; where the area jumps, on the nearer side",
+        "relative, of contact_area: it is met to this or to one pixel; where it jumps, to the nearer side",
         unit="1",
     )
     gap_tolerance: float = key(
         number(above=0, below=1),
         1e-4,
-        "of mean_gap and displacement, relative to the approach from first contact; under a hard wall to the mean gap, "
-        "if that is less; at least to zeta. Over a rigid base a displacement counts relative to itself",
+        "of mean_gap and displacement, relative to the approach since first contact; under a hard wall to the mean gap "
+        "if that is less; to zeta if that is more. For a slab on a rigid base relative to the displacement",
         unit="1",
     )
 
@@ -97,7 +97,7 @@ class Load(Section):
         if not law.releases and self.contact_area:
             raise wrong(self, "contact_area", f"cannot be imposed with wall.kind = {kind}, which touches everywhere")
         if not law.releases and 0.0 in (self.pressure or ()):
-            raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which never lets go")
+            raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which touches everywhere")
         if self.pressure and not max(self.pressure) < law.highest:
             raise wrong(self, "pressure", f"must be below {law.highest:g}, the most the wall bears")
 

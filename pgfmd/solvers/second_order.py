@@ -68,7 +68,7 @@ def spectral_dots(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> tuple[fl
 
 
 class Rounding:
-    """What rounding on one grid may cost.  Collective to make.
+    """A bound of rounding errors on one grid.  Collective to make.
 
     Rounding errors of transforms are white, in the input and in the output.  So ‖e‖²_K is the mean of K over all modes
     times the squared error of the displacement, plus the mean of G times that of the pressure, plus the rounding of the

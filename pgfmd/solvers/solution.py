@@ -13,8 +13,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 
 
 class SolverState(Protocol):
-    """What every solver knows while it is at work: pressure and gap (nx_local, ny) in units of its own, the level that
-    gaps count from, the certified error, the points in contact, iterations, an estimate of ‖p − p*‖/‖p‖.
+    """The state of any solver between steps: pressure and gap (nx_local, ny) in its own units, the level from which
+    gaps are measured, certified error, points in contact, iterations, an estimate of ‖p − p*‖/‖p‖.
     """
 
     pressure: np.ndarray
@@ -65,5 +65,5 @@ class ContactSolution:
 
 
 Solve = Callable[..., ContactSolution | None]
-"""solve(problem, start=pressure to start from, or None, …): the contact, or None if it cannot be had.  Collective; may
+"""solve(problem, start=pressure to start from, or None, …): the contact, or None if that fails.  Collective; may
 overwrite the heights of `problem`."""

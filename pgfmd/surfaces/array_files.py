@@ -1,4 +1,4 @@
-"""Files of heights: which reader takes them, and the reader of NumPy and HDF5 arrays.  No MPI here."""
+"""Files of heights: the choice of a reader, and the reader of NumPy and HDF5 arrays.  No MPI here."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from pgfmd.surfaces import instruments, text, tiff
 from pgfmd.surfaces.measurement import Measurement, damage_reported, named
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
-NO_UNIT = ("", "1", "length")  # "length" is what the results of a job without a unit say
+NO_UNIT = ("", "1", "length")  # "length" is written by jobs without a unit
 
 
 def is_array(path: str, dataset: str | None) -> bool:
     """Whether the file is .npy or HDF5 with a two-dimensional dataset, of which each rank can read its own part.
 
-    True also where a file is missing or damaged: `opened` then says what is wrong with it.
+    True also for a missing or damaged file: `opened` then raises InputError.
     """
     if dataset is not None or path.endswith((".npy", *HDF5_SUFFIXES)) or not os.path.isfile(path):
         return True
@@ -40,7 +40,7 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
 
     dataset may be None if an HDF5 file holds just one two-dimensional dataset (or one named "height" or "heights").
     Raises InputError, with the path: file missing, unreadable, truncated, not two-dimensional, or the package for its
-    format is not installed; so does what goes wrong inside the block, except for want of memory.
+    format is not installed; also for any error inside the block but MemoryError.
     """
     with named(path), damage_reported("cannot be read as heights (.npy or HDF5), perhaps truncated"):
         try:
@@ -68,7 +68,7 @@ def _checked(found: Measurement) -> Measurement:
 
 
 def _described(dataset: h5py.Dataset) -> Measurement:
-    """A dataset with what its attributes say: `units` (or `unit`), and the packing of netCDF's conventions."""
+    """A dataset with its attributes `units` (or `unit`), scale_factor, add_offset and _FillValue (netCDF)."""
     unit = dataset.attrs.get("units", dataset.attrs.get("unit"))
     if isinstance(unit, bytes):
         unit = unit.decode(errors="replace")

@@ -1,4 +1,4 @@
-"""Measured topographies in instruments' own formats, through the optional package SurfaceTopography.  No MPI here."""
+"""Measured topographies in instruments' formats, read by the optional package SurfaceTopography.  No MPI here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MISSING = (
 
 
 def read(path: str) -> Measurement:
-    """The default channel of the file, by SurfaceTopography, which finds out the format itself.
+    """The default channel of the file, by SurfaceTopography, which detects the format.
 
     Raises InputError, without the path: the package is not installed, the format is not known, the file damaged, or a
     line scan.

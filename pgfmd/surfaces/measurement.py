@@ -1,4 +1,4 @@
-"""What a file of heights holds: an array, and perhaps the size of the rectangle and a unit.  No MPI here."""
+"""Content of a file of heights: an array, and perhaps the sides of the rectangle and a unit.  No MPI here."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def named(path: str) -> Iterator[None]:
 
 @contextmanager
 def damage_reported(message: str) -> Iterator[None]:
-    """Turns whatever a damaged file makes a reader raise inside the block into an InputError, one line: the message and
-    the reason.  Other InputErrors, and want of memory, are raised as they are.
+    """Turns any error inside the block, but InputError and MemoryError, into an InputError of one line: the message and
+    the reason.
     """
     try:
         yield
@@ -85,7 +85,7 @@ class Measurement:
         return dataclasses.replace(self, lengths=self.lengths and self.lengths[::-1], transposed=not self.transposed)
 
     def converted(self, unit: str | None) -> Measurement:
-        """The same in `unit`; unchanged if one of the two units is not said.
+        """The same in `unit`; unchanged if one of the two units is None.
 
         Raises InputError if the units differ and one of them is not a length known here.
         """

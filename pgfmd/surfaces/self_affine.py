@@ -36,7 +36,7 @@ class SelfAffine(Surface):
     lambda_s: float = key(
         POSITIVE,
         None,
-        "shortest wavelength; not above a pixel's longer side (1): every mode, corners |q| ≤ √2 π/a included",
+        "shortest wavelength; up to a pixel's longer side (1): every mode, corners |q| ≤ √2 π/a included",
         unit="grid spacings",
         needed=True,
         example=16.0,

@@ -1,4 +1,4 @@
-"""Randomly rough surfaces of any isotropic spectrum, given as a table."""
+"""Randomly rough surfaces with an isotropic spectrum, given as a table."""
 
 from __future__ import annotations
 

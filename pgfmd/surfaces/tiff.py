@@ -13,7 +13,7 @@ SUFFIXES = (".tif", ".tiff")
 
 
 def read(path: str) -> Measurement:
-    """The values of the pixels, [line, column]; the sizes and units that a TIFF may hold are not those of heights.
+    """The values of the pixels, [line, column]; sizes and units in a TIFF are ignored: they are not those of heights.
 
     Raises InputError, without the path: Pillow is not installed, the file is damaged, holds colours or several images.
     """

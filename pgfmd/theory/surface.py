@@ -1,4 +1,4 @@
-"""The ideal isotropic self-affine surface in the continuum, and the spectral moments that asperity models live on."""
+"""The ideal isotropic self-affine surface in the continuum, and the spectral moments that asperity models need."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _power_integral(exponent: Reals, start: Reals, stop: Reals) -> Reals:
     """∫ q^exponent dq, zero where stop ≤ start; accurate also at and near exponent = −1, where it is a logarithm."""
     logarithm = np.log(np.maximum(stop, start) / start)
     growth = (exponent + 1) * logarithm
-    # (e^g − 1)/g tends to 1: the series spares the division where g is zero or tiny
+    # (e^g − 1)/g tends to 1: the series avoids the division where g is zero or tiny
     ratio = np.where(np.abs(growth) < 1e-8, 1 + growth / 2, np.expm1(growth) / np.where(growth == 0, 1, growth))
     return start ** (exponent + 1) * logarithm * ratio
 

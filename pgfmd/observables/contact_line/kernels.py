@@ -1,5 +1,5 @@
-"""Compiled loops of the contact line.  A field `signed` holds the pressure in contact and minus the gap, as the
-pressure E' g/a, outside; `around` are the values about one pair of neighbours, a contact pixel and an open one:
+"""Compiled loops of the contact line.  A field `signed` holds the pressure in contact and −E' g/a outside; `around` are
+its values about one pair of neighbours, a contact pixel and an open one (out of contact):
 
     around[0 … 3]    along the pair, outward: the pixel before the contact pixel, the pair, the pixel after the open one
     around[4 … 7]    left and right of the contact pixel, left and right of the open one
@@ -19,7 +19,7 @@ _inner = compiled(no_cpython_wrapper=True)  # for what loops call
 # Last axis of a table, see `table.EdgeTable`.  Not Python numbers: for each of those Numba compiles a function anew.
 OFFSET, COSINE, PLACE, INNER, OUTER = map(np.int64, range(5))
 _ROUNDS = 8  # of `locate`, at most; more of them change the area that the line adds by .1 % where λ_s = 4a
-_LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite
+_LARGEST = 1e6  # of pressures and gaps over those of a pair, which may both vanish: keeps squares finite
 
 Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, ny); two more rows each way (2, 4, ny)
 Lookup = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray], float]  # see `line_of_pixel`
@@ -59,7 +59,7 @@ def describe_all(around: np.ndarray, ratio: float, share: np.ndarray, angle: np.
 
 @_inner
 def _bracket(at: float, count: int) -> tuple[int, float]:
-    """First of the two of `count` points, evenly spaced from 0 to 1, about `at`, and the weight of the other."""
+    """Index of the left one of the two points about `at`, of `count` evenly spaced from 0 to 1; weight of the right."""
     x = min(at, 1.0) * (count - 1)
     i = min(int(x), count - 2)
     return i, x - i

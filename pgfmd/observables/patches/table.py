@@ -1,4 +1,4 @@
-"""What is measured on each contact patch: area, load, perimeter, pressures, extent with the wrap, percolation.
+"""What is measured on each contact patch: area, load, perimeter, pressures, periodic extent, percolation.
 
 Each rank measures the pixels it holds; pieces of a patch on other ranks are added on the rank that keeps the patch (see
 `labelling`), and only finished rows go to rank 0.
@@ -92,7 +92,7 @@ def _shape_columns(labels: Labels, spacing: tuple[float, float]) -> dict[str, np
     np.minimum.at(box, labels.returned, labels.to_keepers(box[labels.kept :]))
     pixels, across_x, across_y = counts[: labels.kept].T
     low, high = box[: labels.kept, :2], -box[: labels.kept, 2:]
-    # A connected patch has no gap in its unrolled rows, so that they fill the rows of the cell in turn.
+    # A connected patch has no gap in its unrolled rows: if there are as many as the cell has, it fills them all.
     extent = np.where(labels.winds, cell, np.minimum(high - low + 1, cell)) * np.asarray(spacing)
     ax, ay = spacing
     return {
@@ -129,7 +129,7 @@ def _measure_shape(
     found: tuple[np.ndarray, ...], places: tuple[np.ndarray, ...], cell: np.ndarray, corner: int,
     counts: np.ndarray, box: np.ndarray,
 ) -> None:  # fmt: skip
-    """Add to counts[p] the pixels and the open edges across x and across y of each local patch p; lower box[p].
+    """Add to counts[p] the pixels and the open edges across x and across y of each local patch p; update box[p].
 
     box[p] = (min row, min column, −max row, −max column), unrolled, so that one minimum over pieces serves all four.
     """

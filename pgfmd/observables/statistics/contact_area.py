@@ -27,8 +27,8 @@ class Area:
 def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None, least: float = 0.0) -> Area:
     """Count contact pixels of a slab (nx_local, ny) and the edges around them, and measure the line.  Collective.
 
-    least: p̄/σ_Y, which no area can be below if no pressure is above σ_Y.  Where most of an edge bears σ_Y, the line,
-    that of an elastic edge, lies too far inside: at λ_s = 8a by up to 5 % of the area, which is near the bound then.
+    least: p̄/σ_Y, the least area of a contact whose pressures are at most σ_Y.  Where most of an edge bears σ_Y, the
+    line, that of an elastic edge, lies too far inside: at λ_s = 8a by up to 5 % of the area, which is then near p̄/σ_Y.
     """
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
     parts = grid.threads.collect(lambda a, b: count_edges(pressure, above, a, b), grid.local_shape[0])
@@ -37,6 +37,6 @@ def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None,
     fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
     beyond, perimeter = (0.0, edge_length) if line is None else line.total()
     corrected = fraction + beyond / (grid.size * grid.pixel_area)
-    if corrected <= 0:  # of a pixel or two, whose line is none
+    if corrected <= 0:  # a contact of a pixel or two has no line
         corrected, perimeter = fraction, edge_length
     return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)

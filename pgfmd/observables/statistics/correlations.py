@@ -31,8 +31,8 @@ class Rings:
     """Bins of ρ = √(along[i] + across[j]) for the entries (j, i) of a distributed array.  Collective to make.
 
     Bin b holds edges[b] < ρ ≤ edges[b+1].
-    along (n,), across (this rank's rows,): squares;  weight: by what each entry of row j is multiplied in sums.
-    Sums over bins have shape (edges + 1,): the first is what lies below the first edge, the last what is beyond.
+    along (n,), across (this rank's rows,): squares;  weight (this rank's rows,): factor on the entries of each row.
+    Sums have shape (edges + 1,): below the first edge, in each bin, beyond the last edge.
     """
 
     def __init__(self, grid: SlabGrid, along: np.ndarray, across: np.ndarray, weight: np.ndarray, edges: np.ndarray):

@@ -6,21 +6,22 @@ Each number is the mean of a field F over the surface, and its error has two par
 
 F̃_k the coefficient of the wave number 2πk/lx along x, primed on the coarse grid.
 
-The first part has one sign everywhere and the order q.  In a strip along the edges of contacts, about a wide, pressures
-(∝ √d) and gaps differ from those of the continuum: q = 2.  The energy at given load is least at the solution, so that
-only the energy of the strip is missing, pressure times displacement ∝ a² times width: q = 3.
+The first part has one sign everywhere and the order q in a.  In a strip of width a along the edges of contacts,
+pressures (∝ √d, d: distance to the edge) and gaps differ from those of the continuum: q = 2.  The energy at given load
+is least at the solution, so that only the energy of the strip is missing, pressure times displacement (∝ a²) times
+width: q = 3.
 
-The second part is random, since edges lie anywhere between the points: local errors of either sign cancel in the mean,
-more or less.  Their spectrum is white, so that long waves show the typical size of their sum, where the change of the
-mean alone is often small by chance.  The mean load is imposed, that of a region is not: it moves between regions until
-their gaps fit the elastic deformation, and F follows.  The slope s = Σ Re p̃_k* F̃_k / Σ |p̃_k|², 1 ≤ k ≤ MODES, tells
-how F follows the load, and its term brings regions to equal loads, like the mean.
+The second part is random, since edges lie anywhere between the points: local errors have either sign, and partly cancel
+in the mean.  Their spectrum is white, so that long waves show the typical size of their sum, while the change of the
+mean alone is often small by chance.  The mean load is imposed, that of a region is not: load moves between regions
+until their gaps fit the elastic deformation, and F changes with it, by the slope s = Σ Re p̃_k* F̃_k / Σ |p̃_k|²,
+1 ≤ k ≤ MODES.  The term with s takes that change out.
 
-The field of the mean gap is (pg − w)/p̄, w that of the elastic energy; pg is 0 but where a wall of limited hardness
-yields, and left out under laws by which everything touches.  For w − pg + p̄g is, in the mean and but for constants, the
-least energy, of order 3, while w and p̄g have opposite errors of order 5/2, like derivatives of it by the load: edges
-that move with the load pass points.  Measured at λ_s = 4a, 8a, 16a, 32a, the errors of the sum are .57, .46, .29, .26
-of those of w (rms).  At f_c = .02, the gap's own long waves change half as much as its mean.
+The field of the mean gap is (pg − w)/p̄, with w that of the elastic energy; pg is 0 except where a wall of limited
+hardness yields, and is left out under laws by which everything touches.  Reason: the mean of w − pg + p̄g is, up to
+constants, the least energy, of order 3, while w and p̄g have opposite errors of order 5/2, like its derivatives by the
+load: edges that move with the load pass points.  At λ_s = 4a, 8a, 16a, 32a, the measured errors of the sum are .57,
+.46, .29, .26 of those of w (rms).  At f_c = .02, the gap's own long waves change half as much as its mean.
 
 c is from contacts of 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; 16 λ_s across; λ_s = 4a, 8a, 16a,
 for 38 of them 32a), compared with λ_s = 64a, for 32a with 128a, such that the error is large enough in 19 cases of 20:
@@ -39,7 +40,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Solve
 
-MODES = 8  # long waves that count
+MODES = 8  # long waves taken
 FACTORS = {
     "area": (1 / 3, 0.55),
     "perimeter": (1 / 3, 0.9),

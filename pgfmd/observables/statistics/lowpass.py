@@ -20,7 +20,7 @@ def lowpass_areas(
     problem: ContactProblem, cutoffs: list[tuple[int, float]], solve: Solve, start: np.ndarray
 ) -> np.ndarray:
     """Relative contact area, of the pixels and inside the line, without modes |q| > each cutoff: (cutoffs, 2), NaN
-    where the contact cannot be had.  Collective.
+    where the contact cannot be solved.  Collective.
 
     cutoffs: by how much the grid is coarsened, a power of 2, and the cutoff in radians per length
     start: a pressure (nx_local, ny) from which contacts on the full grid start; a contact on a coarser grid starts from
@@ -69,10 +69,9 @@ def _areas(
 
 
 def touches_fully(problem: ContactProblem) -> bool:
-    """Whether the pressure of full contact, p̄ + Kh, is nowhere negative: then all touches, under
-    a hard wall with that pressure.  Collective.
+    """Whether the pressure of full contact, p̄ + Kh, is nowhere negative: contact is then full.  Collective.
 
-    One transform.  Spares the solvers a surface that is flat up to rounding, whose energy they cannot certify.
+    One transform.  Solvers need not treat a surface that is flat up to rounding, whose energy they cannot certify.
     """
     grid, least = problem.grid, dict[int, float]()
 

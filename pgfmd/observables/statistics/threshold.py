@@ -8,16 +8,15 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import count_digits
 from pgfmd.parallel.mpi import MPI
 
-DIGIT = 16  # bits fixed in one pass over the field
+DIGIT = 16  # bits of t that one pass over the field fixes
 
 
 def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> float:
     """The height t above which exactly `count` points of the distributed field (nx_local, ny) lie: h > t.  Collective.
 
     t is the largest height that is not among them; if all heights are, t lies just below the lowest.  Where heights are
-    equal, no such t may exist; then fewer points lie above.  The number is found digit by digit, in four passes that
-    count how many heights have each value of the next 16 bits: nothing is sorted, and nothing of the size of the field
-    travels.
+    equal, no such t may exist; then fewer points lie above.  Radix selection: four passes each fix 16 bits of t by
+    counting; nothing is sorted, and no message has the size of the field.  Raises ValueError if 0 ≤ count ≤ N fails.
     """
     if not 0 <= count <= grid.size:
         raise ValueError(f"{count} of {grid.size} points")
@@ -37,8 +36,8 @@ def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> floa
 
 
 def _count(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndarray:
-    """How many heights have keys (`count_digits`) that begin with the digits `prefix`, by the digit that follows:
-    (2^16,) int64.  Collective.
+    """Number of heights whose keys (`count_digits`) begin with the digits `prefix`, by the next digit: (2^16,) int64.
+    Collective.
     """
     parts = []
 

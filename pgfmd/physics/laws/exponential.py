@@ -27,7 +27,7 @@ _jit = compiled()
 
 @dataclass(frozen=True, kw_only=True)
 class ExponentialWall(ContactLaw):
-    """A wall that repels from afar: pressure = sigma_ref exp(−gap/zeta).  sigma_ref shifts gaps, no more."""
+    """A repulsive wall: pressure = sigma_ref exp(−gap/zeta).  sigma_ref only shifts all gaps."""
 
     kind: ClassVar[str] = "exponential"
     methods: ClassVar[tuple[str, ...]] = ("newton", "gfmd")

@@ -20,7 +20,7 @@ from pgfmd.physics.laws.law import Units
 
 @dataclass(frozen=True, kw_only=True)
 class Hardness(HardWall):
-    """A hard wall that gives way where the pressure reaches `hardness`."""
+    """A hard wall that yields where the pressure reaches `hardness`."""
 
     kind: ClassVar[str] = "hardness"
 
@@ -44,7 +44,7 @@ class Hardness(HardWall):
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is σ_Y.
 
-        That is then σ_Y to the last digit: energies are of first order in what is missing, as the gap is not 0 there.
+        σ_Y is then exact to the last digit: as the gap is not 0 there, energies are of first order in its error.
         """
         yields = pressure >= self.hardness
         violation = finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)
@@ -55,8 +55,8 @@ class Hardness(HardWall):
 
 @compiled()
 def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float) -> float:
-    """p = unit · p and gap = height · (gap − level), cut to 0, ≥ 0 or ≤ 0 by the bound at which p is; returns the
-    largest part that is cut off.
+    """p = unit · p and gap = height · (gap − level), clipped to ≥ 0 where p = 0, ≤ 0 where p = top, and 0 elsewhere;
+    returns the largest |change| of gap − level.
     """
     largest = 0.0
     for i in range(gap.shape[0]):

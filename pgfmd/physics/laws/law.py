@@ -64,7 +64,7 @@ class ContactLaw(Section):
         return 0.0
 
     def up_to(self, pressure: float) -> ContactLaw:
-        """A law that is the same up to that pressure, simpler if there is one."""
+        """A law that is the same up to that pressure; a simpler one if there is one."""
         return self
 
     def gap(self, pressure: float, solid: Elasticity) -> float:
@@ -90,7 +90,7 @@ class ContactLaw(Section):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """What rows contribute to the certificate: fills `residual` with ρ = compliance · (p − p⁺), p⁺ from
+        """The part of these rows in the certificate: fills `residual` with ρ = compliance · (p − p⁺), p⁺ from
         compliance · p⁺ − gap(p⁺) = compliance · p − (g − level); returns the sum of the excess (defined in
         `solvers.second_order`; 0 where the law is obeyed) of pressures p and gaps g − level − ρ.
         """

@@ -1,5 +1,5 @@
 """Newton's method on the displacement, each step of which lowers the dual objective: for contacts on which the steps of
-`newton` go round in circles, as under thin slabs, which bend like plates.
+`newton` cycle, as under thin slabs, which bend like plates.
 
 The dual of the problem in `newton` is to minimise, without constraints,
 
@@ -9,8 +9,8 @@ Its gradient is q − σ, with the wall's answer σ = exp((h − v)/ζ)/⟨exp((
 source σ + δp̂, where δp̂ is the step of `newton` at p̂ = σ.  Φ is convex, so that a step that is short enough lowers it.
 Few steps are needed if ζ is reduced from the rms height on.  σ is feasible, and is certified.
 
-The linear equations are solved in double precision: under a thin slab long waves of σ − q move the surface by far more
-than the step does, and conjugate gradients must take that back.
+The linear equations are solved in double precision: under a thin slab long waves of σ − q displace the surface far more
+than the step does, and conjugate gradients must cancel that.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pgfmd.solvers.patience import Patience
 CUT = 1e-8  # factor on the linear residual in a step: with 1e-2 in single precision, a third of the tests never ended
 SETTLED = 1e-2  # promised gain per point over ζ at which the next shorter ζ takes over
 ENOUGH = 0.1  # a step is shortened if it gains less than this part of what the slope promises
-ROUNDING = 1e-13  # of the objective: smaller gains cannot be seen
+ROUNDING = 1e-13  # of the objective: smaller gains are rounding
 MOST, SHORTEST = 100, 40  # steps for one ζ; times that a step is halved
 
 
@@ -88,20 +88,20 @@ class Descent(Newton):
     def advance_source(self, state: LawState) -> float:
         """One step of the source, and the answer to it; returns what the slope promised to gain.  Collective."""
         source, dot = self.source, self.grid.reduction.dot
-        root, change, _ = self.newton_step(state, CUT)
-        new = LawState(state.pressure + root * change, np.empty_like(state.gap))
+        root, y, _ = self.newton_step(state, CUT)
+        new = LawState(state.pressure + root * y, np.empty_like(state.gap))
         self.compute_gap(new)
-        way, apart = new.pressure - source.pressure, new.gap - source.gap
-        promised = dot(state.pressure - source.pressure, apart)
-        linear, square = dot(source.pressure, apart), dot(way, apart)
+        change, gap_change = new.pressure - source.pressure, new.gap - source.gap
+        promised = dot(state.pressure - source.pressure, gap_change)
+        linear, square = dot(source.pressure, gap_change), dot(change, gap_change)
         before, step = self.free_energy(source.gap), 1.0
         for _ in range(SHORTEST):  # gain = Φ before − Φ after, as ½⟨v, Kv⟩ = ½⟨q, Gq⟩ is quadratic in the step
-            gain = before - self.free_energy(source.gap + step * apart) - step * linear - step**2 / 2 * square
+            gain = before - self.free_energy(source.gap + step * gap_change) - step * linear - step**2 / 2 * square
             if gain >= ENOUGH * step * promised or promised <= ROUNDING * abs(before):
                 break
             step /= 2
-        source.pressure += step * way
-        source.gap += step * apart
+        source.pressure += step * change
+        source.gap += step * gap_change
         self.answer(state)
         return promised
 

@@ -33,8 +33,8 @@ from pgfmd.solvers.exponential_wall import kernels
 from pgfmd.solvers.law_operations import LawOperations, LawState
 from pgfmd.solvers.patience import Patience, uncertifiable
 
-REACH = 8  # diameter in pixels of the region whose compliance is α: with less, points that join a patch overshoot
-BACK = 0.25  # a step that raises both merits is tried again with this part of its length
+REACH = 8  # diameter in pixels of the region whose compliance is α: if smaller, points that join a patch overshoot
+BACK = 0.25  # a step that raises both merits is shortened to this part
 MOST_INNER, MOST_OUTER = 1000, 200
 LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step; MOST_CUT after one that cut the error by 10
 
@@ -108,8 +108,8 @@ class Newton(LawOperations):
         weight, potential = self.total(partial(kernels.weight_and_potential, zeta=zeta, least=least), *fields)
         log_scale = -math.log(weight / count)
         answer = partial(kernels.divergence, zeta=zeta, least=least, log_scale=log_scale)
-        (apart,) = self.total(answer, *fields)
-        return float(potential / count - state.work / 2 + least), float(zeta * apart / count)
+        (divergence,) = self.total(answer, *fields)
+        return float(potential / count - state.work / 2 + least), float(zeta * divergence / count)
 
     def newton_target(self, state: LawState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Collective."""
