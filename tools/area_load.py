@@ -1,4 +1,4 @@
-"""Contact area against load, raw and corrected for the pixels, beside Persson and Bush–Gibson–Thomas.
+"""Contact area against load, raw and corrected for the pixels, with the theories of Persson and Bush–Gibson–Thomas.
 
     pgfmd plot area_load DIR… [--area 0.08]
 
@@ -72,7 +72,7 @@ def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
 
 
 def report(sheet: Sheet, group: Ensemble, area: float, name: str):
-    """κ at the area asked for, of each seed by interpolation; at the lowest load; and every load in a table."""
+    """κ at the given area, interpolated for each seed; at the lowest load; and a table of all loads."""
     runs: dict[object, list[Load]] = {}
     for load in group:
         runs.setdefault(load.results.directory, []).append(load)
@@ -94,7 +94,7 @@ def report(sheet: Sheet, group: Ensemble, area: float, name: str):
 
 
 def _choice(values: list[float]) -> list[float] | None:
-    """The mean of values as the one other choice of a finding; None if a value is not known."""
+    """The mean of values as the only alternative of a finding; None if a value is not known."""
     return [float(np.mean(values))] if np.all(np.isfinite(values)) else None
 
 

@@ -1,4 +1,4 @@
-"""Contact spectra of the elastic solid and of the bearing area: the same area, cut from the surface at one height.
+"""Contact spectra of the elastic solid and of the bearing area: the highest points, as many as touch.
 
     pgfmd plot bearing_area DIR… [--areas 0.09] [--window FROM TO]
 

@@ -10,7 +10,7 @@ from reading import Load
 
 from pgfmd.errors import InputError
 
-# What a figure can need of a load: name → (whether the load has it, what a job must say to keep it).
+# What a figure can need of a load: name → (whether the load has it, what the job must ask for).
 NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
     "histogram": (lambda load: {"pressure_histogram", "pressure_moments"} <= load.kept, 'observable "histogram"'),
     "spectra": (
@@ -34,7 +34,7 @@ NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
 }
 
 
-def serving(found: Sequence[Load], needs: Sequence[str], figure: str) -> tuple[list[Load], list[str]]:
+def suitable(found: Sequence[Load], needs: Sequence[str], figure: str) -> tuple[list[Load], list[str]]:
     """The loads that have all a figure needs, and a line for each reason why others were left out.
 
     Raises InputError, with the first reason, if none is left.

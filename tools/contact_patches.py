@@ -52,17 +52,17 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), smallest: int = 16) -
     runs: dict[object, list[Load]] = {}
     for load in setting:
         runs.setdefault(load.results.directory, []).append(load)
-    samples = [together([patches(load) for load in run]) for run in runs.values()]
-    everything = together(samples)
+    samples = [merged([patches(load) for load in run]) for run in runs.values()]
+    everything = merged(samples)
     if len(everything[0]) == 0:
         sheet.notes.append("there is no patch")
         return sheet
     _draw_loads(sheet, setting.loads, everything, resolved)
     report_loads(sheet, samples, resolved)
-    islands = [together([patches(load, "bearing_patches") for load in run]) for run in runs.values()]
-    _draw_sizes(sheet, setting.hurst, everything[0], together(islands)[0], resolved)
+    islands = [merged([patches(load, "bearing_patches") for load in run]) for run in runs.values()]
+    _draw_sizes(sheet, setting.hurst, everything[0], merged(islands)[0], resolved)
     report_sizes(sheet, "elastic", [size for size, _ in samples], resolved)
-    if len(together(islands)[0]):
+    if len(merged(islands)[0]):
         report_sizes(sheet, "bearing", [size for size, _ in islands], resolved)
         if setting.hurst is not None:
             sheet.findings.add("τ = 2 − H/2 of islands", bearing.patch_exponent(setting.hurst))
@@ -86,7 +86,7 @@ def patches(load: Load, table: str = "patches") -> Sample:
     return size, kept["load"] / (unit * load.modulus * load.rms_slope) if "load" in kept else np.full(len(size), np.nan)
 
 
-def together(samples: Sequence[Sample]) -> Sample:
+def merged(samples: Sequence[Sample]) -> Sample:
     """All patches of several samples."""
     return tuple(np.concatenate([sample[i] for sample in samples]) for i in (0, 1))
 
@@ -120,7 +120,7 @@ def slope(sample: Sample, least: float, most: float) -> float:
 
 def report_loads(sheet: Sheet, samples: list[Sample], resolved: float):
     """Slopes below and above, the crossover, and the mean pressure of large patches."""
-    everything = together(samples)
+    everything = merged(samples)
     sheet.findings.add("patches", len(everything[0]))
     sheet.findings.add("patches of the fits", np.count_nonzero(everything[0] >= resolved))
     whole = np.inf
@@ -159,7 +159,7 @@ def report_sizes(sheet: Sheet, kind: str, sizes: list[np.ndarray], resolved: flo
 
 def _report(sheet: Sheet, name: str, samples: list, estimate: Callable, others: Sequence[Callable]):
     """A number of all samples together; error by leaving one sample (seed) out at a time; others as choices."""
-    whole = together(samples) if isinstance(samples[0], tuple) else np.concatenate(samples)
+    whole = merged(samples) if isinstance(samples[0], tuple) else np.concatenate(samples)
     value = estimate(whole)
     if not np.isfinite(value):
         return
@@ -167,7 +167,7 @@ def _report(sheet: Sheet, name: str, samples: list, estimate: Callable, others: 
     if len(samples) > 1:
         left = [samples[:i] + samples[i + 1 :] for i in range(len(samples))]
         rest = np.array(
-            [estimate(together(part) if isinstance(part[0], tuple) else np.concatenate(part)) for part in left]
+            [estimate(merged(part) if isinstance(part[0], tuple) else np.concatenate(part)) for part in left]
         )
         rest = rest[np.isfinite(rest)]
         if len(rest) > 1:
@@ -200,7 +200,7 @@ def _draw_loads(sheet: Sheet, loads: Sequence[Load], everything: Sample, resolve
     dots = np.random.default_rng(1).permutation(len(size))[:DOTS]
     sheet.curve(0, size[dots], force[dots], "patches", color="0.75", marker=".", ls="none", ms=1.2, label=False)
     for number, group in enumerate(ensembles(loads)[: len(COLOURS)]):
-        x, y, count = binned(*together([patches(load) for load in group]))
+        x, y, count = binned(*merged([patches(load) for load in group]))
         enough = count >= FEWEST
         if np.any(enough):
             sheet.curve(0, x[enough], y[enough], f"f_c = {group.mean('area'):.2g}", color=COLOURS[number],

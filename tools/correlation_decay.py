@@ -1,4 +1,4 @@
-"""How the correlation of the contact decays with distance: C_c(Δr) − C_c(∞) ∝ Δr^−ν, beside ν = 2 − μ_c.
+"""Decay of the contact's correlation with distance: C_c(Δr) − C_c(∞) ∝ Δr^−ν, with ν = 2 − μ_c expected.
 
     pgfmd plot correlation_decay DIR… [--areas 0.08] [--window 4 64]
 

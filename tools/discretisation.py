@@ -1,4 +1,4 @@
-"""The error of the grid: how large it is, and how good the error bars are, on contacts of fresh surfaces.
+"""Discretisation errors of contacts, and the quality of their error bars, on new surfaces.
 
     python tools/discretisation.py bars [--seed 1] [--across 16] [--finest 64]
     python tools/discretisation.py area FILE.csv [--seed 1] [--across 32] [--finest 128] [--places 1] [--only H AREA]
@@ -7,8 +7,9 @@ bars: for each number and λ_s/a, how many of the bars are at least as large as 
 the median of bar over error.
 
 area: the contact area of four surfaces for each Hurst exponent and load, raw and inside the contact line, from λ_s = 4a
-to finest · a; rows that FILE.csv has already are not computed again.  With --places k, raw areas are means over k × k
-places of the grid, a/k apart.  Prints the mean errors against the limit of the raw areas, and its standard error.
+to finest · a; rows that are in FILE.csv are not computed again.  With --places k, areas are means over k × k
+translations of the grid by multiples of a/k.  Prints the mean errors against the limit of the raw areas, and its
+standard error.
 
 The limit is c₀ of c₀ + c₁ a + c₂ a², fitted by least squares to λ_s = 16a and finer grids.  Pixels along an edge are
 counted with a random error ∝ a^(3/2) (Kendall 1948, doi:10.1093/qmath/os-19.1.1, for ovals placed at random), and k × k
@@ -46,7 +47,7 @@ NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_e
 
 @dataclass(frozen=True)
 class Case:
-    """A surface under a load, in a cell of 1.  place: of the surface on the grid, in pixels."""
+    """A surface under a load, in a cell of side 1.  place: translation of the surface, in pixels."""
 
     hurst: float
     load: float
@@ -70,7 +71,7 @@ def solved(case: Case, points: int, bars: bool = False) -> dict[str, float]:
 
 
 def cases() -> Iterator[tuple[float, float, float]]:
-    """Hurst exponent, contact area, about, and the load for it."""
+    """Hurst exponent, approximate contact area, and the load for it."""
     for hurst in (0.3, 0.5, 0.8):
         for area in (0.02, 0.08, 0.3, 0.6):
             yield hurst, area, float(erfinv(0.85 * area)) / math.sqrt(2) if area > 0.1 else area / 2.1
@@ -102,7 +103,7 @@ Rows = dict[tuple[float, ...], tuple[float, float]]  # (raw, inside the line) by
 
 
 def area(path: Path, first: Case, finest: int, places: int, only: tuple[float, float] | None) -> None:
-    """Adds to the table what it lacks, prints the mean errors of its areas.  first: the first seed, and `across`."""
+    """Computes missing rows of the table, prints the mean errors of its areas.  first: its seed and `across` count."""
     grids = [4 << power for power in range(int(math.log2(finest)) - 1)]
     if not path.exists():
         path.write_text(",".join(COLUMNS) + "\n")

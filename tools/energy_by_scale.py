@@ -1,4 +1,4 @@
-"""Elastic energy by scale: the share that waves up to q hold, beside Persson's theory.
+"""Elastic energy by scale: the share of waves up to q, with Persson's theory.
 
     pgfmd plot energy_by_scale DIR… [--areas 0.08]
 
@@ -21,7 +21,7 @@ from samples import Ensemble, common_bins, ensembles
 from pgfmd.observables.statistics import spectra
 from pgfmd.theory import persson
 
-CAPTION = """(a) Share of the elastic energy that waves up to q hold. (b) Elastic energy per factor of e in q, over its
+CAPTION = """(a) Share of waves up to q in the elastic energy. (b) Elastic energy per factor of e in q, over its
 sum. Filled symbols: simulation, with standard errors over seeds; lines with open symbols: Persson's theory at the same
 load, over the simulation's energy."""
 NEEDS = ("spectra", "load", "roughness")

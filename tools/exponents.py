@@ -26,7 +26,7 @@ CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so t
 q ≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that
 they span, drawn a factor of 1.6 above the data. (b) The ratio of the scaled spectra at the largest and the smallest
 load in octaves of q, with standard errors. (c) Exponents of the joint fit against the Hurst exponent with both
-errors, beside 1 + H and published ones."""
+errors, with 1 + H and published ones."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -220,7 +220,7 @@ def _draw(sheet: Sheet, number: int, group: Ensemble, data: tuple, limits: tuple
 
 
 def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: int):
-    """μ against H with both errors: filled for the largest grid, open for smaller ones."""
+    """μ against H, with errors of seeds and choices together: filled for the largest grid, open for smaller ones."""
     with_hurst = [(group, name) for group, name in points if group.hurst is not None]
     if not with_hurst:
         sheet.panels[2].text(0.5, 0.5, "no self-affine surface", transform=sheet.panels[2].transAxes, ha="center")

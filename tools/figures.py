@@ -2,8 +2,8 @@
 
 A figure is a file tools/NAME.py with
     a docstring        what it shows; its first line stands in the list
-    CAPTION            the text below the figure, for somebody who has not read the paper
-    NEEDS              what a load must have, names of `choosing.NEEDS`; other loads are left out, and that is said
+    CAPTION            the text below the figure, for readers who do not know the paper
+    NEEDS              what a load must have, names of `choosing.NEEDS`; other loads are left out, with a note
     OPTIONS            (may be missing) options of the command line: "--name" → keywords of argparse's add_argument
     draw(loads, **)    draws the loads, a list of `reading.Load`; returns a `plotting.Sheet`
 and a line in FIGURES.  tools/README.md goes through an example.
@@ -55,14 +55,14 @@ def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = 
     import reading
 
     drawn = module(figure)
-    found, left_out = choosing.serving(choosing.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
+    found, left_out = choosing.suitable(choosing.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
     sheet = drawn.draw(found, **options)
     sheet.notes[:0] = left_out
     return sheet
 
 
 def listing() -> str:
-    """What there is to draw, and what each figure needs."""
+    """The list of figures, and what each needs."""
     import choosing
 
     lines = ["pgfmd plot [FIGURE] DIR… [--output FOLDER]   draws one of these (FIGURE --help: its options):", ""]

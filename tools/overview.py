@@ -66,7 +66,7 @@ def draw(loads: list[Load], chosen: Sequence[int] | None = None, tiles: bool = T
 
 
 def _panels(run: list[Load], notes: list[str]) -> Iterator[Callable]:
-    """What can be drawn of the last load; `notes` gets what cannot."""
+    """The functions that draw the panels of the last load; missing ones are named in `notes`."""
     load = run[-1]
     spectra = "stress_spectrum" in load.kept or np.prod(load.results.shape) <= MOST_POINTS
     there = {
@@ -133,7 +133,7 @@ def draw_surface(sheet: Sheet, panel: int, load: Load):
 
 
 def draw_gap(sheet: Sheet, panel: int, load: Load):
-    """The gap; where it vanishes, nothing."""
+    """The gap; blank where it is 0."""
     gap, unit = thinned(load, "gap"), _unit(load, "length")
     shown = np.ma.masked_where(gap <= 0, gap) if load.releases else gap
     norm = PowerNorm(0.5, vmin=0) if load.releases else None

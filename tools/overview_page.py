@@ -1,8 +1,8 @@
 """The overview as one page for a browser: fields to zoom into, curves, the table of loads.  No MPI.
 
-overview.html needs nothing from a network.  Fields that fit are in it whole.  Of larger ones it holds every 2^k-th
-point, and all points around the most loaded part; their other tiles lie in a folder beside it.  How it looks and works:
-page/page.html, page.css and page.js; tiles: `pyramid`.
+overview.html needs no network.  It holds small fields whole.  Of larger ones it holds every 2^k-th point, and all
+points around the most loaded part; their other tiles are in a folder beside it.  The page itself: page/page.html,
+page.css and page.js; tiles: `pyramid`.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ MOST_LOADS = 6  # whose fields are shown, unless they are chosen
 
 @dataclass(frozen=True)
 class View:
-    """How a field is shown: title, unit, colours, scale, whether each load has one, and what zero says (None: nothing
-    special).
+    """How a field is shown: title, unit, colours, scale, whether each load has one, and what zero means (None: just a
+    value).
     """
 
     key: str
@@ -156,9 +156,7 @@ def _blocks(load: Load, key: str) -> Iterator[np.ndarray] | None:
 
 
 def _embedded(views: list[View], shown: list[Load]) -> tuple[dict[str, list], list[int]]:
-    """The tiles that go into the page, whose files are removed: key → [low, high, bytes in base64]; and the point about
-    which the load is largest.
-    """
+    """The tiles that go into the page (their files are removed), key → [low, high, bytes in base64]; and `_peak`."""
     images = [image for view in views for image in view.images.values()]
     peak, sizes = _peak(views, shown), {key: size for image in images for key, size in image.sizes.items()}
     inside: list[str] = []
@@ -184,8 +182,8 @@ def _embedded(views: list[View], shown: list[Load]) -> tuple[dict[str, list], li
 
 
 def _peak(views: list[View], shown: list[Load]) -> list[int]:
-    """Where the mean pressure over a twentieth of the cell is largest under the last load; without pressures, the
-    summit.
+    """The point [i, j] around which the mean pressure over 1/20 of the cell's side is largest under the last load;
+    without pressures, the summit.
     """
     images = {name: image for view in views for name, image in view.images.items()}
     last = f"pressure.{shown[-1].index}" if shown else ""
@@ -215,7 +213,7 @@ def _where(embedded: dict[str, list], outside: bool, tiles: bool) -> dict[str, s
 
 
 def _colours(name: str) -> str:
-    """256 colours, six hexadecimal digits each; ends that cannot be told from the paper or from black are cut off."""
+    """256 colours, six hexadecimal digits each, without ends that look like the background or black."""
     ends = {"gray": (0.12, 0.98), "inferno": (0.12, 0.97), "viridis": (0.0, 0.97), "cividis": (0.0, 1.0)}
     colours = matplotlib.colormaps[name](np.linspace(*ends[name], 256))[:, :3]
     return np.rint(255 * colours).astype(np.uint8).tobytes().hex()

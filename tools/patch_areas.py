@@ -1,4 +1,4 @@
-"""Each point's contact patch by its area: what the picture of the patches shows.  No MPI."""
+"""The area of the contact patch that each point belongs to, for pictures of the patches.  No MPI."""
 
 from __future__ import annotations
 

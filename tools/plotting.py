@@ -1,6 +1,6 @@
-"""Style of all figures, and figures that record what they draw and what they found; no MPI.
+"""Style of all figures; figures that record their curves and numbers.  No MPI.
 
-Figures have the width of a journal's column or page, and are drawn at that size: letters of 7 to 9 points.
+Figures have the width of a journal's column or page at their printed size: letters of 7 to 9 points.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullForma
 COLUMN, PAGE = 3.4, 7.0  # inches
 ROW = 0.13  # inches that a row of the legend takes above the panels
 
-# Okabe & Ito, Color Universal Design (2008): told apart by colour-blind readers, and in grey by line style and marker.
+# Okabe & Ito, Color Universal Design (2008), for colour-blind readers; in grey, line styles and markers differ.
 BLACK, BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#000000", "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#7F7F7F",
 )  # fmt: skip
 COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-MOST = 7  # ensembles that one panel can tell apart
+MOST = 7  # ensembles in one panel: as many as there are colours and markers
 
 logging.getLogger("fontTools").setLevel(logging.ERROR)  # it remarks on the dates in the fonts
 
@@ -99,8 +99,8 @@ class Finding:
         return math.hypot(*known) if known else None
 
     def text(self) -> str:
-        """value ± error over seeds ± spread over choices: errors with two digits, the value with as many as they
-        warrant.  Errors of the size of rounding are left out.
+        """value ± error over seeds ± spread over choices: errors with two digits, the value to the second digit of the
+        larger one.  Errors of the size of rounding are left out.
         """
         named = {"": self.seeds, " (choices)": self.choices}
         errors = {name: error for name, error in named.items() if error and error > 1e-9 * max(abs(self.value), 1e-3)}
@@ -111,7 +111,7 @@ class Finding:
 
 
 class Findings(dict):
-    """Numbers that a figure comes to: name → Finding."""
+    """Numbers that a figure yields: name → Finding."""
 
     def add(self, name: str, values, choices: Iterable[float] | None = None):
         """The mean of `values` (one number or several, of seeds) with its standard error.
@@ -135,7 +135,7 @@ class Findings(dict):
 class Sheet:
     """A figure whose curves are drawn and recorded together, so that its CSV holds what the picture shows.
 
-    findings : the numbers it comes to;  notes : what a reader must know, one line each;  tables : further data
+    findings : the numbers it yields;  notes : what a reader must know, one line each;  extra_files : see `save`
     """
 
     def __init__(self, rows: int = 1, columns: int = 1, *, width: float | None = None, height: float = 2.6):
@@ -205,7 +205,7 @@ class Sheet:
         self.panels[panel].remove()
 
     def save(self, output: Path, name: str) -> list[Path]:
-        """Write NAME.png, .pdf, .csv (curves), .json (numbers) and NAME_TABLE.csv; their paths."""
+        """Write NAME.png, .pdf, .csv (curves), .json (numbers), NAME_TABLE.csv and `extra_files`; their paths."""
         output.mkdir(parents=True, exist_ok=True)
         for axis in (axis for axes in self.panels if axes.figure for axis in (axes.xaxis, axes.yaxis)):
             _label_short_decades(axis)
@@ -243,7 +243,7 @@ def _cell(value) -> str:
 
 
 def limited(ensembles: Sequence, sheet: Sheet) -> Sequence:
-    """The first MOST ensembles, with a note if there are more: no panel can tell more apart."""
+    """The first MOST ensembles, with a note if there are more."""
     if len(ensembles) > MOST:
         sheet.notes.append(f"{len(ensembles)} settings were given; the first {MOST} are drawn: give fewer folders, "
                            "or choose loads with --targets")  # fmt: skip

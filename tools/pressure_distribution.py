@@ -1,4 +1,4 @@
-"""The distribution of contact pressures beside Persson's theory.
+"""The distribution of contact pressures, with Persson's theory.
 
     pgfmd plot pressure_distribution DIR… [--areas 0.08]
 
@@ -66,7 +66,7 @@ def averaged(group: Ensemble, edges: np.ndarray) -> np.ndarray:
 
 
 def report(sheet: Sheet, group: Ensemble):
-    """κ, m₂ and widths beside theory, and P(σ) over the fitted and the unfitted form in bands of σ."""
+    """κ, m₂ and widths with theory's, and P(σ) over the fitted and the unfitted form in bands of σ."""
     name = f", {group.name}"
     add = sheet.findings.add
     kappa = [load.modulus * load.rms_slope * load.corrected_area / load.mean_pressure for load in group]

@@ -1,6 +1,6 @@
-"""Loads of result folders as the figures see them: numbers, spectra, correlations, fields.
+"""Loads of result folders, for the figures: numbers, spectra, correlations, fields.
 
-No MPI.  What a run did not keep is made from its fields, in row blocks.
+No MPI.  Spectra and correlations that a run did not write are computed from its fields, in row blocks.
 """
 
 from __future__ import annotations
@@ -271,7 +271,7 @@ class Load:
             raise InputError(f"{self.folder}: no {name} spectrum was kept, and no field {field} to make it from")
         log.info("%s: %s from the field in row blocks", self.folder, name)
         if name == "contact" and self.law != "hard":
-            raise InputError(f"{self.folder}: nothing of the contact was kept, and pressures alone do not tell it here")
+            raise InputError(f"{self.folder}: nothing of the contact was kept, and only hard walls' pressures define it")
         blocks = self.results.blocks(field, None if field == "height" else self.index)
         return rowblocks.mapped(blocks, lambda values: values > 0) if name == "contact" else blocks
 
@@ -281,7 +281,7 @@ class Load:
 
 
 def loads(folders: Iterable[Path | str]) -> list[Load]:
-    """Every completed load of the folders, in their order; of an ensemble those of each seed.  Raises InputError if
+    """Every completed load of the folders, in their order; for an ensemble those of each seed.  Raises InputError if
     there is none.
     """
     runs = [Results(run) for folder in folders for run in ensemble.folders(folder)]

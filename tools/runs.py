@@ -1,8 +1,8 @@
-"""Many runs, as many at a time as there are cores, each in a process that takes one after the other.
+"""Many runs, N at a time, each in one process.
 
     printf '%s\\n' "NAME JOB.toml section.key=value …" … | python tools/runs.py RESULTS [--jobs 2]
 
-Reads one run per line; those whose folder RESULTS/NAME holds a complete run of that very job are not repeated.  Each
+Reads one run per line; those whose folder RESULTS/NAME holds a complete run of the same job are not repeated.  Each
 run has OMP_NUM_THREADS threads, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its message.
 """
 

@@ -1,4 +1,4 @@
-"""Which loads are samples of one physical setting, and what tells settings apart.  No MPI."""
+"""Which loads are samples of one physical setting, and how settings differ.  No MPI."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from reading import CONTROLS, Load
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
 
-# Keys of a job that do not tell one physical setting from another.
+# Keys of a job in which loads of one physical setting may differ.
 ACCIDENTAL = ("surface.seed", "load.", "solver.", "output.", "run.")
 SYMBOLS = {
     "surface.hurst": "H", "surface.lambda_s": "λ_s", "surface.lambda_l": "λ_l", "surface.lambda_r": "λ_r",
@@ -28,8 +28,8 @@ DERIVED = ("grid.spacing", "grid.length", "solid.lame_lambda", "solid.lame_mu", 
 class Ensemble:
     """Loads that differ by the seed alone: samples of one physical setting.
 
-    label says what sets it apart, for legends (empty if nothing does); name the same for tables, with the load as it
-    was asked for, whatever area came of it.
+    label: how it differs from the others, for legends (empty if it does not); name: the same for tables, with the load
+    as imposed.
     """
 
     loads: tuple[Load, ...]

@@ -1,4 +1,4 @@
-"""How the solver scales: what a run of many ranks sends, holds and waits for, and from that a model of a big machine.
+"""How the solver scales: messages, memory and waiting of a run on many ranks, and from these a model of a big machine.
 
 mpirun -n P python -m mpi4py tools/scaling.py measure OUT.jsonl --n 1024 [--exchanged]  # seconds, messages by level
 mpirun -n P python -m mpi4py tools/scaling.py memory OUT.jsonl --n 1024                 # points and bytes held
@@ -71,7 +71,7 @@ class Clock:
         self.last = now
 
     def begin(self) -> None:
-        """Forgets what was before."""
+        """Start counting anew."""
         self.seconds.clear()
         self.counts.clear()
         self.level, self.last = -1, time.process_time()
@@ -219,7 +219,7 @@ def memory(path: Path, n: int) -> None:
 
 
 def _status(name: str, file: str = "status") -> int:
-    """Bytes, from what the system knows of this process."""
+    """Bytes, from /proc/self."""
     lines = Path("/proc/self", file).read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(f"{name}:"))
 

@@ -129,7 +129,7 @@ def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[
             most = _at(known.imbalance, count) if phase == "contact" else 1.0
             if phase == "transforms" and count > 1:
                 most = _at(known.longer, side)
-            # Who has less waits for the fullest slab, unless its core has others to run.
+            # Ranks with less contact wait for the fullest slab, unless their core has other ranks to run.
             time = each * share * max(turns, most)
             phases["coarse grids" if level else phase] += time
             phases["overhead"] += fixed * turns
@@ -163,7 +163,7 @@ def _at(known: dict[int, float], number: int) -> float:
 
 
 def draw(rows: list[dict], folder: Path) -> None:
-    """The model beside the runs, as CSV files, a picture, and words."""
+    """The model and the runs, as CSV files, a picture, and text."""
     folder.mkdir(parents=True, exist_ok=True)
     checked = compare(rows)
     _write(folder / "scaling-runs.csv", checked)

@@ -18,7 +18,7 @@ from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|; settings are
-moved apart by factors of 10 (named in the legend), with the bounds 1 (full line) and 2 (dashed) of each. (b) Their
+shifted by factors of 10 (see the legend), with the bounds 1 (full line) and 2 (dashed) of each. (b) Their
 ratio, with the bounds 1 and 2; bars: standard error over seeds."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}

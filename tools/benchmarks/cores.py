@@ -1,8 +1,8 @@
-"""What a second core gains: one relaxation on one thread, on two threads and on two ranks, in turns.
+"""Speed-up by a second core: one relaxation on one thread, on two threads and on two ranks, in turns.
 
-Two relaxations at once, each on one thread, show what this machine leaves to be gained: cores share caches, memory and
-their clock, and a virtual machine's host takes them away at times.  How much of its time it took is noted with each
-run; what was measured then says little.
+Two relaxations at once, each on one thread, give the limit of this machine: cores share caches, memory and their clock,
+and a virtual machine's host may take them away.  The share of time that it took is recorded with each run; runs that
+lost much time say little.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def _rows(path: Path) -> list[dict]:
 
 
 def _processor_times() -> tuple[int, int]:
-    """Ticks that the host took away, and ticks in use or taken away; zeros where the system does not tell."""
+    """Ticks that the host took away, and ticks in use or taken away; zeros without /proc/stat."""
     try:
         fields = [int(field) for field in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:]]
     except OSError:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .case import Case
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; shapes differ as well.
+# Okabe and Ito's colours, which colour-blind readers can distinguish; markers differ as well.
 STYLES = {
     "pgfmd": ("#D55E00", "o"),
     "ASPHER": ("#0072B2", "s"),

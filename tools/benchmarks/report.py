@@ -14,7 +14,7 @@ CASE = ("n", "hurst", "lambda_s", "area")
 
 
 def asked(peer: str, n: int, lambda_s: float, area: float) -> float | None:
-    """The ratio of times that the project set itself, None where it set none."""
+    """The ratio of times that is the project's goal, None if there is none."""
     if n not in (1024, 2048):
         return None
     if peer == "tamaas" or (peer == "ContactMechanics" and area < 0.9):
@@ -51,7 +51,7 @@ def load(folder: Path, clock: str = "seconds") -> dict[tuple, dict[tuple, list[d
 def cost(points: list[dict], error: float, what: str = "seconds", between: bool = True) -> float:
     """Least cost at which the pressure error is reached; with `between` interpolated (logarithmically) between points.
 
-    Interpolation is granted to peers, whose points are few or who could stop anywhere; our own runs count as they are.
+    Peers' costs are interpolated, as their points are few, or they could stop anywhere; our own are not.
     """
     of = "pressure_error"
     least, before = math.inf, None

@@ -1,6 +1,6 @@
 """One forward + backward pair of real two-dimensional transforms: ours, the libraries', and mpi4py-fft's PFFT.
 
-Everyone keeps their plans (of the effort that pgfmd uses, FFTW_MEASURE) and their buffers; only the pair is timed.
+All reuse their plans (FFTW_MEASURE, as in pgfmd) and buffers; only the pair is timed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PLAN = [  # (name, ranks, threads)
     ("PFFT", 2, 1),
 ]
 UNNORMALISED = ("pgfmd", "pyFFTW")
-ROUNDS = 3  # of all in turn, so that a disturbance hits everyone; the best counts
+ROUNDS = 3  # of all in turn, so that a disturbance hits all; the best counts
 
 
 def main(folder: Path, n: int = 4096) -> None:

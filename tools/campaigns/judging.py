@@ -1,4 +1,4 @@
-"""Whether answers are right, from the slow reference (tests/reference.py)."""
+"""Checks answers against the slow reference (tests/reference.py)."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def wrong_heights(job: dict, heights: np.ndarray) -> str:
     else:
         return ""
     size = np.abs(expected).max()
-    apart = np.abs(heights - expected).max()
-    return f"heights are {apart / size:.1e} off" if apart > 1e-13 * size else ""
+    deviation = np.abs(heights - expected).max()
+    return f"heights are {deviation / size:.1e} off" if deviation > 1e-13 * size else ""
 
 
 def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: Answer) -> str:
@@ -95,9 +95,9 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
         return f"mean pressure {load!r} instead of {answer.target!r}"
     if load == 0:
         summit = -contact.heights.mean()
-        apart = {"mean_gap": answer.target - summit, "displacement": -answer.target}.get(control, 0)
-        size = max(np.ptp(contact.heights), apart) or 1
-        wrong = np.abs(gap.ravel() - (apart - contact.heights)).max() / size
+        separation = {"mean_gap": answer.target - summit, "displacement": -answer.target}.get(control, 0)
+        size = max(np.ptp(contact.heights), separation) or 1
+        wrong = np.abs(gap.ravel() - (separation - contact.heights)).max() / size
         return f"gap without load is {float(wrong):.1e} off" if wrong > 1e-14 else ""
     try:
         sigma_ref = job["wall"].get("sigma_ref")
@@ -106,7 +106,7 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
         if most < math.inf or contact.bound_of(pressure, zeta) > answer.certified_error * (1 + 1e-6) + FLOOR:
             raise
         return ""
-    if most < math.inf:  # gaps are known up to a level that few points may set
+    if most < math.inf:  # the level of gaps may depend on few points
         return wrong_energy(exact, answer)
     return wrong_energy(exact, answer) or wrong_gap(exact, answer, zeta) or wrong_control(exact, job, control, answer)
 
@@ -114,7 +114,7 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
 def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
     """The true error, and the energy."""
     error = exact.error_of(answer.pressure)
-    if answer.elastic_energy > 0:  # which it counts in, as reported
+    if answer.elastic_energy > 0:  # the reported error is relative to the reported energy
         error *= exact.work / 2 / answer.elastic_energy
     unsure = exact.bound + 2 * np.sqrt(abs(error) * exact.bound)
     if error > answer.certified_error + unsure + FLOOR:
@@ -128,15 +128,15 @@ def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
 
 
 def wrong_gap(exact: reference.Solved, answer: Answer, zeta) -> str:
-    """Gap and mean gap: a pressure that is wrong by d moves u = Gp anywhere by at most √(G₀₀) ‖d‖, ‖d‖² ≤ 2D, and the
+    """Gap and mean gap: an error d of the pressure changes u = Gp anywhere by at most √(G₀₀) ‖d‖, ‖d‖² ≤ 2D, and the
     level of contact, ⟨p, g⟩/P, by (D + ‖p‖ ‖d‖ + ‖d‖²)/P."""
     contact, count = exact.contact, exact.contact.count
     work = exact.scaled_work
     bound = work * (reference.Real(answer.certified_error) + exact.bound)
-    apart = np.sqrt(2 * bound)
-    level = (bound + np.sqrt(work) * apart + 2 * bound) / count if zeta is None else apart
+    change = np.sqrt(2 * bound)
+    level = (bound + np.sqrt(work) * change + 2 * bound) / count if zeta is None else change
     size = max(np.ptp(contact.heights), np.abs(exact.gap).max() if zeta else 0)
-    room = 1.5 * (apart + level) * exact.unit + 1e-13 * size + 4e-16 * (zeta or 0)  # a digit of p̄ moves gaps by ζ
+    room = 1.5 * (change + level) * exact.unit + 1e-13 * size + 4e-16 * (zeta or 0)  # a digit of p̄ moves gaps by ζ
     largest = np.abs(answer.gap.ravel() - exact.gap).max()
     if largest > room + (np.sqrt(2 * bound) * exact.unit if zeta is None else 0):
         return f"gap off by {float(largest / size):.1e} of the height, allowed {float(room / size):.1e}"

@@ -112,7 +112,7 @@ def _by_simulate(case: Case, folder: Path, comm):
 
 
 def _by_command(case: Case, folder: Path, comm):
-    """By the command line, in another process; its exit code and its one line become the errors that they say."""
+    """By the command line, in another process; exit codes 2 and 3 and their line become the error that they report."""
     from pgfmd.errors import InputError, SolverError
     from pgfmd.job import job as jobs
 
