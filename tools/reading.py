@@ -271,7 +271,7 @@ class Load:
             raise InputError(f"{self.folder}: no {name} spectrum was kept, and no field {field} to make it from")
         log.info("%s: %s from the field in row blocks", self.folder, name)
         if name == "contact" and self.law != "hard":
-            raise InputError(f"{self.folder}: nothing of the contact was kept, and only hard walls' pressures define it")
+            raise InputError(f"{self.folder}: no contact spectrum was kept, and here pressures do not define it")
         blocks = self.results.blocks(field, None if field == "height" else self.index)
         return rowblocks.mapped(blocks, lambda values: values > 0) if name == "contact" else blocks
 
