@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
+from pgfmd.grid.aligned import new_field
 from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
@@ -99,6 +100,10 @@ class SlabGrid:
                 self._strips = make_strips(self.comm, self.shape, self._shared)
             self._planned[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
         return self._planned[dtype]
+
+    def new_field(self) -> np.ndarray:
+        """A new field (nx_local, ny), not yet set."""
+        return new_field(self.local_shape)
 
     def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Spectrum (nky_local, nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgfmd.grid import kernels
+from pgfmd.grid.aligned import new_field
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
@@ -54,7 +55,7 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
     fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], *columns, narrow[a:b]), len(field))
     start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
     low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
-    rows, out = fine.fetch(narrow, low, high), np.empty(coarse.local_shape)
+    rows, out = fine.fetch(narrow, low, high), new_field(coarse.local_shape)
 
     def combine(a: int, b: int) -> None:
         for i in range(a, b):

@@ -72,7 +72,7 @@ class Dynamics:
 
         Raises SolverError after `max_steps`, Uncertifiable as soon as only rounding keeps the error above.
         """
-        state = LawState(np.empty(self.grid.local_shape), np.empty(self.grid.local_shape))
+        state = LawState(self.grid.new_field(), self.grid.new_field())
         level, best = 0.0, math.inf
         for step in range(1, max_steps + 1):
             state.level = level  # where the last step left it: a certificate has a level of its own

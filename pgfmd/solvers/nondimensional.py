@@ -228,7 +228,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     if low == high:
         return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
-    out = heights if overwrite and depth == math.inf else np.empty(grid.local_shape)
+    out = heights if overwrite and depth == math.inf else grid.new_field()
 
     def rescale(size: float) -> tuple[float, float]:
         """Sets `out` to heights in units of `size`, counted from the highest one and raised to −1 where they are lower;

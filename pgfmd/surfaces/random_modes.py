@@ -70,7 +70,7 @@ class RandomModes:
         The argument is proportional to the rms slope of the modes and the same on all ranks, so `factor` may raise.
         """
         moments: list[tuple[int, float]] = []
-        heights, scale = np.empty(self.grid.local_shape), np.empty(())
+        heights, scale = self.grid.new_field(), np.empty(())
 
         def spectrum(block: np.ndarray, first: int, stop: int) -> None:
             moments.append((first, self.fill(block, first)))

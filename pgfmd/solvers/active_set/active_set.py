@@ -41,7 +41,7 @@ Precision = type[np.float32] | type[np.float64]
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
 MARGIN = 0.4  # the last step aims at this part of the tolerance
-WITHIN = 0.3  # a step aims at the tolerance if the factor for that is at least this part of the one that seems useful
+WITHIN = 0.6  # a step aims at the tolerance if the factor for that is at least this part of the one that seems useful
 STUCK = 3  # steps without halving the least error, before double precision is taken
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 

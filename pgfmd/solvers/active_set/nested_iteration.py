@@ -35,7 +35,7 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     grid, heights, mean_pressure = problem.grid, problem.heights, problem.mean_pressure
     if mean_pressure < margin * _least_deviation(problem):
         return None
-    pressure = np.empty(grid.local_shape)
+    pressure = grid.new_field()
     stiffness = problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size)
     grid.convolve(source(heights), stiffness, sink(pressure))
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
@@ -129,7 +129,7 @@ def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
     interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
     found.pressure = found.gap = coarse.place.no_rows()  # the interpolation has copies: one field of this grid less
     compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
-    pressure, gap = np.empty(grid.local_shape), np.empty(grid.local_shape)
+    pressure, gap = grid.new_field(), grid.new_field()
 
     def part(thread: int, first: int, stop: int) -> None:
         rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)

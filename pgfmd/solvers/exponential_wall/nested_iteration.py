@@ -38,7 +38,7 @@ class NewtonIteration(NestedIteration[LawState]):
     def resume(self, problem: ContactProblem, start: np.ndarray) -> LawState:
         """From the pressure, scaled to the load."""
         grid = problem.grid
-        state = LawState(start * (grid.size / grid.reduction.sum(start)), np.empty(grid.local_shape))
+        state = LawState(start * (grid.size / grid.reduction.sum(start)), grid.new_field())
         return self.relax(problem, state)
 
     def energy(self, state: LawState, size: int) -> float:
@@ -74,7 +74,7 @@ class NewtonIteration(NestedIteration[LawState]):
         """The pressure with which the wall responds to the interpolated displacement and pressure, and False."""
         grid, heights = problem.grid, problem.heights
         interpolation = Interpolation(coarse.place, grid, [found.gap + coarse.heights, found.pressure])
-        target = np.empty(grid.local_shape)
+        target = grid.new_field()
         solver = Newton(problem)
 
         def part(thread: int, first: int, stop: int) -> None:
@@ -82,7 +82,7 @@ class NewtonIteration(NestedIteration[LawState]):
             kernels.start_target(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
-        state = LawState(np.empty(grid.local_shape), np.empty(grid.local_shape), level=found.level)
+        state = LawState(grid.new_field(), grid.new_field(), level=found.level)
         solver.respond(state, target, solver.alpha)
         return state, False
 

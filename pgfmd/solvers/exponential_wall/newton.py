@@ -114,7 +114,7 @@ class Newton(LawOperations):
     def newton_target(self, state: LawState, wanted: float) -> np.ndarray:
         """α (p̂ + δp̂) − (g + Gδp̂) of a Newton step.  Collective."""
         root, *sums = self.newton_step(state, wanted)
-        target = np.empty(self.grid.local_shape)
+        target = self.grid.new_field()
 
         def aim(first: int, stop: int) -> None:
             rows = slice(first, stop)
