@@ -15,13 +15,13 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}
 jit = compiled(fastmath=FAST)
 inlined = compiled(fastmath=FAST, inline="always")  # for what a loop calls in one place
 
-u = np.uintp  # for indices: Numba tests signed ones for being negative, and does not vectorise loops with that test
+u = np.uintp  # for indices: Numba tests signed ones for < 0, and does not vectorise loops with that test
 
 
 @jit
 def rows_and_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarray, height: int, back: bool) -> None:
     """flat[offset + (c // w · height + at + i) w + c % w] = half[i, first + c] for c < stop − first and each row
-    (first, stop, offset, w) of the table: columns of all rows into the tiles, w columns wide, of all targets; or back.
+    (first, stop, offset, w) of the table: rows to tiles of w columns, one table row per target.  back: the inverse.
     """
     for target in range(table.shape[0]):
         first, stop, offset, width = table[target]
@@ -40,8 +40,8 @@ def rows_and_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarra
 
 @jit
 def tiles_and_columns(tiles: np.ndarray, nx: int, first: int, count: int, block: np.ndarray, back: bool) -> None:
-    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2]; or
-    back.  16 rows at a time, so that both sides stay in cache.
+    """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2].
+    back: the inverse.  16 rows at a time, so that both arrays stay in cache.
     """
     size, done = tiles.shape[2], 0
     while done < count:
@@ -157,7 +157,7 @@ def interpolate_rows(
 
 @jit
 def combine_columns(field: np.ndarray, first: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
-    """out[i, j] = Σ_t weights[j, t] field[i, first[j] + t]; columns wrap, up to as many as there are weights."""
+    """out[i, j] = Σ_t weights[j, t] field[i, first[j] + t]; columns wrap, by at most weights.shape[1]."""
     ny, margin = field.shape[1], weights.shape[1]
     line = np.empty(ny + 2 * margin, field.dtype)
     for i in range(field.shape[0]):

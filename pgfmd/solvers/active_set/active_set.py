@@ -41,7 +41,7 @@ Precision = type[np.float32] | type[np.float64]
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
 MARGIN = 0.4  # the last step aims at this part of the tolerance
-WITHIN = 0.6  # a step aims at the tolerance if the factor for that is at least this part of the one that seems useful
+WITHIN = 0.6  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 STUCK = 3  # steps without halving the least error, before double precision is taken
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
@@ -138,8 +138,8 @@ class Relaxation:
     def next_cut(estimate: float, before: float, tolerance: float) -> float:
         """Factor by which the next step multiplies the residual of its system.
 
-        A smaller factor is wasted if the change of the set of unknowns, which the last two errors predict, leaves more
-        than that, or if the tolerance asks for less.
+        A smaller factor is wasted if the change of the set of unknowns, which the last two errors predict, leaves a
+        larger error, or if the tolerance is met before.
         """
         if not estimate < math.inf:
             return LEAST_CUT
@@ -166,8 +166,8 @@ class Relaxation:
         """Makes the pressure that `linearise` computed feasible, if it is not.  Collective."""
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible.  A step that needs
-        no full transforms to go on may do so, until `system.square` has fallen to the part `enough`.  Collective.
+        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible.  May take further
+        steps that need no full transforms, until `system.square` has fallen by the factor `enough`.  Collective.
         """
         raise NotImplementedError
 
@@ -187,7 +187,7 @@ class Relaxation:
         state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
         if between:
             state.level = float(work / load)
-        else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 will do
+        else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 is right
             state.level = (self.grid.reduction.max(most) + self.grid.reduction.min(least)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:

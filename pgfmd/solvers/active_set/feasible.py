@@ -1,9 +1,8 @@
 """Brings pressures between their bounds while each block of pixels keeps its load.
 
 If the set of unknowns is too large, conjugate gradients leave tensions (p < 0) near its edges.  Setting them to 0 adds
-load.  If the excess were subtracted evenly from all points, load would move over long distances to where most was cut,
-and an active set corrects long waves last.  So it is subtracted within the same block: the error that is left is
-short-ranged.
+load.  If the excess were subtracted evenly from all points, load would move over long distances, and an active set
+corrects long waves last.  So it is subtracted within the same block: the remaining error is short-ranged.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from pgfmd.solvers.active_set.unknowns import Fields, Part, Points, Unknowns
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
 ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
-CANCELLED = 1e-6  # if pressures and tensions cancel but for this part, the rest is rounding: blocks keep no load then
+CANCELLED = 1e-6  # if pressures and tensions cancel up to this part, the rest is rounding: block loads are not kept
 
 Change = tuple[float, float, float]
-"""Of a pressure: factor, stiffness, level (`_changed`)."""
+"""Of a pressure: (factor, stiffness, level), see `_changed`."""
 
 
 class Feasible:
@@ -148,8 +147,8 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
 def _root(
     excess: Callable[[float], tuple[float, float]], bracket: tuple[float, float, float], close: float
 ) -> float:
-    """Where `excess`, an increasing function that comes with its derivative, is 0: by Newton's method in a bracket
-    (low, first guess, high), with one more step from where it is 0 to `close`.  inf if it is not there.
+    """The root of `excess`, an increasing function (value, derivative), by Newton's method in a bracket (low, first
+    guess, high): one more step after |value| ≤ `close`.  inf if there is no root.
     """
     low, at, high = bracket
     if excess(low)[0] > close:

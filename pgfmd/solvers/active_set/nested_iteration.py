@@ -1,4 +1,4 @@
-"""Nested iteration by active sets: what starts on each grid, and what can be answered at once."""
+"""Nested iteration by active sets: the start on each grid, and full contact, which needs no iteration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 
-ROUGHER = 0.3  # of the heights that only the finer grid resolves, the start on it flattens this part
+ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
 # Full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh: on N Gaussian
 # points Kh reaches √(2 ln N) times its rms, 5.8 on 4096².
 PRESSED = 6.0
@@ -62,7 +62,7 @@ class ActiveSetIteration(NestedIteration[State]):
     """Nested iteration by active sets."""
 
     def at_once(self, problem: ContactProblem) -> State | None:
-        """Full contact, where the load may well bring it about."""
+        """Full contact, if the load may be high enough (`PRESSED`)."""
         return _full_contact(problem, PRESSED)
 
     def resume(self, problem: ContactProblem, start: np.ndarray) -> State:

@@ -12,7 +12,7 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, Unknowns
 
 Symbol = Callable[[np.ndarray], np.ndarray]
-"""Of an operator: what it multiplies a mode of wave number |q| by."""
+"""Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
 
 RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
