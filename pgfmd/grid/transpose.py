@@ -147,9 +147,9 @@ class SharedStrips(Strips):
         return Parts(_items(self.flat, WORD), table * (dtype.itemsize // WORD.itemsize), self.nx + 1)
 
     def _touch(self, counts: np.ndarray) -> None:
-        """Writes 0 to each page of this rank's rows in the first `counts` tiles of each strip, unless it has: nobody
-        has used them.  Where the first access is a read, Linux maps up to 16 pages around it, which count as this
-        rank's: at 4096² on 16 ranks half as many again.
+        """Writes 0 to each page of this rank's rows in the first `counts` tiles of each strip, once, before their use.
+        If the first access is a read, Linux maps up to 16 pages around it, which count as this rank's memory: at 4096²
+        on 16 ranks half as many again.
         """
         if self.comm.size == 1:
             return

@@ -29,14 +29,14 @@ ACROSS = 64  # λ_s to a side of the cell
 AREA = 0.08
 SEEDS = (1, 2, 3, 4)
 GRIDS = (4, 8, 16, 32, 64)  # points per λ_s
-STAYS = 20  # iterations within the error that a method must show which is watched at each of them
-STILL = (50, 2e-5)  # iterations in which the area changes by less than this: it is that of the pixels
-PIXELS = (math.pi - 1 + math.log(2)) / 24  # of the length of edges between pixels, by which they count too much
+STAYS = 20  # successive iterations that must be within the error, for methods that are watched at each
+STILL = (50, 2e-5)  # if the area changes by less in so many iterations, it has converged on this grid
+PIXELS = (math.pi - 1 + math.log(2)) / 24  # part of the length of pixel edges by which pixels overestimate the area
 COLUMNS = "hurst method setting points seed seconds cpu error reached".split()
 
 
 class AreaRecorder(Recorder):
-    """Notes the error of the contact area in place of that of the pressure."""
+    """Records the error of the contact area in place of that of the pressure."""
 
     def __init__(self, limit: float, budget: float) -> None:
         self.limit, self.budget, self.comm = limit, budget, None
@@ -44,7 +44,7 @@ class AreaRecorder(Recorder):
         self.truncated = False
 
     def note(self, pressure: np.ndarray, transforms: float, scale: float = 1.0, may_stop: bool = False) -> None:
-        """Takes the area of the pixels, corrected."""
+        """Records the corrected area of the pixels."""
         now, cpu = time.perf_counter(), time.process_time()
         contact = np.asarray(pressure) * scale > 0
         edges = sum(np.count_nonzero(contact != np.roll(contact, 1, axis)) for axis in (0, 1))
@@ -53,7 +53,7 @@ class AreaRecorder(Recorder):
             raise EnoughError
 
     def note_area(self, area: float, now: float, cpu: float) -> None:
-        """Takes the area that was known at these times."""
+        """Records the area that was known at these times."""
         seconds, busy = now - self._began - self._paused, cpu - self._began_cpu - self._paused_cpu
         self.points.append({"seconds": seconds, "cpu": busy, "error": area / self.limit - 1})
         self._paused += time.perf_counter() - now

@@ -1,6 +1,6 @@
-"""A wall of one's own: any pressure that decreases with the gap, as a formula.
+"""A user-defined wall: any pressure that decreases with the gap, as a formula.
 
-Nothing else is asked for.  The gap at a pressure is found on the graph (`graph`), and the excess of the certificate,
+The gap at a pressure is found on the graph (`graph`), and the excess of the certificate,
 the integral of p − P(g) over g from the gap at p to g' (P: the formula), is bounded by |p − P(g')| |g' − gap(p)|, as P
 decreases: at most twice the excess where P is linear between.
 """
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class FormulaWall(ContactLaw):
-    """A wall of one's own: `pressure` is a formula that decreases with `gap`.  A point cannot come closer than the
-    first of `gaps`; beyond the second it bears nothing.
+    """A user-defined wall: `pressure` is a formula that decreases with `gap`.  The gap is at least the first of `gaps`;
+    beyond the second the pressure is 0.
     """
 
     kind: ClassVar[str] = "formula"
@@ -61,7 +61,7 @@ class FormulaWall(ContactLaw):
         return self.graph.longest
 
     def gap(self, pressure: float, solid: Elasticity) -> float:
-        """Where the formula gives that pressure."""
+        """The gap at which the formula gives that pressure."""
         return self.graph.gap(pressure)
 
     def in_units(self, units: Units) -> ContactLaw:

@@ -1,9 +1,9 @@
-"""The graph of a pressure that decreases with the gap, and the loops that find points on it.
+"""The graph of a pressure that decreases with the gap, and loops that compute points on it.
 
 Between two gaps it is the function; at the smaller gap it rises to any pressure (a hard wall), at the larger one it
 falls to 0.  That is a maximal monotone graph: each line a p − b g = t with a, b ≥ 0, not both 0, meets it once.
 
-The function is tabulated so densely that it falls by at most a tenth from one node to the next.  The table brackets a
+The function is tabulated so densely that it falls by at most 2 % from one node to the next.  The table brackets a
 point; the function itself, compiled, then finds it to the last digits.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 
-FALL = 1.02  # greatest ratio of pressures at neighbouring nodes
+FALL = 1.02  # largest ratio of pressures at neighbouring nodes
 NODES, ROUNDS = 256, 60  # equal intervals to begin with; halvings of one of them, which end at its last digits
 NEGLIGIBLE = 1e-290  # pressures below it need not decrease: they underflow
 APART = 1e-6  # of the range of gaps: nodes closer than this may differ by rounding only
@@ -30,7 +30,7 @@ STEPS = 60  # to find a point; most take 5
 
 @dataclass(frozen=True)
 class Graph:
-    """Gaps, increasing, and the pressures there; of which function, as Python and as compiled code take it."""
+    """Nodes (m,): increasing gaps and their pressures; function: pressure from gap, for Python and for numba."""
 
     gaps: np.ndarray
     pressures: np.ndarray
@@ -45,7 +45,7 @@ class Graph:
         return float(lengths.max(initial=0.0)) or float(gaps[-1] - gaps[0])
 
     def gap(self, pressure: float) -> float:
-        """Where a point bears that pressure."""
+        """The gap at that pressure."""
         asked, point, borne = np.full((1, 1), pressure), np.empty((1, 1)), np.empty((1, 1))
         loops(self.function)((self.gaps, self.pressures), (1.0, 0.0), asked, point, borne, (1.0, 1.0, 0.0))
         return float(point[0, 0])
@@ -54,7 +54,7 @@ class Graph:
 def tabulate(of: Callable[[float], float], low: float, high: float, function: Callable[[float], float]) -> Graph:
     """The graph of a function between two gaps; raises InputError where it is not finite, negative, or does not fall.
 
-    of: the function, but without errors.  function: what is compiled.
+    of: the function, returning inf or NaN in place of errors.  function: the one to compile.
     """
     gaps = np.linspace(low, high, NODES + 1)
     pressures = np.array([of(float(gap)) for gap in gaps])
