@@ -101,9 +101,9 @@ def test_a_method_has_the_quickest_grid_on_which_every_surface_gets_there(tmp_pa
     lines = [",".join(total_error.COLUMNS)]
     for method, points, seconds, reached in rows:
         for seed in total_error.SEEDS:
-            lines.append(f"0.8,{method},,{points},{seed},{seconds},{seconds},0.002,{int(seed <= reached)}")
+            lines.append(f"0.8,64,{method},,{points},{seed},{seconds},{seconds},0.002,{int(seed <= reached)}")
     (tmp_path / "total.csv").write_text("\n".join(lines) + "\n")
-    total_error._print(tmp_path / "total.csv", 0.8, "cpu")
+    total_error._print(tmp_path / "total.csv", (0.8, 64), "cpu")
     table = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[3:]}
     assert table["peer"] == ["16", "0.20%", "4.000", "4.0"]
     assert table["slow"] == ["on", "no", "grid"]

@@ -42,8 +42,8 @@ COLUMNS = (
 # ASPHER's precisions and preconditioners; which is best depends on the case.
 ASPHER = [
     {"precision": precision, "engine": engine}
-    for precision in ("double", "float", "float_then_double")
-    for engine in ("stencil", "fft")
+    for engine in ("fft", "stencil")
+    for precision in ("float", "double", "float_then_double")
 ]
 PLAN = [  # (method, setting, ranks, threads)
     ("pgfmd", {}, 1, 1),
@@ -67,6 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores, phases: 4096)")
     parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
     parser.add_argument("--lambda-s", nargs="+", help="in grid spacings; n/64 is allowed (16; cores: n/64)")
+    parser.add_argument("--across", type=int, nargs="+", default=[64], help="λ_s to a side of the cell (total)")
     parser.add_argument("--area", type=float, nargs="+", default=[0.08], help="relative contact areas")
     parser.add_argument(
         "--methods", nargs="+", help=f"of {', '.join(dict.fromkeys(p[0] for p in PLAN))}; all by default"
@@ -109,8 +110,8 @@ def main(arguments: list[str] | None = None) -> int:
 
         peers = ("pgfmd", "ASPHER", "tamaas", "ContactMechanics")
         plan = [p[:2] for p in PLAN if p[2:] == (1, 1) and p[0] in (options.methods or peers)]
-        for hurst in options.hurst:
-            total(options.folder, hurst, plan, options.budget, options.clock)
+        for surface in itertools.product(options.hurst, options.across):
+            total(options.folder, surface, plan, options.budget, options.clock)
     if options.what not in ("transforms", "cores", "phases", "total"):
         from benchmarks.report import report
 

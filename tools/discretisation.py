@@ -98,7 +98,7 @@ def bars(seed: int, across: int, finest: int) -> None:
 
 
 COLUMNS = "hurst area seed across points places contact_area contact_area_corrected".split()
-FIRST = 16  # λ_s/a of the coarsest grid of the fit
+FIRST = 16  # λ_s/a of the coarsest grid of the fit, which has three grids at least
 Rows = dict[tuple[float, ...], tuple[float, float]]  # (raw, inside the line) by the other columns
 
 
@@ -146,7 +146,7 @@ def limit(path: Path, key: tuple[float, ...]) -> float:
 def _limit(rows: Rows, key: tuple[float, ...]) -> float:
     """c₀ of one surface; of each grid, the row with the most places."""
     best = {row[4]: max(other[5] for other in rows if other[:5] == row[:5]) for row in rows if row[:4] == key}
-    points = np.array([at for at in sorted(best) if at >= FIRST])
+    points = np.array([at for at in sorted(best) if at >= min(FIRST, sorted(best)[-3])])
     raw = np.array([rows[*key, at, best[at]][0] for at in points])
     weight = np.array([at * best[at] for at in points]) ** 1.5
     return float(np.linalg.lstsq(weight[:, None] * points[:, None] ** -np.arange(3.0), weight * raw)[0][0])

@@ -25,14 +25,14 @@ from .recorder import EnoughError, Recorder
 from .worker import TIGHTEST, TOLERANCES, warm_up
 
 WITHIN = 0.003  # relative error of the area
-ACROSS = 64  # λ_s to a side of the cell
 AREA = 0.08
 SEEDS = (1, 2, 3, 4)
 GRIDS = (4, 8, 16, 32, 64)  # points per λ_s
+LARGEST = 8192  # points per side of the grids that limits are from
 STAYS = 20  # successive iterations that must be within the error, for methods that are watched at each
 STILL = (50, 2e-5)  # if the area changes by less in so many iterations, it has converged on this grid
 PIXELS = (math.pi - 1 + math.log(2)) / 24  # part of the length of pixel edges by which pixels overestimate the area
-COLUMNS = "hurst method setting points seed seconds cpu error reached".split()
+COLUMNS = "hurst across method setting points seed seconds cpu error reached".split()
 
 
 class AreaRecorder(Recorder):
@@ -99,7 +99,7 @@ def main(arguments: list[str] | None = None) -> None:
     """One method on one surface: prints the point that counts, and whether it is within the error, as JSON."""
     job = json.loads((sys.argv[1:] if arguments is None else arguments)[0])
     method = _ours if job["method"] == "pgfmd" else METHODS[job["method"]]
-    case = Case(job["points"] * ACROSS, job["hurst"], job["points"], AREA)
+    case = Case(job["points"] * job["across"], job["hurst"], job["points"], AREA)
     pressure = job["load"] * CONTACT_MODULUS * RMS_SLOPE
     heights, ladder = _heights(case, job["seed"]), job["method"] in LADDERS
     warm_up(METHODS[job["method"]], job, None)
@@ -124,17 +124,19 @@ def _heights(case: Case, seed: int) -> np.ndarray:
     return self_affine(SlabGrid(MPI.COMM_SELF, (case.n, case.n)), case.hurst, case.lambda_s, RMS_SLOPE, seed)
 
 
-def total(folder: Path, hurst: float, plan: list, budget: float, clock: str) -> None:
+def total(folder: Path, surface: tuple[float, int], plan: list, budget: float, clock: str) -> None:
     """Adds to DIR/total.csv what it lacks, and prints the best of each method.
 
-    plan: (method, setting).  Limits are those of `discretisation.area`, from up to 128 points per λ_s, in DIR/area.csv.
+    surface: H, and λ_s to a side of the cell.  plan: (method, setting).  Limits are those of `discretisation.area`, in
+    DIR/area.csv.
     """
     import discretisation
 
+    hurst, across = surface
     load = next(load for h, area, load in discretisation.cases() if (h, area) == (hurst, AREA))
-    first = discretisation.Case(math.nan, math.nan, SEEDS[0], ACROSS)
-    discretisation.area(folder / "area.csv", first, 2 * GRIDS[-1], 1, (hurst, AREA))
-    limits = {seed: discretisation.limit(folder / "area.csv", (hurst, AREA, seed, ACROSS)) for seed in SEEDS}
+    first = discretisation.Case(math.nan, math.nan, SEEDS[0], across)
+    discretisation.area(folder / "area.csv", first, LARGEST // across, 1, (hurst, AREA))
+    limits = {seed: discretisation.limit(folder / "area.csv", (hurst, AREA, seed, across)) for seed in SEEDS}
     path = folder / "total.csv"
     if not path.exists():
         path.write_text(",".join(COLUMNS) + "\n")
@@ -144,20 +146,23 @@ def total(folder: Path, hurst: float, plan: list, budget: float, clock: str) -> 
             continue
         for points in GRIDS:
             for seed in SEEDS:
-                job = {"hurst": hurst, "method": method, "setting": setting, "points": points, "seed": seed}
-                job |= {"limit": limits[seed], "load": load, "budget": budget, "threads": 1}
-                if not _row(path, job)["reached"]:
+                job = {"hurst": hurst, "across": across, "method": method, "setting": setting, "points": points}
+                job |= {"seed": seed, "limit": limits[seed], "load": load, "budget": budget, "threads": 1}
+                row = _row(path, job)
+                if not row["reached"]:
                     break
             else:
                 break  # finer grids take longer
-    _print(path, hurst, clock)
+            if row[clock] > _best(path, surface, clock).get(method, (math.inf,))[0]:
+                break  # another setting is faster on the grid that it needs
+    _print(path, surface, clock)
 
 
 def _row(path: Path, job: dict) -> dict:
     """What the run found, from the table or measured now."""
     name = " ".join(map(str, job["setting"].values()))
     for row in _rows(path):
-        if [row[key] for key in COLUMNS[:5]] == [job["hurst"], job["method"], name, job["points"], job["seed"]]:
+        if [row[key] for key in COLUMNS[:6]] == [{**job, "setting": name}[key] for key in COLUMNS[:6]]:
             return row
     process = launch("total_error", [json.dumps(job)], 1, 1)
     output, errors = process.communicate()
@@ -166,8 +171,8 @@ def _row(path: Path, job: dict) -> dict:
     row = job | json.loads(output.splitlines()[-1]) | {"setting": name}
     with open(path, "a", newline="") as file:
         csv.writer(file).writerow([f"{row[key]:.6g}" if isinstance(row[key], float) else row[key] for key in COLUMNS])
-    print("  {method:17s} {setting:26s} {points:3d} points per λ_s, seed {seed}: error {error:8.4f} in {seconds:.3f} s "
-          "({cpu:.3f} s processor time)".format(**row), flush=True)  # fmt: skip
+    print("  {method:17s} {setting:26s} {points:3d} points per λ_s, seed {seed}: error {error:8.4f} in {seconds:.3f} s"
+          " ({cpu:.3f} s processor time)".format(**row), flush=True)  # fmt: skip
     return row
 
 
@@ -177,20 +182,25 @@ def _rows(path: Path) -> list[dict]:
                 for row in csv.DictReader(file)]  # fmt: skip
 
 
-def _print(path: Path, hurst: float, clock: str) -> None:
-    best: dict[str, tuple] = {}
-    rows = [row for row in _rows(path) if row["hurst"] == hurst]
+def _best(path: Path, surface: tuple[float, int], clock: str) -> dict[str, tuple[float, float, float, str]]:
+    """Mean time, points per λ_s, worst error and setting with which each method was fastest."""
+    best: dict[str, tuple[float, float, float, str]] = {}
+    rows = [row for row in _rows(path) if (row["hurst"], row["across"]) == surface]
     for method, setting, points in {(row["method"], row["setting"], row["points"]) for row in rows}:
         runs = [row for row in rows if (row["method"], row["setting"], row["points"]) == (method, setting, points)]
         if len(runs) == len(SEEDS) and all(row["reached"] for row in runs):
             error = max(abs(row["error"]) for row in runs)
-            best[method] = min(
-                best.get(method, (math.inf,)), (float(np.mean([row[clock] for row in runs])), points, error, setting)
-            )
-    print(f"\nTime in s to a total error of the area of {WITHIN:.1%}, one core, H = {hurst:g}, {ACROSS} λ_s to a side, "
-          f"f_c {AREA:g}, mean of {len(SEEDS)} surfaces")  # fmt: skip
+            found = (float(np.mean([row[clock] for row in runs])), points, error, setting)
+            best[method] = min(best.get(method, found), found)
+    return best
+
+
+def _print(path: Path, surface: tuple[float, int], clock: str) -> None:
+    best = _best(path, surface, clock)
+    print(f"\nTime in s to a total error of the area of {WITHIN:.1%}, one core, H = {surface[0]:g}, {surface[1]} λ_s to"
+          f" a side, f_c {AREA:g}, mean of {len(SEEDS)} surfaces")  # fmt: skip
     print(f"{'':17} {'points per λ_s':>14} {'worst error':>11} {'time':>9} {'ratio':>7}")
-    for method in dict.fromkeys(row["method"] for row in rows):
+    for method in dict.fromkeys(row["method"] for row in _rows(path) if (row["hurst"], row["across"]) == surface):
         if method not in best:
             print(f"{method:17} on no grid")
             continue
