@@ -96,7 +96,8 @@ def test_apply_stencil(density, rng):
     disc = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
     offsets = np.concatenate([[0], np.cumsum(mask.sum(axis=1))])
     out = np.zeros(offsets[-1])
-    stencil.apply_stencil(field, weights, (np.nonzero(mask)[1].astype(np.int32), offsets), 0, 9, out)
+    points = np.nonzero(mask)[1].astype(np.int32), offsets
+    stencil.apply_stencil((field, field.reshape(-1)), weights, points, 0, 9, out)
     windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[mask], rtol=1e-13, atol=0)
 
@@ -112,10 +113,11 @@ def test_correlate(room, rng):
     ]
     out, whole = (np.zeros(target.sum()) for _ in range(2))
     vector = field[source], (lists[0][0], lists[0][1][halo - 2 :])
+    work = np.empty((room, 44))
     for rows in ((0, 5), (5, 14)):
-        stencil.correlate(vector, weights, np.empty((room, 44)), lists[1], rows, out)
+        stencil.correlate(vector, weights, (work, work.reshape(-1)), lists[1], rows, out)
     padded = np.pad(field, ((0, 0), (2, 2)), mode="wrap")[halo - 2 : halo + 16]
-    stencil.apply_stencil(padded, weights, lists[1], 0, 14, whole)
+    stencil.apply_stencil((padded, padded.reshape(-1)), weights, lists[1], 0, 14, whole)
     assert np.array_equal(out, whole)
 
 

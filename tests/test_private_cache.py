@@ -202,7 +202,7 @@ from numba.core import event
 import numpy as np
 import pgfmd
 from pgfmd.grid import kernels
-from pgfmd.observables.contact_line.kernels import describe_all
+from pgfmd.solvers.active_set.stencil import correlate
 
 class Count(event.Listener):
     names = []
@@ -221,12 +221,13 @@ for back in (False, True):
     kernels.tiles_and_columns(tiles, 4, 0, 4, block, back)
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
-describe_all(np.ones((1, 8)) * [1, 1, -1, -1, 1, 1, -1, -1], 1.0, np.empty(1), np.empty(1))
+rows, points = np.empty((5, 12)), (np.zeros(0, np.int32), np.zeros(6, int))
+correlate((np.zeros(0), points), np.ones(6), (rows, rows.reshape(-1)), points, (0, 1), np.zeros(0))
 print(*Count.names)
 """
 
 
-LOOPS = ("rows_and_tiles", "tiles_and_columns", "describe_all", "describe", "_distance")
+LOOPS = ("rows_and_tiles", "tiles_and_columns", "correlate", "_thirteen")
 
 
 @pytest.mark.parametrize("count", [1, 3])

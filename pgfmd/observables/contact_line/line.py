@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.kernels import Lookup, add_lines_of_patches, add_lines_of_rows
+from pgfmd.observables.contact_line.pairs import Lookup, Tables, lines_of_pixels, rows_at_a_time
 from pgfmd.observables.contact_line.table import EdgeTable, edge_table
 from pgfmd.observables.patches.labelling import Labels
 from pgfmd.physics.problem import ContactProblem
@@ -31,7 +32,7 @@ SMOOTH = 2.0 * (1 + 1e-9)
 roughness goes down to the pixel, there is none."""
 
 LARGEST_RATIO = 5.0
-"""`bound` of `kernels.locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight edge of
+"""`bound` of `pairs.locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight edge of
 an unbounded contact is clipped to 1/LARGEST_RATIO … LARGEST_RATIO.  Where contacts or openings are about a pixel wide,
 this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives the smallest error on exact waves whose
 contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
@@ -46,17 +47,17 @@ class ContactLine:
     modulus: float  # E'
     tables: tuple[EdgeTable, EdgeTable]  # for pairs along x, along y
     bound: float = LARGEST_RATIO
-    _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `kernels.line_of_pixel`, (nx_local, 4)
+    _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `pairs.lines_of_pixels`, (nx_local, 4)
 
-    @property
+    @cached_property
     def _lookup(self) -> Lookup:
-        """What the kernels need beside the fields."""
+        """What `lines_of_pixels` needs beside the fields."""
         ax, ay = self.grid.spacing
-        values = self.tables[0].values, self.tables[1].values
-        return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), values, self.bound
+        tables = Tables((self.tables[0].values, self.tables[1].values))
+        return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), tables, self.bound
 
     def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(area beyond that of the pixels, perimeter) from sums (…, 4) of `kernels.line_of_pixel`."""
+        """(area beyond that of the pixels, perimeter) from sums (…, 4) of `pairs.lines_of_pixels`."""
         ax, ay = self.grid.spacing
         offset, length_x, length_y, corners = np.moveaxis(sums, -1, 0)
         table = self.tables[0]
@@ -65,8 +66,13 @@ class ContactLine:
 
     def _sums(self) -> np.ndarray:
         if self._of_rows is None:
-            sums, lookup = np.zeros((self.grid.local_shape[0], 4)), self._lookup
-            self.grid.threads.deal(lambda a, b: add_lines_of_rows(self.fields, lookup, a, sums[a:b]), len(sums))
+            sums, ny = np.zeros((self.grid.local_shape[0], 4)), self.grid.shape[1]
+
+            def part(_: int, first: int, stop: int) -> None:
+                pixel, found = lines_of_pixels(self.fields, self._lookup, first, stop)
+                _add(sums, pixel // ny, found)
+
+            self.grid.threads.share(part, len(sums), rows_at_a_time(ny))
             self._of_rows = sums
         return self._of_rows
 
@@ -81,12 +87,22 @@ class ContactLine:
 
     def of_patches(self, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
         """The same of each patch that this rank keeps; called first, it spares the others their pass.  Collective."""
-        sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((self.grid.local_shape[0], 4))
-        patch = labels.patch[labels.fragment]
-        add_lines_of_patches(self.fields, self._lookup, (labels.runs, labels.first), patch, sums, of_rows)
+        (rows, ny), patch = self.fields[0].shape, labels.patch[labels.fragment]
+        sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((rows, 4))
+        run_starts = np.repeat(np.arange(-1, rows) * ny, np.diff(labels.first)) + labels.runs[:, 0]
+        for first in range(0, rows, rows_at_a_time(ny)):
+            pixel, found = lines_of_pixels(self.fields, self._lookup, first, min(first + rows_at_a_time(ny), rows))
+            _add(of_rows, pixel // ny, found)
+            _add(sums, patch[np.searchsorted(run_starts, pixel, side="right") - 1], found)
         self._of_rows = of_rows
         np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
         return self._finish(sums[: labels.kept])
+
+
+def _add(sums: np.ndarray, which: np.ndarray, found: np.ndarray) -> None:
+    """sums[which[k]] += found[:, k] for each k in turn."""
+    for column, values in zip(sums.T, found, strict=True):
+        np.add.at(column, which, values)
 
 
 def is_smooth(grid: SlabGrid, highest: float) -> bool:

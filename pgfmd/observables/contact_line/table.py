@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from pgfmd.observables.contact_line.kernels import describe_all
+from pgfmd.observables.contact_line.pairs import describe
 from pgfmd.theory.lattice_edge import LatticeEdge, lattice_edge
 
 POINTS = 65  # of the table in each direction; 257 change the area that the line adds by .03 %, the perimeter by 4e-5
@@ -25,7 +25,7 @@ class EdgeTable:
     """For pairs of pixels along one axis.
 
     values: (POINTS, POINTS, 5), over the apparent angle from 0 to π/2 and the share p/(p + E'g/a) from 0 to 1 (see
-    `kernels.describe`).  The five are: the area (t − ½) cos²θ in pixels between the line and the middle of the pair;
+    `pairs.describe`).  The five are: the area (t − ½) cos²θ in pixels between the line and the middle of the pair;
     cos θ, θ the angle between the pair and the normal; t, the distance from the contact pixel to the line along the
     pair, in spacings; p/p₂ and g/g₂, where p₂ is the pressure one pixel farther in and g₂ the gap one farther out
     shift, square: ∮ δ dθ and ∮ δ² dθ, δ as in `theory.lattice_edge`
@@ -70,8 +70,7 @@ def _along_shares(edge: LatticeEdge, m: int, k: int, ratio: float, shares: np.nd
     beta = np.tile(np.linspace(1 - 1e-9, 1e-9, -(-_SAMPLES // m)), m)[:, None]
     lines = contact + np.array([m, 0, -m, -2 * m, -k, k, -k - m, k - m])
     around = edge.signed(lines, beta)
-    share, angle = np.empty(len(around)), np.empty(len(around))
-    describe_all(around, ratio, share, angle)
+    share, angle = describe(around.T, ratio)
     place = edge.distance(contact, beta)[:, 0] / edge.normal[0]
     cosine = np.full(len(around), edge.normal[0])
     columns = [

@@ -14,6 +14,9 @@ from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, Unknowns
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
 
+Rows = tuple[np.ndarray, np.ndarray]
+"""A contiguous array by rows, and flat: to reshape it takes long to compile."""
+
 RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
 _APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
@@ -47,7 +50,7 @@ class Stencil:
 
         def part(first: int, stop: int) -> None:
             work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), np.float32)
-            correlate(vector, self.weights, work, lists, (first, stop), out)
+            correlate(vector, self.weights, (work, work.reshape(-1)), lists, (first, stop), out)
 
         self.grid.threads.deal(part, rows)
 
@@ -82,7 +85,7 @@ def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> f
 
 @inlined
 def apply_stencil(
-    rows: np.ndarray, weights: np.ndarray, points: Points, first: int, count: int, values: np.ndarray
+    work: Rows, weights: np.ndarray, points: Points, first: int, count: int, values: np.ndarray
 ) -> None:
     """values[k] = Σ_st w[s, t] rows[i + 2 + s, columns[k] + 2 + t] for the points k of row first + i, rows i < count.
 
@@ -90,10 +93,9 @@ def apply_stencil(
     are evaluated together with what lies between them: a loop over contiguous memory is several times faster.
     """
     columns, offsets = points
-    flat, stride = rows.reshape(-1), rows.shape[1]
+    flat, stride = work[1], work[0].shape[1]
     line = np.empty(stride, values.dtype)
-    a, b, c, d, e, f = weights
-    six = (a, b, c, d, e, f)
+    six = (weights[0], weights[1], weights[2], weights[3], weights[4], weights[5])
     for i in range(count):
         base = (i + 2) * stride + 2
         k, end = offsets[first + i], offsets[first + i + 1]
@@ -116,18 +118,18 @@ def apply_stencil(
 def correlate(
     vector: tuple[np.ndarray, Points],
     weights: np.ndarray,
-    rows: np.ndarray,
+    work: Rows,
     targets: Points,
     part: Part,
     out: np.ndarray,
 ) -> None:
     """`apply_stencil` to a vector (values, points) on one set, whose rows are listed from two before the first on, for
-    the points of another in rows first … stop−1; as many rows at a time as `rows` has room for.
+    the points of another in rows first … stop−1; as many rows at a time as `work` has room for.
     """
     values, points = vector
     first, stop = part
-    batch = rows.shape[0] - 4
+    batch = work[0].shape[0] - 4
     for low in range(first, stop, batch):
         count = min(batch, stop - low)
-        fill_wrapped(values, points, low, count + 4, 2, rows)
-        apply_stencil(rows, weights, targets, low, count, out)
+        fill_wrapped(values, points, low, count + 4, 2, work[0])
+        apply_stencil(work, weights, targets, low, count, out)
