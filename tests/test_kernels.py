@@ -277,13 +277,15 @@ def test_start_rows(rng):
 
 
 def test_interpolate_rows(rng):
-    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic."""
+    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic; rows 2 to 6 of the array lie in one, the
+    others in another."""
     coarse = rng.random((8, 6))
     index, weights = np.array([0, 3, 4]), rng.random((3, 4))
     first, column_weights = rng.integers(-1, 6, 4), rng.random((4, 4))
     columns = (first[:, None] + np.arange(4)) % 6
     out = np.empty((3, 4))
-    kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
+    rows = coarse[2:7], coarse[[0, 1, 7]], np.array([-1, -2, 0, 1, 2, 3, 4, -3])
+    kernels.interpolate_rows(rows, index, weights, first, column_weights, out)
     picked = coarse[(index[:, None] + np.arange(4))[:, :, None, None], columns[None, None]]
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13, atol=0)
 

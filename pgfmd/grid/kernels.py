@@ -15,6 +15,10 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}
 jit = compiled(fastmath=FAST)
 inlined = compiled(fastmath=FAST, inline="always")  # for what a loop calls in one place
 
+Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""(own, others, places): row k of an array whose rows lie in two is own[places[k]], or others[−1 − places[k]] if that
+is negative."""
+
 u = np.uintp  # for indices: Numba tests signed ones for < 0, and does not vectorise loops with that test
 
 
@@ -121,13 +125,19 @@ def squares_of_steps(field: np.ndarray) -> float:
 
 
 @inlined
-def _blend_rows(coarse: np.ndarray, first: int, weights: np.ndarray, line: np.ndarray) -> None:
+def _row(rows: Rows, k: int) -> np.ndarray:
+    own, others, places = rows
+    return own[places[k]] if places[k] >= 0 else others[-1 - places[k]]
+
+
+@inlined
+def _blend_rows(coarse: Rows, first: int, weights: np.ndarray, line: np.ndarray) -> None:
     """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
-    width = coarse.shape[1]
+    p, q, r, s = _row(coarse, first), _row(coarse, first + 1), _row(coarse, first + 2), _row(coarse, first + 3)
+    width = p.size
     a, b, c, d = weights
     for j in range(width):
-        inner = b * coarse[first + 1, j] + c * coarse[first + 2, j]
-        line[u(j + 1)] = inner + a * coarse[first, j] + d * coarse[first + 3, j]
+        line[u(j + 1)] = b * q[u(j)] + c * r[u(j)] + a * p[u(j)] + d * s[u(j)]
     line[0] = line[width]
     for t in range(3):
         line[width + 1 + t] = line[1 + t]
@@ -135,7 +145,7 @@ def _blend_rows(coarse: np.ndarray, first: int, weights: np.ndarray, line: np.nd
 
 @jit
 def interpolate_rows(
-    coarse: np.ndarray,
+    coarse: Rows,
     first_index: np.ndarray,
     weights: np.ndarray,
     columns_first: np.ndarray,
@@ -145,7 +155,7 @@ def interpolate_rows(
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
     interpolation by four points; columns from −1 on, wrapping.
     """
-    line = np.empty(coarse.shape[1] + 4, coarse.dtype)
+    line = np.empty(coarse[0].shape[1] + 4, coarse[0].dtype)
     for i in range(out.shape[0]):
         _blend_rows(coarse, first_index[i], weights[i], line)
         target = out[i]

@@ -51,11 +51,17 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
     transforms: means of fine points, weighted by the transpose of `Interpolation`, in single precision.  Collective.
     """
     (first, weights), columns = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
-    narrow, weights = np.empty((len(field), coarse.shape[1]), np.float32), weights.astype(np.float32)
-    fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], *columns, narrow[a:b]), len(field))
+    weights = weights.astype(np.float32)
     start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
     low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
-    rows, out = fine.fetch(narrow, low, high), new_field(coarse.local_shape)
+    rows, begin, end = np.empty((high - low, coarse.shape[1]), np.float32), fine.rows.start, fine.rows.stop
+    if low <= begin and end <= high:  # this rank's rows are made where they are needed
+        narrow, ranges, places = rows[begin - low : end - low], ((low, begin), (end, high)), (0, end - low)
+    else:
+        narrow, ranges, places = np.empty((len(field), rows.shape[1]), np.float32), ((low, high), (high, high)), (0, 0)
+    fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], *columns, narrow[a:b]), len(field))
+    RowPlan(fine.layout, ranges, places).fetch(narrow, rows)
+    out = new_field(coarse.local_shape)
 
     def combine(a: int, b: int) -> None:
         for i in range(a, b):
@@ -76,11 +82,18 @@ class Interpolation:
         margin = 2
         positions = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
         low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
-        self._fields = [np.empty((high - low, coarse.shape[1]), field.dtype) for field in fields]
-        plan, exchange = RowPlan(coarse.layout, [(low, high)]), Exchange(fine.comm)
-        for field, rows in zip(fields, self._fields, strict=True):
-            exchange.fetch(plan, field, rows, threads=fine.threads)
+        # Rows that this rank holds are read where they are; only those before and after them are fetched.
+        first = min(max(coarse.layout.rows.start, low), high)
+        stop = min(max(coarse.layout.rows.stop, first), high)
+        places = np.arange(low, high) - coarse.layout.rows.start
+        away = np.r_[: first - low, stop - low : high - low]
+        places[away] = -1 - np.arange(len(away))
+        others = [np.empty((len(away), coarse.shape[1]), field.dtype) for field in fields]
+        plan, exchange = RowPlan(coarse.layout, [(low, first), (stop, high)]), Exchange(fine.comm)
+        for field, rows in zip(fields, others, strict=True):
+            exchange.fetch(plan, field, rows)
         exchange.carry_out()
+        self._fields = [(field, rows, places) for field, rows in zip(fields, others, strict=True)]
         self._x = _weights(positions - low)
         self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
         self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
