@@ -175,9 +175,9 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
 @pytest.mark.parametrize("load", [0.0005, 0.05, 0.4, 1.5])
 @pytest.mark.parametrize("lambda_s", [1.0, 8.0])
 def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
-    """J(p) − J(p*) ≤ the certificate ≤ 12 times that, from single pixels to nearly full contact, with p* certified to
-    1e-20; the pressure error is estimated within a factor: between .05 and 2 of it is true.  Loads in units of the
-    stress of full contact.
+    """J(p) − J(p*) ≤ the certificate ≤ 2.5 times that (measured at most 1.5 here, 2.0 at 256²), from single pixels to
+    nearly full contact, with p* certified to 1e-20; the pressure error is estimated within a factor: between .05 and 2
+    of it is true.  Loads in units of the stress of full contact.
     """
     grid = SlabGrid(comm, (96, 80))
     heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
@@ -196,7 +196,7 @@ def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
         assert found.certified_error <= tolerance
         assert true <= found.certified_error
         if true > 1e-18:  # else the tolerance was met by far, and rounding is what is certified
-            assert found.certified_error < 12 * max(true, 0.01 * tolerance)
+            assert found.certified_error < 2.5 * max(true, 0.01 * tolerance)
             far = np.sqrt(grid.reduction.sum(wrong**2) / grid.reduction.sum(exactly.pressure**2))
             assert 0.05 < far / found.pressure_error < 2
 

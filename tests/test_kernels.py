@@ -242,19 +242,31 @@ def test_sums_of_a_state(fields):
     assert (highest, lowest) == (gap[p >= 1].max(), gap[p <= 0].min())
 
 
-@pytest.mark.parametrize("cut", [(0, 9), (0, 4), (4, 9)])
-def test_field_of_the_certificate(fields, cut):
-    """g − λ between the bounds; elsewhere the mean of that over the neighbours, others counting as 0, where it is
-    allowed: at most g − λ where p = 0, at least g − λ where p = top."""
+def test_limits_of_the_field_of_the_certificate(fields):
+    """g − λ between the bounds; at most that where p = 0, at least that where p = top, and first 0."""
     p, gap, _ = fields
-    p = np.clip(p, 0, 1)
-    free, away = (p > 0) & (p < 1), gap - 0.1
-    uneven = np.where(free, away, 0)
-    around = sum(np.roll(uneven, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)) / 8
-    expected = np.where(free, away, np.where(p <= 0, np.minimum(around, away), np.maximum(around, away)))
-    edges, out = np.stack([uneven[-1], uneven[0]]), np.empty((cut[1] - cut[0], 7))
-    active_set.residual_rows((p, gap), 0.1, 1.0, edges, cut[0], out)
-    assert np.allclose(out, expected[cut[0] : cut[1]], rtol=0, atol=1e-15)
+    p, out = np.clip(p, 0, 1), np.full((3, 9, 11), np.nan, np.float32)
+    active_set.residual_limits((p, gap), (0.1, 1.0), 2, out)
+    away, most = (gap - 0.1).astype(np.float32), np.finfo(np.float32).max
+    expected = np.where(p > 0, away, -most), np.where(p < 1, away, most), np.where((p > 0) & (p < 1), away, 0)
+    assert np.array_equal(out[:, :, 2:-2], expected) and np.isnan(out[:, :, [0, 1, 9, 10]]).all()
+
+
+@pytest.mark.parametrize("shape", [(9, 7), (8, 3), (7, 1)])
+def test_means_between_limits(rng, shape):
+    """The mean over eight points at a distance, columns periodic, cut at the limits."""
+    (rows, ny), stride, margin, unread = shape, 2, 4, 1
+    wide = np.zeros((4, rows, ny + 2 * margin), np.float32)
+    wide[:3, :, margin:-margin] = rng.standard_normal((3, rows, ny))
+    wide[0] -= 0.5
+    wide[1] = np.maximum(wide[1], wide[0])
+    least, most, field, _ = wide[:, :, margin:-margin].astype(float)
+    steps = [(i, j) for i in (-stride, 0, stride) for j in (-stride, 0, stride) if i or j]
+    expected = np.clip(sum(np.roll(field, step, (0, 1)) for step in steps) / 8, least, most)
+    active_set.average_between(wide[2], wide[:2], (stride, unread, margin), wide[3])
+    inner = slice(unread + stride, rows - unread - stride)
+    assert np.allclose(wide[3, inner, margin:-margin], expected[inner], rtol=0, atol=1e-6)
+    assert not wide[3, : inner.start].any() and not wide[3, inner.stop :].any()
 
 
 def test_products_of_spectra(rng):
