@@ -49,13 +49,14 @@ def everywhere(grid: SlabGrid, points: Unknowns, values: np.ndarray) -> np.ndarr
     return np.concatenate(comm.allgather(field))
 
 
-@pytest.mark.parametrize("shape", [(64, 16), (9, 5)])
+@pytest.mark.parametrize("shape", [(64, 16), (9, 5), (6, 300)])
 def test_unknowns(shape):
     """Points between the bounds, or at one of them with a gap that drives away from it.  Fields are read and changed
     there and nowhere else, exactly; level − field stays within 1e25; a transform and back gives values to 2⁻²⁴ · 10."""
     grid, rng = SlabGrid(comm, shape), np.random.default_rng(7)
     p = rng.choice([-0.5, 0.0, 0.3, 0.6, 1.0, 1.4], shape)[grid.rows]
     gap = rng.choice([-0.4, 0.0, 0.2, 0.5], shape)[grid.rows]
+    p[:, 70:240], gap[:, 70:240] = 0.0, 0.2  # a long piece without unknowns
     mask = (p > 0) & (p < 1) | (p <= 0) & (gap < 0.1) | (p >= 1) & (gap > 0.1)
     points = Unknowns(grid, (p, gap), 0.1, 1.0)
     assert np.array_equal(points.columns, np.nonzero(mask)[1])
