@@ -50,13 +50,13 @@ class Dimensionless:
             return
         if law.range >= UNIFORM * made.rms:
             raise Uncertifiable(
-                f"the wall's range = {law.range:g}: the rms height is {made.rms:g} only, and makes the pressure differ "
-                "by no more than its last digits: no elastic energy can be certified"
+                f"the wall's range zeta = {law.range:g}: the rms height is only {made.rms:g}, so that the pressure "
+                "differs by no more than its last digits: no elastic energy can be certified"
             )
         if 0 < law.range < SHORTEST * made.unit:
             raise InputError(
-                f"the wall's range = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can touch, "
-                f'here {made.unit:g}; shorter walls are hard: wall.kind = "hard"'
+                f"the wall's range zeta = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can "
+                f'touch, here {made.unit:g}; shorter walls are hard: wall.kind = "hard"'
             )
         mean = physical.mean_pressure
         self.units = Units(made.unit, mean, law.gap(mean, solid), law.highest)
