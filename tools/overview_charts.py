@@ -26,6 +26,9 @@ def some(loads: Sequence[Load], most: int) -> list[Load]:
     return [loads[place] for place in places]
 
 
+DIGITS = {"certified_error": 2, "transforms": 3, "seconds": 3}  # of numbers in the table; of others 5
+
+
 def table(loads: Sequence[Load]) -> dict[str, list]:
     """Columns and rows of the table of loads, with the error bars of the grid."""
     results = loads[0].results
@@ -40,7 +43,7 @@ def table(loads: Sequence[Load]) -> dict[str, list]:
         for name in names:
             error = f" ± {float(np.ravel(bars[f'{name}_error'])[0]):.1g}" if f"{name}_error" in bars else ""
             value = load.number(name)
-            row.append(f"{value:.5g}{error}" if math.isfinite(value) else "–")
+            row.append(f"{value:.{DIGITS.get(name, 5)}g}{error}" if math.isfinite(value) else "–")
         rows.append([load.index, row])
     return {"columns": columns, "rows": rows}
 

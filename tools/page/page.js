@@ -48,6 +48,16 @@ function ticks(low, high, most) { // multiples of 1, 2 or 5 · 10ⁿ
   return { values: found, text: v => digits(Math.abs(v) < step * 1e-6 ? 0 : +v.toPrecision(12), Math.max(3, Math.ceil(Math.log10(Math.max(Math.abs(low), Math.abs(high)) / step)) + 1)) };
 }
 
+function sqrtTicks(low, high, most) { // 0 and 1, 2 or 5 · 10ⁿ, apart on a scale of square roots
+  const least = (Math.sqrt(high) - Math.sqrt(low)) / most, values = [];
+  let last = Infinity;
+  for (let n = Math.floor(Math.log10(high)); n > Math.log10(high) - 8; n--) for (const m of [5, 2, 1]) {
+    const v = m * 10 ** n;
+    if (v <= high * (1 + 1e-9) && v >= low && last - Math.sqrt(v) >= least && Math.sqrt(v) - (low > 0 ? 0 : least) >= 0) { values.push(v); last = Math.sqrt(v); }
+  }
+  return { values: (low > 0 ? values : [...values, 0]).reverse(), text: v => digits(v) };
+}
+
 function logTicks(low, high, most) {
   const first = Math.ceil(Math.log10(low) - 1e-9), last = Math.floor(Math.log10(high) + 1e-9);
   const every = Math.max(1, Math.ceil((last - first + 1) / most));
@@ -314,15 +324,19 @@ class Panel {
     g.strokeRect(left - g.lineWidth / 2, top - g.lineWidth / 2, w + g.lineWidth, h + g.lineWidth);
     g.font = `${12 * c}px system-ui, "Segoe UI", "Helvetica Neue", Arial, sans-serif`;
     g.beginPath();
-    const along = ticks((x0 - 0.5) * RX, (x1 - 0.5) * RX, clamp(w / (80 * c), 2, 8));
+    const along = ticks((x0 - 0.5) * RX, (x1 - 0.5) * RX, clamp(w / (44 * c), 2, 8));
     g.textAlign = "center"; g.textBaseline = "top";
+    let free = -Infinity;
     for (const v of along.values) {
       const x = Math.round(this.toScreen(v / RX + 0.5, 0)[0]);
       if (x < left || x > left + w) continue;
       g.moveTo(x, top + h); g.lineTo(x, top + h + 5 * c);
-      g.fillText(along.text(v), x, top + h + 7 * c);
+      const text = along.text(v), half = g.measureText(text).width / 2;
+      if (x - half < free) continue;
+      g.fillText(text, x, top + h + 7 * c);
+      free = x + half + 6 * c;
     }
-    const up = ticks((y0 - 0.5) * RY, (y1 - 0.5) * RY, clamp(h / (60 * c), 2, 8));
+    const up = ticks((y0 - 0.5) * RY, (y1 - 0.5) * RY, clamp(h / (40 * c), 2, 8));
     g.textAlign = "right"; g.textBaseline = "middle";
     for (const v of up.values) {
       const y = Math.round(this.toScreen(0, v / RY + 0.5)[1]);
@@ -357,7 +371,7 @@ class Panel {
       g.textAlign = "center";
     }
     const marks = field.scale === "log" ? logTicks(low, high, clamp(long / (60 * c), 2, 7))
-      : ticks(low, high, clamp(long / ((field.scale === "sqrt" ? 60 : 45) * c), 2, 6));
+      : (field.scale === "sqrt" ? sqrtTicks : ticks)(low, high, clamp(long / (45 * c), 2, 6));
     let free = left + (blank ? 66 * c : -1e9);
     g.beginPath();
     for (const v of marks.values) {
@@ -577,7 +591,8 @@ function chart(spec) { // curves of the load that is chosen in colour, those of 
       }
       if (chosen(curve) && curve.name) {
         const entry = make("span", undefined, legend), sign = make("i", undefined, entry);
-        sign.style.borderTop = `${curve.dots ? "3px dotted" : curve.dash ? "2px dashed" : "2px solid"} ${curve.colour}`;
+        if (curve.dots) { sign.className = "dot"; sign.style.background = curve.colour; }
+        else sign.style.borderTop = `2px ${curve.dash ? "dashed" : "solid"} ${curve.colour}`;
         entry.append(curve.name);
       }
     }
