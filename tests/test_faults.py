@@ -156,7 +156,7 @@ def fill_disks(tmp_path, n: int, times: int, ranks: int):
             (disk / "filler").unlink()
             code, stderr = launching.wait(launching.start(1, "run", job, "--output", disk / "out", "--restart"), 600)
             assert code == 0, stderr
-            assert not saved or f"load {there + 1} goes on from its checkpoint" in stderr
+            assert not saved or f"load {there + 1} continues from its checkpoint" in stderr
             _, found = launching.distance(disk / "out", tmp_path / "reference")
             print(f"full {done:2}: {there} loads{' + checkpoint' * saved}; then {found:.0e}; {said[0]}", flush=True)
             assert found < 1e-10

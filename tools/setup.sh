@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv/ in this checkout, ready to run pgfmd: the one place of installation.
+# Makes .venv/ in this checkout, ready to run pgfmd; every installation goes through this script.
 #
 #   bash tools/setup.sh [test] [bench] [EXTRA …]
 #
@@ -8,10 +8,9 @@
 # same contacts (tamaas, ContactMechanics), that build the documentation, and a browser.  bench: what jobs/benchmark.sh
 # compares with; compiles for some minutes.
 #
-# Run it as often as you like: where nothing has changed it ends at once.  Debian packages that are missing are
-# installed where that is allowed (root, or sudo without a password), else they are named.  What has to be compiled
-# (h5py with MPI, mpi4py-fft) is kept outside the checkout in ${PGFMD_WHEELS:-~/.cache/pgfmd/wheels}, so that the next
-# clone takes what is there.  PGFMD_PYTHON chooses another Python than python3.
+# If nothing has changed it ends at once.  Missing Debian packages are installed if allowed (root, or sudo without a
+# password), else listed.  Compiled packages (h5py with MPI, mpi4py-fft) are kept outside the checkout in
+# ${PGFMD_WHEELS:-~/.cache/pgfmd/wheels}, for the next clone.  PGFMD_PYTHON chooses another Python than python3.
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -216,7 +215,7 @@ python_packages() {
     if [ ${#more[@]} != 0 ] && download "${extras[@]}" "${more[@]}"; then
         extras+=("${more[@]}")
     else
-        [ ${#more[@]} = 0 ] || say "some packages for tests are not to be had for this Python ($log): their tests are skipped"
+        [ ${#more[@]} = 0 ] || say "some packages for tests are not available for this Python ($log): their tests are skipped"
         download "${extras[@]}" || { tail -n 15 "$log" >&2; fail "packages could not be downloaded ($log)"; }
     fi
     fft=$(compiled mpi4py-fft mpi4py_fft cc "under a minute") ||

@@ -72,7 +72,7 @@ class Checkpoints:
                 continue
             pressure, fault = hdf5_slabs.read(self.comm, path, self.rows, "pressure")
             if fault is None:
-                log.info("load %d goes on from its checkpoint", index + 1)
+                log.info("load %d continues from its checkpoint", index + 1)
                 return pressure
             log.warning("%s: %s; it is not used", path, fault)
         return None

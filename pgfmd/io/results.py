@@ -35,11 +35,11 @@ BARS = "discretisation"  # the group whose numbers are the errors of columns of 
 
 
 class Results:
-    """A result folder, also of a run that goes on or was broken off: whatever loads it has completed.
+    """A result folder: its completed loads, also while the run continues or after it was interrupted.
 
-    Reads the table of loads at once, everything else when asked for; what was written in an earlier format is given as
-    the present one has it.  Iterating gives the loads.  Raises InputError if the folder is missing, holds no results,
-    or was written in a newer format.
+    Reads the table of loads at once, everything else on access; earlier formats are converted to the present one.
+    Iterating gives the loads.  Raises InputError if the folder is missing, holds no results, or was written in a newer
+    format.
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}

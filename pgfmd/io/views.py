@@ -1,10 +1,10 @@
-"""Small files that show all fields of a run, each of which lies in a file of its own, together: no number is copied.
+"""Small files that show all fields of a run together, without copies of the numbers, which are in other files.
 
     fields.h5       height (x, y); pressure, gap, … of all loads (load, x, y); load_0000/pressure, … (x, y) of each
-    fields.vtkhdf   the same for ParaView and VTK: one image, the loads as its steps in time
+    fields.vtkhdf   the same for ParaView and VTK: one image, the loads as its time steps
 
-Their datasets are virtual (HDF5 1.10): whoever reads them is given what is in the files of fields, which must stay
-where they are.  A file that is missing reads as NaN, or −1 for integers.
+Their datasets are virtual (HDF5 1.10): they refer to the files of fields, which must stay where they are.  A missing
+file reads as NaN, or −1 for integers.
 """
 
 from __future__ import annotations

@@ -134,9 +134,9 @@ class Interruptions:
     def _reason(self, number: int) -> Stopped | NoProgress:
         reason = signal.Signals(number).name if number else f"the file {self._stop_file()}"
         if number or self._stop_file():
-            return Stopped(f"stopped by {reason}; go on with {self.resumption}")
+            return Stopped(f"stopped by {reason}; continue with {self.resumption}")
         if self._progress:
-            return Stopped(f"stopped by {self.limit}; go on with {self.resumption}")
+            return Stopped(f"stopped by {self.limit}; continue with {self.resumption}")
         return NoProgress(
             f"{self.limit} is too short: {self.end - self._started:.0f} s passed without a checkpoint "
             "ahead of the last one; allow more time, or take more ranks"
