@@ -170,7 +170,7 @@ def _info(options: argparse.Namespace) -> str:
 
 
 def _plot(words: list[str]) -> str:
-    """Draw a figure; what to print.  The figures lie beside the package: installed, or in tools/ of a checkout."""
+    """Draw a figure; what to print.  The figures are in pgfmd_tools/ or, in a checkout, tools/ next to the package."""
     here = Path(__file__).resolve().parents[1]
     folders = [here / name for name in ("pgfmd_tools", "tools") if (here / name / "figures.py").is_file()]
     if not folders:

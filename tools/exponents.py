@@ -108,7 +108,7 @@ def scaled(group: Ensemble) -> tuple[np.ndarray, Curves]:
             zero = np.array([load.mean_pressure if kind == "stress" else load.area for load in same])[:, None] ** 2
             kinds[kind] = f * power / ((1 - f) * zero)
         curves[target[1]], x = kinds, q / group.q_unit
-    # a regular surface leaves bins empty but for rounding
+    # a regular surface leaves bins empty up to rounding
     seen = np.all([(c > c.max() * 1e-20).all(axis=0) for kinds in curves.values() for c in kinds.values()], axis=0)
     return x[seen], {load: {kind: c[:, seen] for kind, c in kinds.items()} for load, kinds in curves.items()}
 

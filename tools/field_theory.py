@@ -78,7 +78,7 @@ def summed(load: Load) -> np.ndarray:
     """G₁² (stiffness |h̃|)², per mode, averaged over the modes of each bin of `Load.spectrum`: (m,)."""
 
     def weight(q: np.ndarray) -> np.ndarray:
-        # G₁ for the effective modulus 2 stiffness/q, which is E' but for a slab
+        # G₁ for the effective modulus 2 stiffness/q, which is E' except for a slab
         stiffness = load.stiffness(q)
         modulus = 2 * stiffness / q
         return (exponential.response(q, load.mean_pressure, load.zeta, contact_modulus=modulus) * stiffness) ** 2

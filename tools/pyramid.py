@@ -119,6 +119,6 @@ def quantised(values: np.ndarray, scale: str, blank: bool) -> tuple[np.ndarray, 
 
 
 def decoded(line: bytes) -> tuple[np.ndarray, float, float]:
-    """What the browser makes of the line of a tile, but for its shape: bytes (m,), low, high.  For tests."""
+    """The line of a tile as the browser decodes it, without its shape: bytes (m,), low, high.  For tests."""
     _, low, high, text = json.loads(line[len("pgfmd_tile") :].strip().replace(b"(", b"[").replace(b")", b"]"))
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8), low, high

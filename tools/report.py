@@ -1,8 +1,8 @@
-"""The paper beside the runs: one self-contained HTML page with a verdict on every claim, every figure, number and run.
+"""The paper compared with the runs: one self-contained HTML page with every claim, figure, number and run.
 
     python tools/report.py results/paper [--output results/paper/report]
 
-Makes all figures anew.  Rules and claims stand in tools/paper.toml; what has not been run yet is said.
+Makes all figures anew.  Claims and rules are in tools/paper.toml; a note names what has not been run yet.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def samples(group: Ensemble) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nda
     q, contact = common_bins([load.spectrum("contact")[:2] for load in group])
     stress = np.array([load.spectrum("stress")[1] / load.contact_pressure**2 for load in group])
     count = group.loads[0].spectrum("contact")[2]
-    seen = (contact > contact.max() * 1e-20).all(axis=0)  # a regular surface leaves bins empty but for rounding
+    seen = (contact > contact.max() * 1e-20).all(axis=0)  # a regular surface leaves bins empty up to rounding
     return (q / group.q_unit)[seen], count[seen], stress[:, seen], contact[:, seen]
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cost:
-    """Work in transforms of the grid (forward and backward, double precision); memory in bytes per grid point, beside
-    that of the heights, the pressure and the gap.
+    """Work in transforms of the grid (forward and backward, double precision); memory in bytes per grid point,
+    without that of the heights, the pressure and the gap.
     """
 
     transforms: float = 0.0

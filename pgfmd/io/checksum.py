@@ -129,7 +129,7 @@ def read_seal(path: Path) -> tuple[Seal | None, str | None]:
         file.seek(total - min(total, _FOOTER + length))
         seal, fault = _parse(file.read(), total)
         if seal is not None and _rest(file, seal.size, seal.arrays) != seal.rest:
-            return None, "its bytes beside the fields are not those that were written"
+            return None, "bytes outside the fields are not those that were written"
     return seal, fault
 
 

@@ -21,9 +21,9 @@ from pgfmd.parallel.mpi import MPI
 log = logging.getLogger("pgfmd")
 
 STOP_FILE = "STOP"  # made by a user; it stays
-BATCH_STOP_FILE = ".pgfmd.stop"  # made by a batch script that goes on later; it is removed when the next run begins
+BATCH_STOP_FILE = ".pgfmd.stop"  # made by a batch script that continues later; removed when the next run begins
 SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
-SPARE = 2.0  # seconds kept before a time limit, beside what steps and checkpoints take
+SPARE = 2.0  # seconds left before a time limit, in addition to a step and a checkpoint
 GO_ON, SAVE, STOP = range(3)
 
 

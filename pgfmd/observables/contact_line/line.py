@@ -51,7 +51,7 @@ class ContactLine:
 
     @cached_property
     def _lookup(self) -> Lookup:
-        """What `lines_of_pixels` needs beside the fields."""
+        """What `lines_of_pixels` needs in addition to the fields."""
         ax, ay = self.grid.spacing
         tables = Tables((self.tables[0].values, self.tables[1].values))
         return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), tables, self.bound

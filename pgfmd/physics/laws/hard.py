@@ -13,7 +13,7 @@ from pgfmd.physics.laws.law import ContactLaw, Units
 if TYPE_CHECKING:
     from pgfmd.physics.elasticity import Elasticity
 
-SATURATED = 1 - 1e-12  # of the highest pressure: a point that bears more than this is at its bound, but for rounding
+SATURATED = 1 - 1e-12  # of the highest pressure: a point that bears more than this is at its bound up to rounding
 
 _jit = compiled()
 

@@ -111,7 +111,7 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
     Collective.
 
     If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and
-    `highest`, with the level that makes the sum `load` but for the level's rounding, a projected gradient step; then
+    `highest`, with the level that makes the sum `load` up to the level's rounding, a projected gradient step; then
     they are multiplied.
     """
     pressure, gap = fields
