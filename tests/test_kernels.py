@@ -182,14 +182,6 @@ def test_blocks_of_blocks(start, rng):
     assert np.allclose(field, expected, rtol=1e-14, atol=1e-15)
 
 
-def test_difference_of_two_precisions(rng):
-    """a − b, rounded once."""
-    a, b = rng.random((3, 8)).astype(np.float32), rng.random((3, 8))
-    expected = a - b
-    kernels.subtract_rows(a, b, b)
-    assert np.array_equal(b, expected)
-
-
 def test_finish_rows(rng):
     """p and the gap in other units, the gap nowhere negative and 0 in contact; how far it was from that."""
     p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
@@ -198,12 +190,6 @@ def test_finish_rows(rng):
     assert np.allclose(pressure, 3 * p, rtol=1e-15, atol=0)
     assert np.allclose(opened, np.where(p > 0, 0, 2 * np.maximum(gap - 0.05, 0)), rtol=1e-14, atol=0)
     assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14, abs=0)
-
-
-def test_squares_of_steps(rng):
-    """The sum of the squares of steps along rows."""
-    field = rng.standard_normal((9, 7))
-    assert kernels.squares_of_steps(field) == pytest.approx((np.diff(field, axis=1) ** 2).sum(), rel=1e-13, abs=0)
 
 
 @pytest.fixture

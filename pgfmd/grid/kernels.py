@@ -104,26 +104,6 @@ def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
             block[j, i, 1] *= scale[j, i]
 
 
-@jit
-def subtract_rows(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
-    """out = a − b, of any precisions: NumPy converts in passes of its own."""
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            out[i, j] = a[i, j] - b[i, j]
-
-
-@jit
-def squares_of_steps(field: np.ndarray) -> float:
-    """Σ (f[i, j + 1] − f[i, j])²"""
-    total = 0.0
-    for i in range(field.shape[0]):
-        row = field[i]
-        for j in range(row.size - 1):
-            step = row[u(j + 1)] - row[u(j)]
-            total += step * step
-    return total
-
-
 @inlined
 def _row(rows: Rows, k: int) -> np.ndarray:
     own, others, places = rows

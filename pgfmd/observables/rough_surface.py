@@ -13,7 +13,6 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.schema import Groups
 from pgfmd.observables.contact_line.line import is_smooth
 from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings, squared
-from pgfmd.observables.statistics.kernels import square_moments
 
 BANDWIDTH = 2.5
 """Assumed ratio of the highest wave number to √(Σ q⁴|h̃|² / Σ q²|h̃|²).  The ratio is 1 for a sinusoid and
@@ -61,9 +60,12 @@ class RoughSurface:
         """√Σ q²|h̃|², √Σ q⁴|h̃|², and the correlations if they will be asked for, in one pass.  Collective."""
         parts, grid = dict[int, tuple[float, float]](), self.grid
         along, across, weight = grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0].copy()
+        powers = np.stack([np.ones_like(along), along, along**2], axis=1)
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
-            parts[first] = square_moments(power, along, across[first:stop], weight[first:stop])
+            sums, square, w = power @ powers, across[first:stop], weight[first:stop]  # Σ v, Σ qx² v, Σ qx⁴ v
+            second = w @ (sums[:, 1] + square * sums[:, 0])
+            parts[first] = second, w @ (sums[:, 2] + square * (2 * sums[:, 1] + square * sums[:, 0]))
 
         found = None
         if self.correlated:

@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import source
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.patience import uncertifiable
@@ -66,7 +65,7 @@ class LawOperations:
             parts[first] = tuple(
                 float(np.vdot(*pair)) for pair in ((rows, pressure), (pressure, pressure), (rows, rows))
             )
-            kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
+            np.subtract(rows, self.heights[first:stop], out=state.gap[first:stop])
 
         self.grid.convolve(source(state.pressure), self.compliance[np.float64], drain)
         work, *squares = self.grid.reduction.sums_of_blocks(parts, 3)

@@ -10,7 +10,6 @@ import numpy as np
 
 from pgfmd.errors import InputError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.second_order import last_digits
@@ -234,7 +233,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
         """Sets `out` to heights in units of `size`, counted from the highest one and raised to −1 where they are lower;
         returns their mean and standard deviation.
         """
-        parts = threads.collect(lambda a, b: rescale_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
+        parts = threads.collect(lambda a, b: _rescale_rows(heights[a:b], high, size, out[a:b]), rows, grid.band)
         return _spread(grid, parts)
 
     size = high - low
@@ -253,17 +252,12 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     return Heights(out, -mean / spread, size * spread, rms, high, depth)
 
 
-@compiled()
-def rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
+def _rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:
     """out = max((h − high)/size, −1); returns its sum and that of its squares."""
-    total = squares = 0.0
-    for i in range(heights.shape[0]):
-        for j in range(heights.shape[1]):
-            value = max((heights[i, j] - high) / size, -1.0)
-            out[i, j] = value
-            total += value
-            squares += value * value
-    return total, squares
+    np.subtract(heights, high, out=out)
+    np.divide(out, size, out=out)
+    np.maximum(out, -1.0, out=out)
+    return float(out.sum()), float(np.vdot(out, out))
 
 
 def _spread(grid: SlabGrid, parts: list[tuple[float, float]]) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.pairs import Lookup, Tables, lines_of_pixels, rows_at_a_time
+from pgfmd.observables.contact_line.pairs import Lookup, Tables, lines_of_pixels
 from pgfmd.observables.contact_line.table import EdgeTable, edge_table
 from pgfmd.observables.patches.labelling import Labels
 from pgfmd.physics.problem import ContactProblem
@@ -56,6 +56,11 @@ class ContactLine:
         tables = Tables((self.tables[0].values, self.tables[1].values))
         return self.modulus / np.array([ax, ay]), np.array([ay / ax, ax / ay]), tables, self.bound
 
+    @property
+    def _band(self) -> int:
+        """Rows at a time: pairs take more memory than fields do."""
+        return max(1, min(4 * self.grid.band, self.grid.local_shape[0] // 16))
+
     def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(area beyond that of the pixels, perimeter) from sums (…, 4) of `pairs.lines_of_pixels`."""
         ax, ay = self.grid.spacing
@@ -72,7 +77,7 @@ class ContactLine:
                 pixel, found = lines_of_pixels(self.fields, self._lookup, first, stop)
                 _add(sums, pixel // ny, found)
 
-            self.grid.threads.share(part, len(sums), rows_at_a_time(ny))
+            self.grid.threads.share(part, len(sums), self._band)
             self._of_rows = sums
         return self._of_rows
 
@@ -90,8 +95,8 @@ class ContactLine:
         (rows, ny), patch = self.fields[0].shape, labels.patch[labels.fragment]
         sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((rows, 4))
         run_starts = np.repeat(np.arange(-1, rows) * ny, np.diff(labels.first)) + labels.runs[:, 0]
-        for first in range(0, rows, rows_at_a_time(ny)):
-            pixel, found = lines_of_pixels(self.fields, self._lookup, first, min(first + rows_at_a_time(ny), rows))
+        for first in range(0, rows, self._band):
+            pixel, found = lines_of_pixels(self.fields, self._lookup, first, min(first + self._band, rows))
             _add(of_rows, pixel // ny, found)
             _add(sums, patch[np.searchsorted(run_starts, pixel, side="right") - 1], found)
         self._of_rows = of_rows

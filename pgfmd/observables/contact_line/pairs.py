@@ -18,7 +18,6 @@ import numpy as np
 OFFSET, COSINE, PLACE, INNER, OUTER = range(5)  # last axis of a table, see `table.EdgeTable`
 _ROUNDS = 8  # of `locate`, at most; more of them change the area that the line adds by .1 % where λ_s = 4a
 _LARGEST = 1e6  # of pressures and gaps over those of a pair, which may vanish both: keeps squares finite
-_POINTS = 1 << 18  # whose rows are searched at a time: they stay in cache
 
 Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, ny); two more rows each way (2, 4, ny)
 
@@ -26,7 +25,10 @@ Fields = tuple[np.ndarray, np.ndarray, np.ndarray]  # pressure, gap (nx_local, n
 def _distance(relative: np.ndarray) -> np.ndarray:
     """Roughly linear in the distance to the edge on both sides: p² inside, −(¾E'g/a)^(2/3) outside."""
     x = np.clip(relative, -_LARGEST, _LARGEST)
-    return np.where(x > 0, x * x, -np.cbrt((0.75 * x) ** 2))
+    found = 0.75 * x
+    np.cbrt(np.square(found, out=found), out=found)
+    np.negative(found, out=found)
+    return np.multiply(x, x, out=found, where=x > 0)
 
 
 def describe(around: np.ndarray, ratio: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
@@ -127,33 +129,25 @@ def lines_of_pixels(fields: Fields, lookup: Lookup, first: int, stop: int) -> tu
     pixel = np.flatnonzero(here & ~(closed & np.roll(closed, 1, 1) & np.roll(closed, -1, 1)))
     i, j = np.divmod(pixel, ny)
     columns = [(j + shift) % ny for shift in range(-2, 3)]
-    found, arounds, pairs, axes = np.zeros((4, len(pixel))), [], [], []
-    for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-        pair, axis = np.flatnonzero(~inside[i + 2 + di, columns[2 + dj]]), abs(dj)
-        around = np.empty((8, len(pair)))
-        for k in range(8):
-            along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
-            at = i[pair] + (2 + along * di + across * dj), columns[2 + along * dj + across * di][pair]
-            p = pressure[at]
-            around[k] = np.where(p > 0, p, -scales[axis] * np.maximum(gap[at], 0.0))
-        arounds.append(around)
-        pairs.append(pair)
-        axes.append(np.full(len(pair), axis))
-    along_y, pixels = np.concatenate(axes), np.concatenate(pairs)
-    offset, cosine = locate(np.hstack(arounds), along_y, ratios[along_y], tables, bound)
-    np.add.at(found[0], pixels, offset)
-    np.add.at(found[1:3], (along_y, pixels), cosine)
+    sides = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
+    opened = [np.flatnonzero(~inside[i + 2 + di, columns[2 + dj]]) for di, dj in sides]
+    pairs, side = np.concatenate(opened), np.repeat(np.arange(4), [len(pairs) for pairs in opened])
+    along_y, row, column, (di, dj) = side // 2, i[pairs] + 2, j[pairs], sides[side].T
+    around, found = np.empty((8, len(pairs))), np.zeros((4, len(pixel)))
+    for k in range(8):
+        along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
+        at = (row + along * di + across * dj) * ny + (column + along * dj + across * di) % ny
+        p = pressure.take(at)
+        around[k] = np.where(p > 0, p, -scales[along_y] * np.maximum(gap.take(at), 0.0))
+    offset, cosine = locate(around, along_y, ratios[along_y], tables, bound)
+    np.add.at(found[0], pairs, offset)
+    np.add.at(found[1:3], (along_y, pairs), cosine)
     for di in (-1, 1):
         one = inside[i + 2 + di, j]
         for dj in (-1, 1):
             other, across_both = inside[i + 2, columns[2 + dj]], inside[i + 2 + di, columns[2 + dj]]
             found[3] += np.where((one == other) & ~across_both, np.where(one, -0.25, 0.25), 0.0)
     return first * ny + pixel, found
-
-
-def rows_at_a_time(ny: int) -> int:
-    """How many rows `lines_of_pixels` is best called for."""
-    return max(8, _POINTS // ny)
 
 
 def _with_margin(field: np.ndarray, more: np.ndarray, first: int, stop: int) -> np.ndarray:

@@ -8,7 +8,6 @@ import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_line.line import ContactLine
-from pgfmd.observables.statistics.kernels import count_edges
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None,
     line, that of an elastic edge, lies too far inside: at λ_s = 8a by up to 5 % of the area, which is then near p̄/σ_Y.
     """
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
-    parts = grid.threads.collect(lambda a, b: count_edges(pressure, above, a, b), grid.local_shape[0])
+    parts = grid.threads.collect(lambda a, b: _count_edges(pressure, above, a, b), grid.local_shape[0])
     pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
     ax, ay = grid.spacing
     fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
@@ -40,3 +39,15 @@ def contact_area(grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None,
     if corrected <= 0:  # a contact of a pixel or two has no line
         corrected, perimeter = fraction, edge_length
     return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)
+
+
+def _count_edges(pressure: np.ndarray, above: np.ndarray, first: int, stop: int) -> tuple[int, ...]:
+    """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
+
+    `above` (1, ny) is the row before row 0; column 0 follows the last one.
+    """
+    rows = np.concatenate([above, pressure[:stop]]) if first == 0 else pressure[first - 1 : stop]
+    inside = rows > 0
+    here = inside[1:]
+    counts = here, here != inside[:-1], here != np.roll(here, 1, axis=1)
+    return tuple(int(np.count_nonzero(each)) for each in counts)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows, power_in_place
+from pgfmd.observables.statistics.kernels import bin_geometry, bin_rows
 from pgfmd.parallel.mpi import MPI
 
 
@@ -85,7 +85,9 @@ def lag_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
 def squared(block: np.ndarray) -> np.ndarray:
     """|z|² of a block of modes, real, in its memory; the block itself becomes |z|² + 0i."""
     parts = block.view(np.float64).reshape(*block.shape, 2)
-    power_in_place(parts)
+    np.multiply(parts, parts, out=parts)
+    parts[..., 0] += parts[..., 1]
+    parts[..., 1] = 0
     return parts[..., 0]
 
 

@@ -15,16 +15,6 @@ _jit = compiled(fastmath={"contract", "nsz"})
 
 
 @_jit
-def power_in_place(parts: np.ndarray) -> None:
-    """parts[..., 0] = |z|² and parts[..., 1] = 0 for a complex block seen as (real, imaginary) along its last axis."""
-    for j in range(parts.shape[0]):
-        row = parts[j]
-        for i in range(row.shape[0]):
-            row[i, 0] = row[i, 0] * row[i, 0] + row[i, 1] * row[i, 1]
-            row[i, 1] = 0.0
-
-
-@_jit
 def bin_rows(
     values: np.ndarray, along: np.ndarray, across: np.ndarray, weight: np.ndarray, edges: np.ndarray, sums: np.ndarray
 ) -> None:
@@ -68,43 +58,6 @@ def bin_geometry(
             total += alike * math.sqrt(at)
         counts[b] += weight[j] * count
         roots[b] += weight[j] * total
-
-
-@_jit
-def square_moments(
-    values: np.ndarray, along: np.ndarray, across: np.ndarray, weight: np.ndarray
-) -> tuple[float, float]:
-    """Σ w q² v and Σ w q⁴ v over values[j, i], with q² = along[i] + across[j] and w = weight[j]."""
-    second = fourth = 0.0
-    for j in range(across.size):
-        sum_of_row = square_sum = 0.0
-        for i in range(along.size):
-            square = along[i] + across[j]
-            sum_of_row += square * values[j, i]
-            square_sum += square * square * values[j, i]
-        second += weight[j] * sum_of_row
-        fourth += weight[j] * square_sum
-    return second, fourth
-
-
-@_jit
-def count_edges(pressure: np.ndarray, above: np.ndarray, first: int, stop: int) -> tuple[int, int, int]:
-    """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
-
-    `above` (1, ny) is the row before row 0; column 0 follows the last one.
-    """
-    count = across_x = across_y = 0
-    for i in range(first, stop):
-        row = pressure[i]
-        before = pressure[i - 1] if i > 0 else above[0]
-        left = row[row.size - 1] > 0
-        for j in range(row.size):
-            here = row[j] > 0
-            count += here
-            across_x += here != (before[j] > 0)
-            across_y += here != left
-            left = here
-    return count, across_x, across_y
 
 
 @_jit

@@ -26,7 +26,6 @@ from functools import cached_property
 
 import numpy as np
 
-from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.physics.problem import ContactProblem
@@ -197,7 +196,7 @@ class Relaxation:
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             squares[first] = (float(np.vdot(rows, rows)),)
-            kernels.subtract_rows(rows, self.heights[first:stop], state.gap[first:stop])
+            np.subtract(rows, self.heights[first:stop], out=state.gap[first:stop])
 
         self.grid.convolve(source(state.pressure), self.compliance[precision], drain, precision)
         (self.squares[1],) = self.grid.reduction.sums_of_blocks(squares, 1)

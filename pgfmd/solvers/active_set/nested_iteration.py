@@ -7,7 +7,6 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
-from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.transfer import Interpolation
@@ -52,7 +51,12 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
 def _least_deviation(problem: ContactProblem) -> float:
     """A lower bound of the rms of Kh from differences of heights along y: |q| ≥ 2 |sin(q_y a/2)|/a.  Collective."""
     grid, heights = problem.grid, problem.heights
-    parts = grid.threads.collect(lambda a, b: kernels.squares_of_steps(heights[a:b]), grid.local_shape[0])
+
+    def squares(first: int, stop: int) -> float:
+        steps = np.diff(heights[first:stop], axis=1)
+        return float(np.vdot(steps, steps))
+
+    parts = grid.threads.collect(squares, grid.local_shape[0], grid.band)
     q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
     factor = np.min(problem.solid.stiffness(q) / q)
     return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
