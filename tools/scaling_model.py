@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from plotting import COLOURS, GREY, PAGE, plt
+from plotting import COLOURS, GREY, MARKERS, PAGE, plt
 
 from pgfmd.grid.holders import holders
 
@@ -189,8 +189,9 @@ def draw_model(known: Parts, folder: Path) -> None:
         (axes[2], weak, f"phases, {WEAK}² points per rank"),
     ):
         ranks = [row["ranks"] for row in mine]
-        for colour, name in zip((*COLOURS[:-1], GREY), PHASES, strict=True):
-            axis.loglog(ranks, [max(row[name], 1e-6) for row in mine], color=colour, label=LABELS.get(name, name))
+        for colour, marker, name in zip((*COLOURS[:-1], GREY), MARKERS, PHASES, strict=True):
+            values = [max(row[name], 1e-6) for row in mine]
+            axis.loglog(ranks, values, color=colour, marker=marker, ms=2.5, label=LABELS.get(name, name))
         axis.loglog(ranks, [row["total"] for row in mine], "k", lw=1.8, label="total")
         axis.set(xlabel="ranks", title=title, ylim=(1e-3, None))
     axes[0].legend()

@@ -23,7 +23,7 @@ log = logging.getLogger("pgfmd")
 STOP_FILE = "STOP"  # made by a user; it stays
 BATCH_STOP_FILE = ".pgfmd.stop"  # made by a batch script that continues later; removed when the next run begins
 SIGNALS = (signal.SIGTERM, signal.SIGUSR1, signal.SIGINT, signal.SIGHUP)
-SPARE = 2.0  # seconds left before a time limit, in addition to a step and a checkpoint
+SPARE = 2.0  # seconds left before a time limit, in addition to two steps and two checkpoints
 GO_ON, SAVE, STOP = range(3)
 
 

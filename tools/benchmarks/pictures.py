@@ -138,13 +138,13 @@ def panel(axes, curves: dict, cost: str, error: str) -> None:
         colour, marker = STYLES[method]
         line, cores = LINES.get((ranks, threads), (":", f", {ranks} ranks"))
         label = NAMES.get(method, method) + cores
-        many = len(points) > 30
         axes.plot(
             [p[cost] for p in points],
             [p[error] for p in points],
             color=colour,
             linestyle=line,
-            marker="" if many else marker,
+            marker=marker,
+            markevery=max(1, len(points) // 15),
             markersize=4,
             linewidth=1.2,
             label=label if cost == "seconds" else None,
