@@ -92,6 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     check = commands.add_parser("check", help="validate a job; estimate memory, files and time", allow_abbrev=False)
     check.add_argument("job", metavar="JOB.toml")
     check.add_argument("--ranks", type=_count, default=1, metavar="P", help="MPI ranks to estimate for")
+    check.add_argument("--ranks-per-node", type=_count, metavar="K", help="how many of them on a node; default: all")
     for command in (run, check):
         command.add_argument(
             "--set",
@@ -144,9 +145,9 @@ def _check(options: argparse.Namespace) -> str:
         each = f", of each of {surfaces} surfaces" * (surfaces > 1)
         raise InputError(f"--ranks {options.ranks}: more ranks than the {nx} rows of the grid{each}")
     here = largest_memory()
-    size = estimate.estimate(job, options.ranks, here / options.ranks).memory * options.ranks
+    size = estimate.estimate(job, options.ranks, here / options.ranks, options.ranks_per_node).node
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
-    report = estimate.report(job, options.ranks)  # opens the files of the surface
+    report = estimate.report(job, options.ranks, options.ranks_per_node)  # opens the files of the surface
     against = "".join(f"\n{line}" for line in doubts(job, make_elasticity(job)))
     return f"{options.job}: valid{limit}{against}\n{report}"
 

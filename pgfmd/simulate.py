@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -72,7 +73,8 @@ def simulate(
     stop; what was done is kept for `restart`) on all ranks together.
     """
     phases, alone = _Phases(), interruptions is None
-    memory = from_root(comm, estimate, job, comm.size).memory  # may read the surface's table
+    here = machine.ranks_per_node(comm)
+    memory = from_root(comm, estimate, job, comm.size, math.inf, here).node / here  # may read the surface's table
     if alone:
         machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)

@@ -147,7 +147,7 @@ def test_check_and_info_need_no_mpi(tmp_path, job):
     subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
     code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
     for arguments, words in (
-        (["check", job, "--ranks", "4"], ["valid", "8 × 6", "per rank on 4 ranks"]),
+        (["check", job, "--ranks", "4"], ["valid", "8 × 6", "on a node of 4 ranks", "up to"]),
         (["info", tmp_path / "out"], ["complete", "2 of 2 completed", "mean_pressure", "1 rank × "]),
     ):
         done = subprocess.run([sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True)
@@ -311,12 +311,15 @@ def test_check_says_what_it_does_not_test(tmp_path, capsys):
 
 
 def test_estimate_scales():
-    """Memory beside that of an empty rank is split over the ranks; files are counted byte for byte: fields × points ×
-    width × loads; what is gathered on the way into them counts on several ranks.
+    """Ranks of one node share what one rank needs beside empty ranks, whose libraries count once.  A rank has its part
+    and sees, of the strips (8 bytes per point), its rows of those of the other.  Files are counted byte for byte:
+    fields × points × width × loads.
     """
-    from pgfmd.operation.estimate import BASE_BYTES, estimate
+    from pgfmd.operation.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
-    one, two = (estimate(job, ranks).memory - BASE_BYTES for ranks in (1, 2))
-    assert two - 4 * 48 == pytest.approx(one / 2, rel=1e-6)
+    one, two = (estimate(job, ranks) for ranks in (1, 2))
+    assert one.node == pytest.approx(one.memory, rel=1e-12)
+    assert two.node - one.node == pytest.approx(BASE_BYTES - LIBRARY_BYTES, rel=1e-9)
+    assert two.memory - BASE_BYTES >= (one.memory - BASE_BYTES) / 2 + 8 * 48 / 4 - 1e-6
     assert estimate(job, 1).files == (1 + 2) * 48 * 4

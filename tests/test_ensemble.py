@@ -267,7 +267,8 @@ def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeyp
 
     if comm.size == 1:
         pytest.skip("one rank is one group")
-    monkeypatch.setattr(estimate, "BASE_BYTES", 0.0)  # so that the grid alone counts
+    for name in ("BASE_BYTES", "LIBRARY_BYTES"):  # so that the grid alone counts
+        monkeypatch.setattr(estimate, name, 0.0)
     alone = estimate.estimate(parse(tables_as_toml(JOB)), 1).memory
     monkeypatch.setattr(machine, "largest_memory", lambda: 0.7 * alone * comm.size)
     assert pgfmd.run(JOB, shared_tmp_path / "out", comm=comm).status == "complete"

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import sys
 
+import numpy as np
 import pytest
 from job_texts import rough_job
 
+from pgfmd.grid.holders import holders, largest_shares
 from pgfmd.job import job
 from pgfmd.operation import estimate
 from pgfmd.operation.memory import readable
@@ -62,6 +64,33 @@ def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
     text = text_of(n, 0.0032, {})
     expected = estimate.estimate(job.parse(text), ranks).memory
     assert measured(mpirun, tmp_path, text, ranks) == pytest.approx(expected, rel=WITHIN)
+
+
+def test_nodes_hold_what_their_ranks_hold():
+    """On several nodes each needs its part, and a second strip (8 bytes per point), of which rows for other nodes are
+    packed: (1 − 1/nodes) of it.  Contact may be uneven over nodes: never less than its part.  Ranks of a node see one
+    strip, all of it.
+    """
+    one = job.parse(text_of(4096, 0.0032, {}))
+    alone, apart = estimate.estimate(one, 16), estimate.estimate(one, 16, per_node=4)
+    least = (alone.node - estimate.LIBRARY_BYTES) / 4 + 8 * 4096**2 / 4 * (1 - 1 / 4)
+    assert least <= apart.node - estimate.LIBRARY_BYTES < 1.1 * least
+    assert apart.memory - alone.memory == pytest.approx(8 * 4096**2 / 16 * (3 + 3 / 4 - 15 / 16), rel=1e-9)
+
+
+@pytest.mark.parametrize("ranks, of", [(1, 1), (5, 2), (64, 16), (300, 300), (4096, 64)])
+def test_coarse_grids_of_a_node(ranks, of):
+    """The points that the first ranks hold of each grid are those of the rows that `Layout.spread` gives them, each of
+    these counted as the fullest.
+    """
+    shape = (8192, 512)
+    found, holding = largest_shares(shape, ranks, of), ranks
+    for level, points in enumerate(found):
+        holding = holders(shape, holding) if level else ranks
+        places = np.arange(holding) * ranks // holding
+        rows = np.count_nonzero(places < of) * -(-shape[0] // holding)
+        assert points == min(rows, shape[0]) * shape[1]
+        shape = -(-shape[0] // 2), -(-shape[1] // 2)
 
 
 @LINUX

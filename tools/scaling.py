@@ -1,7 +1,7 @@
 """How the solver scales: messages, memory and waiting of a run on many ranks, and from these a model of a big machine.
 
 mpirun -n P python -m mpi4py tools/scaling.py measure OUT.jsonl --n 1024 [--exchanged]  # seconds, messages by level
-mpirun -n P python -m mpi4py tools/scaling.py memory OUT.jsonl --n 1024                 # points and bytes held
+mpirun -n P python -m mpi4py tools/scaling.py memory OUT.jsonl --n 1024 [--nodes 2]     # points and bytes held
 python tools/scaling.py emulate OUT.jsonl --n 4096 --ranks 512                          # one rank's share of a grid
 python tools/scaling.py draw OUT.jsonl --output DIR                                     # model, CSV and picture
 
@@ -162,60 +162,69 @@ def _costs(grid, repeats: int = 200) -> dict[str, float]:
     return found
 
 
-def memory(path: Path, n: int) -> None:
-    """Points of all grids over all ranks, the largest array of a rank, and its peak over that of an idle rank, in a
-    solve, beside what `pgfmd check` says.  Collective.
+def memory(path: Path, n: int, nodes: int) -> None:
+    """Points of all grids over all ranks, the largest array of a rank, and what a rank and a node need at the peak of
+    a solve beside what idle ones do, over what `pgfmd check` says.  Collective.
 
-    A rank's resident memory contains all pages of its node's strips that it has seen, so that several ranks count them;
-    that of the node counts them once.
+    nodes: so many are emulated; strips are shared only within each.  A rank's resident memory contains all pages of
+    its node's strips that it has seen, so that several ranks count them; that of the node counts them once.
     """
     from mpi4py import MPI
 
-    from pgfmd.grid.holders import largest_shares
+    from pgfmd.grid import transpose
     from pgfmd.grid.sub_grid import SubGrid
     from pgfmd.job.job import parse
-    from pgfmd.operation.estimate import bytes_per_point, peak
+    from pgfmd.operation.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
+    from pgfmd.parallel.teams import node_of
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration
 
     comm = MPI.COMM_WORLD
+    here = -(-comm.size // nodes)
+    node = comm.Split(comm.rank // here)
+    if nodes > 1:
+        transpose.node_of = lambda part: node if part.size == comm.size else node_of(part)
     solve_hard_wall(problem_of(comm, 512))
     idle, idle_share = _status("VmRSS"), _status("Pss", "smaps_rollup")
-    problem, held = problem_of(comm, n), defaultdict(int)
+    problem = problem_of(comm, n)
+    with _Highest(lambda: _status("Pss", "smaps_rollup")) as highest:
+        solve_hard_wall(problem)
+    share, of_node = n * n / comm.size, node.allreduce(highest.value - idle_share)
+    job = parse(JOB.format(n=n, shortest=n / 64, slope=SLOPE, pressure=PRESSURE))
+    said = estimate(job, comm.size, per_node=here)
+    empty = LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES)
+    found = {
+        "memory": n, "ranks": comm.size, "nodes": nodes,
+        "bytes per point of the share": (_status("VmHWM") - idle) / share,
+        "by check": (said.memory - BASE_BYTES) / share,
+        "bytes per point of a node": of_node / (share * here),
+        "of a node by check": (said.node - empty) / (share * here),
+        "allowed array": 1.5 * 8 * share + 2**22,
+    }  # fmt: skip
+
     make, coarser = SubGrid.__init__, NestedIteration.coarser
+    held: defaultdict[str, int] = defaultdict(int)
 
     def made(place, *arguments, **options):
         make(place, *arguments, **options)
         held["points of meshes and blocks"] += int(np.prod(place.local_shape))
 
     def coarse(nested, problem):
-        found = coarser(nested, problem)
-        points = int(np.prod(found.place.local_shape)) if found else 0
+        coarse = coarser(nested, problem)
+        points = int(np.prod(coarse.place.local_shape)) if coarse else 0
         held["points of levels"] += points
         held["points of meshes and blocks"] -= points
-        return found
+        return coarse
 
     def look(*_):
         arrays = tracemalloc.take_snapshot().filter_traces([tracemalloc.DomainFilter(True, 389047)])  # NumPy's
-        held["largest array"] = max(held["largest array"], *(trace.size for trace in arrays.traces))
+        found["largest array"] = max(found.get("largest array", 0), *(trace.size for trace in arrays.traces))
 
     SubGrid.__init__, NestedIteration.coarser = made, coarse
     held["points of levels"] = int(np.prod(problem.grid.local_shape))
     tracemalloc.start(1)
-    with _Highest(lambda: _status("Pss", "smaps_rollup")) as highest:
-        solve_hard_wall(problem, monitor=look)
-    points = {name: comm.allreduce(value) / n**2 for name, value in held.items() if name.startswith("points")}
-    share, of_node = n * n / comm.size, comm.allreduce(highest.value - idle_share)
-    job = parse(JOB.format(n=n, shortest=n / 64, slope=SLOPE, pressure=PRESSURE))
-    _append(
-        comm, path, {"memory": n, "ranks": comm.size} | points | {
-            "largest array": held["largest array"],
-            "allowed array": 1.5 * 8 * share + 2**22,
-            "bytes per point of the share": (_status("VmHWM") - idle) / share,
-            "bytes per point, all ranks": of_node / n**2,
-            "bytes per point by check": peak(largest_shares((n, n), comm.size), bytes_per_point(job)) / share,
-        },
-    )  # fmt: skip
+    solve_hard_wall(problem, monitor=look)
+    _append(comm, path, found | {name: comm.allreduce(value) / n**2 for name, value in held.items()})
 
 
 def _status(name: str, file: str = "status") -> int:
@@ -267,13 +276,15 @@ def main(arguments: list[str] | None = None) -> int:
             command.add_argument("--n", type=int, required=True, help="points per side")
         if name == "emulate":
             command.add_argument("--ranks", type=int, required=True)
+        if name == "memory":
+            command.add_argument("--nodes", type=int, default=1, help="emulated: ranks share strips within each only")
         if name == "measure":
             command.add_argument("--exchanged", action="store_true", help="strips cross in messages, as between nodes")
     options = parser.parse_args(arguments)
     if options.command == "measure":
         measure(options.file, options.n, options.exchanged)
     elif options.command == "memory":
-        memory(options.file, options.n)
+        memory(options.file, options.n, options.nodes)
     elif options.command == "emulate":
         found = scaling_emulation.emulate(options.n, options.ranks)
         with open(options.file, "a") as file:

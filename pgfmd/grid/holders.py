@@ -12,11 +12,14 @@ def holders(shape: tuple[int, int], ranks: int, least: int = LEAST_ROWS) -> int:
     return 1 if shape[0] * shape[1] <= SMALL else max(1, min(ranks, shape[0] // least))
 
 
-def largest_shares(shape: tuple[int, int], ranks: int) -> list[int]:
-    """Points of rank 0, which has most, of a grid on all ranks and of the coarser ones of nested iteration."""
+def largest_shares(shape: tuple[int, int], ranks: int, of: int = 1) -> list[int]:
+    """Points that `of` ranks from rank 0 on, which have most, hold of a grid on all ranks and of the coarser ones of
+    nested iteration.
+    """
     shares: list[int] = []  # down to the first that is on rank 0 alone, as all coarser ones are
+    holding = ranks
     while not shares or min(shape) > 1 and shape[0] * shape[1] > SMALL // 4:
-        ranks = holders(shape, ranks) if shares else ranks
-        shares.append(-(-shape[0] // ranks) * shape[1])
+        holding = holders(shape, holding) if shares else ranks
+        shares.append(min(-(-shape[0] // holding) * -(-of * holding // ranks), shape[0]) * shape[1])
         shape = -(-shape[0] // 2), -(-shape[1] // 2)
     return shares

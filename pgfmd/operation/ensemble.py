@@ -45,7 +45,8 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     seeds = job.surface.seeds
     room = machine.room_per_rank(comm)
     groups = from_root(comm, rank_groups, job, comm.size, room)  # may read the surface's table
-    memory = from_root(comm, estimate, job, comm.size, room).memory
+    here = machine.ranks_per_node(comm)
+    memory = from_root(comm, estimate, job, comm.size, room, here).node / here
     machine.refuse_too_large(comm, memory)
     with _Folder(job, comm, path, mode) as folder:
         machine.report(comm, memory)

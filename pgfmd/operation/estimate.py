@@ -16,7 +16,8 @@ from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
 WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, as given and scaled, and strips
-BASE_BYTES = 2.17e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+BASE_BYTES = 1.95e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
@@ -27,20 +28,25 @@ SEARCH_WORK = 4  # work until an area, gap or displacement is met, over that of 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Bytes per rank at the peak, bytes of all files, seconds of the whole run."""
+    """Bytes at the peak of the rank that needs most, as the system counts them: pages that ranks share count for each;
+    of the node that needs most, where they count once; bytes of all files, seconds of the whole run.
+    """
 
     memory: float
+    node: float
     files: float
     seconds: float
 
 
-def estimate(job: Job, ranks: int, room: float = math.inf) -> Estimate:
-    """Memory per rank, size of the files and time of the job on `ranks` ranks with one core each, roughly.
+def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None = None) -> Estimate:
+    """Memory, size of the files and time of the job on `ranks` ranks with one core each, roughly.
 
-    room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).
+    room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).  per_node: ranks
+    of the fullest node; None: all.
     """
     points = job.grid.n[0] * job.grid.n[1]
     surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks, room)
+    here = min(per_node or ranks, ranks)
     ranks //= groups  # of one surface, in the smallest group
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
@@ -49,15 +55,36 @@ def estimate(job: Job, ranks: int, room: float = math.inf) -> Estimate:
     solving, measuring = max(solving_costs(job), key=lambda cost: cost.memory), measuring_costs(job)
     work = solving.transforms * contacts + sum(cost.transforms for cost in measuring) * loads
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
+    rank, node = _memory(job, ranks, min(here, ranks), gathered)
     return Estimate(
-        memory=BASE_BYTES + gathered + peak(largest_shares(job.grid.n, ranks), bytes_per_point(job)),
+        memory=BASE_BYTES + rank,
+        node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
         files=surfaces * field_count * points * itemsize,
         seconds=-(-surfaces // groups) * work * points * SECONDS_PER_POINT / ranks,
     )
 
 
+def _memory(job: Job, ranks: int, here: int, gathered: int) -> tuple[float, float]:
+    """Bytes for one surface, of the rank and of the node that need most: while it is solved and measured, or written,
+    when one rank has `gathered` bytes.  here: ranks of a node.
+
+    Blocked transforms: of the strips of its node a rank sees its own and its rows of the others; on several nodes, one
+    strip for each of these, and its own rows, packed.
+    """
+    nodes = -(-ranks // here)
+    shares, of_node = (largest_shares(job.grid.n, ranks, of) for of in (1, here))
+    workspace = WORKSPACE[job.solver.transform]
+    blocked = workspace * (job.solver.transform == "blocked")
+    packed = blocked * (1 - 1 / nodes)
+    seen = blocked * (here - 1) / (here if nodes == 1 else 1) + packed
+    written = FIELD_BYTES + workspace
+    rank = max(peak(shares, bytes_per_point(job, ranks)), written * shares[0] + gathered) + seen * shares[0]
+    node = max(peak(of_node, bytes_per_point(job, nodes)), written * of_node[0] + gathered) + packed * of_node[0]
+    return rank, node
+
+
 def peak(shares: list[int], per_point: float) -> float:
-    """Bytes of rank 0 at the worst of its grids, of which it holds `shares` points, finest first.
+    """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
 
     per_point: bytes per point of the grid that is solved or measured.  Finer grids keep `WAITING_BYTES` per point.  A
     coarser grid can be the worst: fewer ranks hold it, with larger shares.
@@ -88,16 +115,18 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
     return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
 
 
-def bytes_per_point(job: Job) -> float:
-    """Bytes per grid point at the peak: while a load is solved, or while an observable is measured."""
-    costs = solving_costs(job) + measuring_costs(job)
+def bytes_per_point(job: Job, slabs: int = 1) -> float:
+    """Bytes per grid point at the peak, while a load is solved or an observable measured, of the fullest of so many
+    slabs.
+    """
+    costs = solving_costs(job, slabs) + measuring_costs(job)
     return FIELD_BYTES + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
 
 
-def solving_costs(job: Job) -> list[Cost]:
-    """What each load costs to solve."""
+def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
+    """What each load costs to solve; memory of the fullest of so many slabs."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    return [solver_cost(method, area) for area in contact_areas(job)]
+    return [solver_cost(method, area, slabs) for area in contact_areas(job)]
 
 
 def measuring_costs(job: Job) -> list[Cost]:
@@ -120,12 +149,12 @@ def contact_areas(job: Job) -> list[float]:
     return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
 
 
-def report(job: Job, ranks: int) -> str:
+def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     """The estimate as text, one line per quantity; raises InputError if the files of the surface cannot be used for the
     job.
     """
     understood = job.surface.check_inputs(job.grid, job.output.length_unit)
-    found = estimate(job, ranks)
+    found, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
     nx, ny = job.grid.shape
     loads = len(job.load.targets)
     lines = {
@@ -133,8 +162,9 @@ def report(job: Job, ranks: int) -> str:
         "surface": ": ".join(filter(None, [job.surface.kind, understood])),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",
-        "memory": f"about {readable(found.memory)} per rank on {counted(ranks, 'rank')} "
-        f"({readable(BASE_BYTES)} and {bytes_per_point(job):.0f} bytes per grid point)",
+        "memory": f"about {readable(found.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "
+        f"rank, of which {readable(LIBRARY_BYTES)} are shared, and {bytes_per_point(job):.0f} bytes per grid point)",
+        "of a rank": f"up to {readable(found.memory)}, where what ranks of a node share counts for each" * (ranks > 1),
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {counted(ranks, 'core')}",
     }

@@ -33,6 +33,11 @@ def room_per_rank(comm: MPI.Comm) -> float:
     return min(largest / count for _, count, largest in _nodes(comm))
 
 
+def ranks_per_node(comm: MPI.Comm) -> int:
+    """Ranks of the fullest node.  Collective."""
+    return max(count for _, count, _ in _nodes(comm))
+
+
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
     """Raise InputError on all ranks if `per_rank` bytes each exceed the whole memory of a node.  Collective."""
     for node, count, largest in _nodes(comm):

@@ -8,6 +8,8 @@ are rough down to the grid take up to three times as long.
 
 from __future__ import annotations
 
+import math
+
 from pgfmd.grid.cost import Cost
 
 SCALED = 8.0  # heights about their mean, over their rms value
@@ -25,11 +27,23 @@ DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest 
 GAPS_FROM = 0.55  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 
 
-def cost(method: str, area: float) -> Cost:
-    """One contact of that relative area by that method."""
+
+def cost(method: str, area: float, slabs: int = 1) -> Cost:
+    """One contact of that relative area by that method; memory of the fullest of so many slabs."""
     if method == "newton":
         return Cost(15, SCALED + NEWTON)
     if method == "gfmd":
         return Cost(150, SCALED + DYNAMICS)
-    unknowns = PER_PRESSURE * area if area <= GAPS_FROM else PER_GAP * (1 - area)
+    by_pressures = area <= GAPS_FROM
+    most = fullest(area if by_pressures else 1 - area, slabs)
+    unknowns = most * (PER_PRESSURE if by_pressures else PER_GAP)
     return Cost(40, SCALED + MESH + unknowns)
+
+
+def fullest(area: float, slabs: int) -> float:
+    """The part in contact of the fullest of so many slabs, of which `area` is the mean.
+
+    1 − (1 − area)^k with k = 1 + log₂(slabs)/2 up to 3: the mean over four surfaces whose longest wave is the cell, of
+    areas .01 … .8 and 2 … 128 slabs, within .06.  Shorter waves spread contact more evenly.
+    """
+    return float(1 - (1 - area) ** (1 + min(math.log2(slabs) / 2, 2)))
