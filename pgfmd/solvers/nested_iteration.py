@@ -67,8 +67,6 @@ class NestedIteration(Generic[StateType]):
 
         exact: the error is certified to the tolerance; otherwise the grid only starts a finer one.
         """
-        if (state := self.at_once(problem)) is not None:
-            return state, 0.0
         coarse = self.coarser(problem)
         if coarse is None:
             return self.coarsest(problem, exact), 0.0
@@ -110,10 +108,6 @@ class NestedIteration(Generic[StateType]):
         heights = restrict_locally(problem.grid, place, problem.heights)
         flat = problem.grid.reduction.dot(heights, heights) < FLAT**2 * place.size
         return None if flat else Coarse(place, heights)
-
-    def at_once(self, problem: ContactProblem) -> StateType | None:
-        """The solution, if it needs no iteration.  Collective."""
-        return None
 
     def resume(self, problem: ContactProblem, start: np.ndarray) -> StateType:
         """The solution from a given pressure, which need not be feasible.  Collective."""

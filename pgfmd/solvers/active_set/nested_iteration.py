@@ -21,25 +21,17 @@ from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
-# Full contact is tried before coarse grids if p̄ is this many times the lower bound of the rms of Kh: on N Gaussian
-# points Kh reaches √(2 ln N) times its rms, 5.8 on 4096².
-PRESSED = 6.0
 
 
-def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
-    """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective.
-
-    It is not tried, and the answer is None, if p̄ is below `margin` times a lower bound of the rms of Kh.
-    """
-    grid, heights, mean_pressure = problem.grid, problem.heights, problem.mean_pressure
-    if mean_pressure < margin * _least_deviation(problem):
-        return None
+def _full_contact(problem: ContactProblem) -> State | None:
+    """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective."""
+    grid, heights = problem.grid, problem.heights
     pressure = grid.new_field()
     stiffness = problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size)
     grid.convolve(source(heights), stiffness, sink(pressure))
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
     squares = np.array([grid.reduction.dot(field, field) for field in (pressure, heights)])
-    pressure += mean_pressure
+    pressure += problem.mean_pressure
     if grid.reduction.min(pressure) < 0 or grid.reduction.max(pressure) > problem.law.highest:
         return None
     measured = 2 * squares[1] + grid.size * grid.reduction.max(heights) ** 2  # Σ h² + (h − max h)², as Σ h is 0
@@ -48,32 +40,14 @@ def _full_contact(problem: ContactProblem, margin: float = 1.0) -> State | None:
     return State(pressure, gap, clipped=True, energy=energy, error=error, contact=grid.size, between=grid.size)
 
 
-def _least_deviation(problem: ContactProblem) -> float:
-    """A lower bound of the rms of Kh from differences of heights along y: |q| ≥ 2 |sin(q_y a/2)|/a.  Collective."""
-    grid, heights = problem.grid, problem.heights
-
-    def squares(first: int, stop: int) -> float:
-        steps = np.diff(heights[first:stop], axis=1)
-        return float(np.vdot(steps, steps))
-
-    parts = grid.threads.collect(squares, grid.local_shape[0], grid.band)
-    q = np.geomspace(2 * np.pi / max(grid.lengths), 2 * np.pi / min(grid.spacing))
-    factor = np.min(problem.solid.stiffness(q) / q)
-    return factor * np.sqrt(grid.reduction.sum(parts) / grid.size) / grid.spacing[1]
-
-
 class ActiveSetIteration(NestedIteration[State]):
     """Nested iteration by active sets."""
 
-    def at_once(self, problem: ContactProblem) -> State | None:
-        """Full contact, if the load may be high enough (`PRESSED`)."""
-        return _full_contact(problem, PRESSED)
-
     def resume(self, problem: ContactProblem, start: np.ndarray) -> State:
-        """Full contact, or else from the pressure made feasible."""
-        if (state := _full_contact(problem)) is not None:
-            return state
+        """Full contact, if it starts there and stays, or else from the pressure made feasible."""
         grid, highest = problem.grid, problem.law.highest
+        if grid.reduction.min(start) > 0 and (full := _full_contact(problem)) is not None:
+            return full
         state = State(np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest), -problem.heights)
         fields = state.pressure, state.gap
         scale_to_load(grid, fields, problem.load, highest, problem.solid.contact_modulus / max(grid.spacing))
