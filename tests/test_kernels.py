@@ -1,7 +1,5 @@
 """Compiled loops against the NumPy lines that specify them."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -201,18 +199,20 @@ def fields(rng):
 
 @pytest.mark.parametrize("change", [(0.7, 0.0, 0.0), (1.6, 0.0, 0.0), (0.0, 0.5, 0.3)])
 def test_changed_pressures(fields, change):
-    """A factor of those below the top, or p + stiffness · (level − gap), cut at 0 and the top; their sum, with what its
-    rounding lost exact to the last digit, and its derivative, which is that of points between the bounds."""
+    """A factor of those below the top, or p + stiffness · (level − gap), cut at 0 and the top; how many are at
+    the top, the sum of the others, and its derivative, which is that of points between the bounds."""
     p, gap, _ = fields
     p = np.maximum(p, 0)
     new = p + change[1] * (change[2] - gap) if change[1] else np.where(p < 1, change[0] * p, p)
     slope = np.where((new > 0) & (new < 1), change[1] or p, 0)[2:8].sum()
-    total, lost, found_slope = feasible.changed_sums((p, gap), change, 1.0, 2, 8)
-    assert np.isclose(found_slope, slope, rtol=1e-13, atol=0)
-    out = p.copy()
-    feasible.change_rows((out, gap), change, 1.0, 2, 8)
-    assert math.fsum((total, lost)) == math.fsum(out[2:8].ravel())
-    assert np.allclose(out[2:8], np.clip(new, 0, 1)[2:8], rtol=1e-14, atol=0)
+    out, after = p.copy(), np.clip(new, 0, 1)[2:8]
+    for keep in (False, True):
+        full, rest, found_slope = feasible.change_rows((out, gap), change, 1.0, keep, (2, 8))
+        assert np.array_equal(out[2:8], p[2:8]) or keep
+        assert full == (after == 1).sum()
+        assert rest == pytest.approx(after[after < 1].sum(), rel=1e-14, abs=0)
+        assert np.isclose(found_slope, slope, rtol=1e-13, atol=0)
+    assert np.allclose(out[2:8], after, rtol=1e-14, atol=0)
     assert np.array_equal(out[:2], p[:2])
 
 

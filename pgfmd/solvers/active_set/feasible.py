@@ -12,9 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import inlined, jit, u
+from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.layout import Layout, RowWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Part, Points, Unknowns
 
@@ -23,7 +22,7 @@ ROUNDING = 1e-13  # relative error allowed in the sum of the pressures
 CANCELLED = 1e-6  # if pressures and tensions cancel up to this part, the rest is rounding: block loads are not kept
 
 Change = tuple[float, float, float]
-"""Of a pressure: (factor, stiffness, level), see `_changed`."""
+"""Of a pressure: (factor, stiffness, level), see `change_rows`."""
 
 
 class Feasible:
@@ -122,14 +121,10 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
             threads.scale(pressure, load / total)
             return
 
-    def excess(change: Change) -> tuple[float, float]:
-        parts = threads.collect(lambda a, b: changed_sums(fields, change, highest, a, b), len(gap))
-        totals, losses, slopes = zip(*parts, strict=True)
-        total, slope = reduction.sums(math.fsum(totals + losses), math.fsum(slopes))
-        return float(total) - load, float(slope)
-
-    def apply(change: Change) -> None:
-        threads.deal(lambda a, b: change_rows(fields, change, highest, a, b), len(gap))
+    def excess(change: Change, keep: bool = False) -> tuple[float, float]:
+        parts = threads.collect(lambda a, b: change_rows(fields, change, highest, keep, (a, b)), len(gap))
+        full, rest, slope = (float(each) for each in reduction.sums(*map(math.fsum, zip(*parts, strict=True))))
+        return (full * highest if full else 0.0) - load + rest, slope
 
     def factor() -> float:
         return _root(lambda factor: excess((factor, 0.0, 0.0)), (0.0, 1.0, math.inf), close)
@@ -138,10 +133,10 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
         low = reduction.min(gap) - reduction.max(pressure) / stiffness
         high = reduction.max(gap) + load / grid.size / stiffness
         bracket = low, (low + high) / 2, high
-        apply((0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)))
+        excess((0.0, stiffness, _root(lambda level: excess((0.0, stiffness, level)), bracket, close)), keep=True)
         found = factor()
     if math.isfinite(found):  # else the points that bear `highest` are all that bear something
-        apply((found, 0.0, 0.0))
+        excess((found, 0.0, 0.0), keep=True)
 
 
 def _root(
@@ -163,42 +158,29 @@ def _root(
     return at
 
 
-@inlined
-def _changed(p: float, g: float, change: Change, highest: float) -> float:
-    """factor · p where p < highest, or if there is a stiffness p + stiffness · (level − g); cut at 0 and `highest`."""
-    factor, stiffness, level = change
-    if stiffness > 0:
-        p += stiffness * (level - g)
-    elif p < highest:
-        p *= factor
-    return min(max(p, 0.0), highest)
+@jit
+def change_rows(fields: Fields, change: Change, highest: float, keep: bool, part: Part) -> tuple[int, float, float]:
+    """Changes the pressures of some rows: factor · p where p < highest, or if there is a stiffness
+    p + stiffness · (level − g); cut to 0 and `highest`.  Returns how many are `highest` then, the sum of the others,
+    and its derivative by the level, or by the factor.  Without `keep` the pressures stay as they are.
 
-
-@compiled()
-def changed_sums(fields: Fields, change: Change, highest: float, first: int, stop: int) -> tuple[float, float, float]:
-    """Σ p after the change, over rows first … stop−1, what rounding of that sum has lost (Knuth's two-sum), and its
-    derivative by the level, or by the factor if there is no stiffness.
-
-    Where most points bear `highest`, few others take all that the sum has lost.
+    Where most points bear `highest`, few others take all that the sum lacks: so those are counted.
     """
     pressure, gap = fields
-    total = lost = slope = 0.0
-    for i in range(first, stop):
+    factor, stiffness, level = change
+    full, total, slope = 0, 0.0, 0.0
+    for i in range(part[0], part[1]):
+        of_row = 0.0
         for j in range(pressure.shape[1]):
-            p = _changed(pressure[i, j], gap[i, j], change, highest)
-            after = total + p
-            part = after - total
-            lost += (total - (after - part)) + (p - part)
-            total = after
-            if 0 < p < highest:
-                slope += change[1] if change[1] > 0 else pressure[i, j]
-    return total, lost, slope
-
-
-@jit
-def change_rows(fields: Fields, change: Change, highest: float, first: int, stop: int) -> None:
-    """Changes the pressure of rows first … stop−1."""
-    pressure, gap = fields
-    for i in range(first, stop):
-        for j in range(pressure.shape[1]):
-            pressure[i, j] = _changed(pressure[i, j], gap[i, j], change, highest)
+            old = pressure[i, j]
+            new = old + stiffness * (level - gap[i, j]) if stiffness > 0 else old * factor if old < highest else old
+            new = min(max(new, 0.0), highest)
+            if new >= highest:
+                full += 1
+            elif new > 0:
+                of_row += new
+                slope += stiffness if stiffness > 0 else old
+            if keep:
+                pressure[i, j] = new
+        total += of_row
+    return full, total, slope
