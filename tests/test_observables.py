@@ -354,7 +354,7 @@ def test_persson_fit_finds_the_width(comm):
     levels = (np.arange(shape[0] * shape[1]) + 0.5) / (shape[0] * shape[1])
     pressure = np.where(levels < above[0], np.interp(-levels, -above, at), 0.0).reshape(shape)
     grid = SlabGrid(comm, shape)
-    found = pressure_groups(grid, pressure[grid.rows].copy(), 200)["persson_fit"]
+    found = comm.bcast(pressure_groups(grid, pressure[grid.rows].copy(), 200).get("persson_fit"))
     assert float(found["width"]) == pytest.approx(width, rel=1e-3)
     assert float(found["residual"]) < 0.02
 
@@ -391,7 +391,8 @@ def test_fit_of_many_bins(comm):
     """The fit of a histogram of 64,000 bins is that of 1000, to which they are merged; a minimum is found to 1e-8."""
     grid = SlabGrid(comm, (160, 150))
     pressure = np.maximum(np.random.default_rng(2).normal(size=grid.shape) - 0.5, 0)[grid.rows]
-    coarse, fine = (pressure_groups(grid, pressure.copy(), bins)["persson_fit"] for bins in (1000, 64000))
+    groups = (pressure_groups(grid, pressure.copy(), bins) for bins in (1000, 64000))
+    coarse, fine = (comm.bcast(each.get("persson_fit")) for each in groups)
     assert float(fine["width"]) == pytest.approx(float(coarse["width"]), rel=1e-6)
 
 

@@ -60,7 +60,8 @@ class RoughSurface:
         """√Σ q²|h̃|², √Σ q⁴|h̃|², and the correlations if they will be asked for, in one pass.  Collective."""
         parts, grid = dict[int, tuple[float, float]](), self.grid
         along, across, weight = grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0].copy()
-        powers = np.stack([np.ones_like(along), along, along**2], axis=1)
+        with np.errstate(over="ignore"):
+            powers = np.stack([np.ones_like(along), along, along**2], axis=1)
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
             sums, square, w = power @ powers, across[first:stop], weight[first:stop]  # Σ v, Σ qx² v, Σ qx⁴ v

@@ -1,6 +1,6 @@
 """`compiled`: numba's decorator for the loops of this package.  One process compiles a loop, others load it.
 
-A loop is compiled at its first call with arguments of new types, once for a machine; a default job needs some fifty.
+A loop is compiled at its first call with arguments of new types, once for a machine; a default job needs some thirty.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import numba
 from numba.core import caching, event
 from numba.core.runtime.nrt import rtsys
 
+from pgfmd.options.text import counted
 from pgfmd.parallel.private_cache import lock, private_folder
 
 log = logging.getLogger("pgfmd")
 
-INTERVAL = 2.0  # seconds between two lines of progress
+FIRST = 4.0  # seconds until the first line of progress; each further one comes after twice as long
 
 
 def compiled(**options: Any) -> Callable[[Callable], Any]:
@@ -94,7 +95,7 @@ class _Compiling(event.Listener):
 
     def __init__(self) -> None:
         self.depth, self.count, self.seconds = 0, 0, 0.0
-        self._began = self._said = 0.0
+        self._began, self._next = 0.0, FIRST
         self._collects = False
 
     def on_start(self, _: event.Event) -> None:
@@ -106,7 +107,6 @@ class _Compiling(event.Listener):
         gc.disable()
         if self.count == 0:
             log.info("compiling for this machine: some seconds, the first time only")
-            self._said = self._began
 
     def on_end(self, ended: event.Event) -> None:
         """It is compiled, or compiling failed or was interrupted: then others may try."""
@@ -120,9 +120,9 @@ class _Compiling(event.Listener):
             gc.enable()
         now = time.monotonic()
         self.count, self.seconds = self.count + 1, self.seconds + now - self._began
-        if now - self._said > INTERVAL:
-            self._said = now
-            log.info("compiled %d loops in %.1f s", self.count, self.seconds)
+        if self.seconds > self._next:
+            self._next = 2 * self.seconds
+            log.info("compiled %s in %.1f s", counted(self.count, "loop"), self.seconds)
 
 
 event.register("numba:compile", _Compiling())

@@ -15,7 +15,6 @@ import numpy as np
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.statistics.kernels import contact_sums, histogram, survey
 from pgfmd.parallel.mpi import MPI
-from pgfmd.theory import persson
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
 DECADES = 12  # at most covered by the logarithmic bins, below the largest pressure
@@ -28,8 +27,8 @@ Group = dict[str, np.ndarray]
 def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str, Group]:
     """Histograms (linear and logarithmic) over contact, moments and Persson's fit of a pressure slab.  Collective.
 
-    Densities are normalised to 1 over the contact, p > 0.  Without contact, counts are zero and the rest is NaN.
-    Two passes over the field.
+    Densities are normalised to 1 over the contact, p > 0.  Without contact, counts are zero and the rest is NaN.  The
+    fit is made on rank 0 only.  Two passes over the field.
     """
     seen = look_over(grid, pressure)
     linear = linear_edges(0.0, max(seen.largest, 0.0), bins)
@@ -43,14 +42,14 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
         return count, log_count, powers
 
     count, log_count, powers = _totals(grid, part)
-    return {
+    fit = {"persson_fit": persson_fit(linear, count, seen.total / grid.size, grid.size)} if grid.comm.rank == 0 else {}
+    return fit | {
         "pressure_histogram": _histogram(linear, count, seen.positive),
         "pressure_histogram_log": _histogram(logarithmic, log_count, seen.positive),
         "pressure_moments": {
             "order": np.arange(1, ORDERS + 1),
             "value": powers / seen.positive if seen.positive else np.full(ORDERS, np.nan),
         },
-        "persson_fit": persson_fit(linear, count, seen.total / grid.size, grid.size),
     }
 
 
@@ -74,6 +73,8 @@ def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
 
 def persson_fit(edges: np.ndarray, count: np.ndarray, mean: float, points: int) -> Group:
     """Width s and misfit of N(σ; p̄, s) − N(σ; −p̄, s), for counts of `points` in all; NaN if all counts are zero."""
+    from pgfmd.theory import persson  # and SciPy's minimisers, which take a fifth of all the time of a rank's imports
+
     if not count.any():
         return {"width": np.array(math.nan), "residual": np.array(math.nan)}
     starts = np.arange(0, len(count), -(-len(count) // FIT_BINS))
