@@ -29,6 +29,7 @@ JOB = """grid.n = {n}
 surface = {{kind = "self-affine", hurst = 0.8, lambda_s = {shortest}, rms_slope = {slope}}}
 load.pressure = {pressure}
 """  # the same for `pgfmd check`
+REPEATS = 3  # of a solve that is measured; the fastest counts, since other programs can only prolong it
 SLABS = (2, 4, 8, 16, 32, 64, 128, 256, 512)  # among which contact is counted
 
 
@@ -120,21 +121,26 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
         ExchangedStrips, ("_alltoall",), "all-to-alls",
         lambda _, counts, __, kind: int(counts[0].sum()) * kind.itemsize,
     )  # fmt: skip
-    comm.Barrier()
-    clock.begin()
-    began = time.perf_counter()
-    solution = solve_hard_wall(problem)
+    fastest: dict[str, float] = {"solve": np.inf}
+    for _ in range(REPEATS):
+        comm.Barrier()
+        clock.begin()
+        sent.begin()
+        began = time.perf_counter()
+        solution = solve_hard_wall(problem)
+        took = comm.allreduce(time.perf_counter() - began, MPI.MAX)  # so that all take the same solve
+        if took < fastest["solve"]:
+            fastest = {"solve": took, "bytes": sum(sent.counts.values())}
+            for what, each in (("seconds", clock.seconds), ("count", clock.counts)):
+                fastest |= {f"{what} {level} {phase}": value for (level, phase), value in each.items()}
     found = {
         "n": n, "ranks": comm.size, "exchanged": exchanged, "threads": grid.threads.count,
         "cores": len(os.sched_getaffinity(0)),
-        "solve": time.perf_counter() - began, "transforms": solution.transforms, "iterations": solution.iterations,
-        "bytes": sum(sent.counts.values()),
-        "computed": sum(value for (_, phase), value in clock.seconds.items() if phase in scaling_model.COMPUTED),
-    } | costs  # fmt: skip
-    for what, each in (("seconds", clock.seconds), ("count", clock.counts)):
-        found |= {f"{what} {level} {phase}": value for (level, phase), value in each.items()}
-    mask = comm.gather((solution.pressure > 0).sum(axis=1))
+        "transforms": solution.transforms, "iterations": solution.iterations,
+        "computed": sum(value for name, value in fastest.items() if name.split()[-1] in scaling_model.COMPUTED),
+    } | costs | fastest  # fmt: skip
     _append(comm, path, found)
+    mask = comm.gather((solution.pressure > 0).sum(axis=1))
     if comm.rank == 0:
         points = np.concatenate(mask)
         worst = {slabs: _imbalance(points, slabs) for slabs in SLABS if slabs <= n // 4}
