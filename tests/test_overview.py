@@ -13,6 +13,7 @@ from pathlib import Path
 import browser
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from pgfmd.job import job
 from pgfmd.simulate import simulate
@@ -308,6 +309,21 @@ def test_pixels_have_the_colours_of_their_values(runs, tmp_path, window):
             place = round(255 * min(value / top, 1))
             near = colours[max(0, place - 2) : place + 3]
             assert np.abs(near - seen).max(1).min() <= 3, (value, seen)
+
+
+def test_the_most_loaded_point_bears_most_in_its_tile(runs, tmp_path, small_tiles):
+    """The button leads to a point in contact, the highest pressure of its tile of 64² points (to a step of its 254),
+    in the tile where pressures over a twentieth of the cell are largest, on every 4th point.
+    """
+    _, data = page_of(runs["all"], tmp_path)
+    pressure = reading.loads([runs["all"]])[1].results.field("pressure", 1)
+    i, j = data["peak"]
+    tile = pressure[i // 64 * 64 :, j // 64 * 64 :][:64, :64]
+    assert pressure[i, j] > 0 and tile.max() - pressure[i, j] <= tile.max() / 254
+    thin = pressure[::8, ::8]
+    mean = ndimage.uniform_filter(thin, max(1, max(thin.shape) // 20), mode="wrap")
+    a, b = np.unravel_index(mean.argmax(), mean.shape)
+    assert (8 * a // 64, 8 * b // 64) == (i // 64, j // 64)
 
 
 def test_a_page_without_its_folder_says_so(runs, tmp_path, monkeypatch, small_tiles, window):

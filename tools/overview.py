@@ -18,7 +18,7 @@ from choosing import NEEDS as TESTS
 from matplotlib.colors import LightSource, ListedColormap, LogNorm, PowerNorm
 from overview_charts import distribution, scaled_spectra
 from overview_page import write_page
-from patch_areas import areas
+from patch_areas import PATCHES, areas
 from plotting import BLACK, BLUE, GREY, PAGE, RED, Sheet
 from reading import Load
 
@@ -72,7 +72,7 @@ def _panels(run: list[Load], notes: list[str]) -> Iterator[Callable]:
     there = {
         draw_surface: ("height" in load.fields, TESTS["height"][1]),
         draw_gap: ("gap" in load.fields, 'field "gap"'),
-        draw_patches: (areas(load, PIXELS) is not None, 'field "labels", or (hard walls) field "pressure"'),
+        draw_patches: (areas(load, PIXELS) is not None, PATCHES.removeprefix("the ")),
         draw_distribution: (TESTS["histogram"][0](load), TESTS["histogram"][1]),
         draw_spectra: (spectra and TESTS["spectra"][0](load),
                        'observable "spectra"'),

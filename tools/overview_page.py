@@ -17,7 +17,7 @@ import matplotlib
 import numpy as np
 import pyramid
 from overview_charts import charts, some, table
-from patch_areas import areas
+from patch_areas import PATCHES, areas
 from pyramid import Pyramid
 from reading import Load
 from scipy import ndimage
@@ -72,7 +72,7 @@ def write_page(loads: Sequence[Load], output: Path, chosen: Sequence[int] | None
     shown = _spread([load for load in loads if load.fields - {"height"}], chosen)
     notes: list[str] = []
     views = [view for view in _views(first, shown, folder, notes) if view.images]
-    embedded, peak = _embedded(views, shown)
+    embedded, peak = _embedded(views, shown, first.results.shape[1])
     outside = [image.path(key) for view in views for image in view.images.values() for key in image.sizes]
     outside = [path for path in outside if path.exists()]
     if not tiles or not outside:
@@ -140,8 +140,8 @@ def _views(first: Load, shown: list[Load], folder: Path, notes: list[str]) -> It
             else:
                 view.images[name] = pyramid.write(Pyramid(name, folder), blocks, shape, view.scale, bool(view.blank))
         if missing or (view.each and not shown):
-            reason = {"patch": 'the field "labels", or a hard wall and the field "pressure"'}
-            notes.append(f"{view.title} is not shown: the run kept no {reason.get(view.key, f'field {view.key}')}")
+            reason = f"needs {PATCHES}" if view.key == "patch" else f"the run kept no field {view.key}"
+            notes.append(f"{view.title} is not shown: {reason}")
         yield view
 
 
@@ -155,10 +155,10 @@ def _blocks(load: Load, key: str) -> Iterator[np.ndarray] | None:
     return (values for _, values in strips)
 
 
-def _embedded(views: list[View], shown: list[Load]) -> tuple[dict[str, list], list[int]]:
+def _embedded(views: list[View], shown: list[Load], columns: int) -> tuple[dict[str, list], list[int]]:
     """The tiles that go into the page (their files are removed), key → [low, high, bytes in base64]; and `_peak`."""
     images = [image for view in views for image in view.images.values()]
-    peak, sizes = _peak(views, shown), {key: size for image in images for key, size in image.sizes.items()}
+    peak, sizes = _peak(views, shown, columns), {key: size for image in images for key, size in image.sizes.items()}
     inside: list[str] = []
     if sum(sizes.values()) <= BUDGET:
         inside = list(sizes)
@@ -181,9 +181,9 @@ def _embedded(views: list[View], shown: list[Load]) -> tuple[dict[str, list], li
     return found, peak
 
 
-def _peak(views: list[View], shown: list[Load]) -> list[int]:
-    """The point [i, j] around which the mean pressure over 1/20 of the cell's side is largest under the last load;
-    without pressures, the summit.
+def _peak(views: list[View], shown: list[Load], columns: int) -> list[int]:
+    """The point [i, j] that bears most under the last load, in the tile where the mean pressure over 1/20 of the cell's
+    side is largest; without pressures, the summit of the tile where every 2^k-th point is highest.
     """
     images = {name: image for view in views for name, image in view.images.items()}
     last = f"pressure.{shown[-1].index}" if shown else ""
@@ -194,7 +194,10 @@ def _peak(views: list[View], shown: list[Load]) -> list[int]:
     width = max(1, max(small.shape) // 20) if image.name == last else 1
     place = np.unravel_index(np.argmax(ndimage.uniform_filter(small, width, mode="wrap")), small.shape)
     step = 2 ** (max(int(key.split("/")[1]) for key in image.sizes))
-    return [int(index) * step for index in place]
+    x, y = (int(index) * step // pyramid.TILE for index in place)
+    line = image.path(f"{image.name}/0/{x}/{y}").read_bytes()
+    i, j = pyramid.highest(line, min(pyramid.TILE, columns - y * pyramid.TILE))
+    return [x * pyramid.TILE + i, y * pyramid.TILE + j]
 
 
 def _where(embedded: dict[str, list], outside: bool, tiles: bool) -> dict[str, str]:

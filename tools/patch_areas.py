@@ -9,6 +9,7 @@ from reading import Load
 from scipy import ndimage, sparse
 
 MOST_POINTS = 2**26  # of a grid whose patches are found here, in memory; a run can keep them as the field "labels"
+PATCHES = f'the field "labels", or a hard wall, the field "pressure" and at most {MOST_POINTS:,} points'
 
 
 def areas(load: Load, count: int) -> Iterator[np.ndarray] | None:

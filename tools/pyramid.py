@@ -119,6 +119,13 @@ def quantised(values: np.ndarray, scale: str, blank: bool) -> tuple[np.ndarray, 
 
 
 def decoded(line: bytes) -> tuple[np.ndarray, float, float]:
-    """The line of a tile as the browser decodes it, without its shape: bytes (m,), low, high.  For tests."""
+    """The line of a tile as the browser decodes it, without its shape: bytes (m,), low, high."""
     _, low, high, text = json.loads(line[len("pgfmd_tile") :].strip().replace(b"(", b"[").replace(b")", b"]"))
     return np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8), low, high
+
+
+def highest(line: bytes, columns: int) -> tuple[int, int]:
+    """Where the largest value of a tile of so many columns is."""
+    codes = decoded(line)[0].reshape(-1, columns).cumsum(0, np.uint8).cumsum(1, np.uint8)
+    i, j = np.unravel_index(np.argmax(codes), codes.shape)
+    return int(i), int(j)
