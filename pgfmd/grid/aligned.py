@@ -26,7 +26,7 @@ def new_field(shape: tuple[int, int]) -> np.ndarray:
     """A new array of float64 that begins at another place of a page than those made before.
 
     Large arrays lie as far apart as they are long, and a page.  At 4096² that is 2²⁷ + 2¹² bytes: the first cache of
-    AMD's Zen then takes entries at like places of two arrays for the same (Lipp et al. 2020,
+    AMD's Zen then seems to take entries at like places of two arrays for the same (Lipp et al. 2020,
     doi:10.1145/3320269.3384746, section 3), and a loop over pressure and gap takes seven times as long.
     """
     begin = next(_made) * STAGGER % PAGE
