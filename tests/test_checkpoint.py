@@ -119,7 +119,7 @@ def test_seal_covers_every_byte(comm, shared_tmp_path, monkeypatch):
         alone.save(0, FIELD)
         assert alone.path.read_bytes() == path.read_bytes()
     comm.Barrier()
-    for at, words in ((array.start, "bytes"), (array.stop - 1, "bytes"), (9, "beside"), (seal.size + 3, "seal")):
+    for at, words in ((array.start, "bytes"), (array.stop - 1, "bytes"), (9, "outside"), (seal.size + 3, "seal")):
         flip(comm, path, at)
         assert words in checksum.damage(path)
         block = (at - array.start) // 96

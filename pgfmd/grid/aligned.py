@@ -16,10 +16,10 @@ Count = TypeVar("Count", int, np.ndarray)
 _made = itertools.count()
 
 
-def aligned_bytes(count: int) -> np.ndarray:
-    """`count` bytes of new memory that begin on a cache line."""
-    raw = np.empty(count + ALIGNMENT, np.uint8)
-    return raw[-raw.ctypes.data % ALIGNMENT :][:count]
+def aligned_bytes(count: int, begin: int = 0, unit: int = ALIGNMENT) -> np.ndarray:
+    """`count` bytes of new memory, `begin` bytes after a cache line, or another unit, begins."""
+    raw = np.empty(count + unit, np.uint8)
+    return raw[(begin - raw.ctypes.data) % unit :][:count]
 
 
 def new_field(shape: tuple[int, int]) -> np.ndarray:
@@ -30,7 +30,7 @@ def new_field(shape: tuple[int, int]) -> np.ndarray:
     doi:10.1145/3320269.3384746, section 3), and a loop over pressure and gap takes seven times as long.
     """
     begin = next(_made) * STAGGER % PAGE
-    return aligned_bytes(begin + math.prod(shape) * 8)[begin:].view(np.float64).reshape(shape)
+    return aligned_bytes(math.prod(shape) * 8, begin, PAGE).view(np.float64).reshape(shape)
 
 
 def row_stride(count: Count, itemsize: int) -> Count:

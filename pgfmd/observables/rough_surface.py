@@ -57,11 +57,14 @@ class RoughSurface:
 
     @cached_property
     def _measured(self) -> tuple[float, float, Correlations | None]:
-        """√Σ q²|h̃|², √Σ q⁴|h̃|², and the correlations if they will be asked for, in one pass.  Collective."""
+        """√Σ q²|h̃|², √(Σ q⁴|h̃|² / Σ q²|h̃|²), and the correlations if they will be asked for, in one pass.
+        Collective.
+        """
         parts, grid = dict[int, tuple[float, float]](), self.grid
-        along, across, weight = grid.qx[0] ** 2, grid.qy[:, 0] ** 2, grid.hermitian_weight[:, 0].copy()
-        with np.errstate(over="ignore"):
-            powers = np.stack([np.ones_like(along), along, along**2], axis=1)
+        unit = min(grid.spacing)  # of lengths here, so that no power of q overflows
+        along, across = (unit * grid.qx[0]) ** 2, (unit * grid.qy[:, 0]) ** 2
+        weight = grid.hermitian_weight[:, 0].copy()
+        powers = np.stack([np.ones_like(along), along, along**2], axis=1)
 
         def watch(power: np.ndarray, first: int, stop: int) -> None:
             sums, square, w = power @ powers, across[first:stop], weight[first:stop]  # Σ v, Σ qx² v, Σ qx⁴ v
@@ -74,7 +77,7 @@ class RoughSurface:
         else:
             grid.read_spectrum(source(self.heights), lambda block, *place: watch(squared(block), *place))
         second, fourth = np.sqrt(grid.reduction.sums_of_blocks(parts, 2)) / grid.size
-        return float(second), float(fourth), found
+        return float(second) / unit, float(fourth / second) / unit if second else 0.0, found
 
     @cached_property
     def correlations(self) -> Correlations:
@@ -96,7 +99,7 @@ class RoughSurface:
         """The highest wave number: the cutoff; if not known, BANDWIDTH √(Σ q⁴|h̃|² / Σ q²|h̃|²)."""
         if self.cutoff is not None:
             return self.cutoff
-        return BANDWIDTH * self._measured[1] / self.rms_slope if self.rms_slope else 0.0
+        return BANDWIDTH * self._measured[1]
 
     def acf_groups(self, name: str, found: Correlations) -> Groups:
         """The three groups of an autocorrelation; none if none is asked for."""
