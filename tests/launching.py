@@ -103,10 +103,11 @@ def _lives(pid: int) -> bool:
 def kill(run: subprocess.Popen, way: str = "all", choose=min) -> None:
     """End a run: SIGKILL to the rank that is chosen ("one"), to everything ("all"), or SIGTERM to mpirun ("mpirun")."""
     victims = [run.pid]
+    run.family = descendants(run.pid)  # once mpirun is gone, they are nobody's, but may hold files for a moment
     if way == "one":
         victims = [choose(ranks_of(run) or victims)]
     elif way == "all":
-        victims += descendants(run.pid)
+        victims += run.family
     for pid in victims:
         try:
             os.kill(pid, signal.SIGTERM if way == "mpirun" else signal.SIGKILL)
@@ -116,7 +117,7 @@ def kill(run: subprocess.Popen, way: str = "all", choose=min) -> None:
 
 def wait(run: subprocess.Popen, timeout: float = 120) -> tuple[int, str]:
     """Exit code and stderr of a run, once all of its processes are gone; none may outlive `timeout`."""
-    family, stderr, end = set(), None, time.monotonic() + timeout
+    family, stderr, end = set(getattr(run, "family", ())), None, time.monotonic() + timeout
     try:
         while stderr is None:
             family |= set(descendants(run.pid))
