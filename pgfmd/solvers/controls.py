@@ -252,7 +252,7 @@ class MeanGap(Control):
         if change == 0:  # every point is at a bound: the level may lie anywhere between their gaps
             return math.inf
         curvature = energy + self.problem.law.range * change / 2
-        return (roots * math.sqrt(bound * curvature) + bound) / (change * self.allowed(target))
+        return (roots * math.sqrt(bound * curvature) + bound) / change / self.allowed(target)
 
     def _energy(self, pressure: np.ndarray) -> tuple[float, float]:
         """½⟨p, Gp⟩ per point, without the mode q = 0, and the mean of a pressure (nx_local, ny).  Collective."""

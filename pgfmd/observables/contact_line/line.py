@@ -59,7 +59,7 @@ class ContactLine:
     @property
     def _band(self) -> int:
         """Rows at a time: pairs take more memory than fields do."""
-        return max(1, min(4 * self.grid.band, self.grid.local_shape[0] // 16))
+        return max(1, min(4 * self.grid.band, self.grid.local_shape[0] // 32))
 
     def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(area beyond that of the pixels, perimeter) from sums (…, 4) of `pairs.lines_of_pixels`."""
