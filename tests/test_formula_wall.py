@@ -196,6 +196,9 @@ WRONG = {
     "max(*gap)": "must be a formula of gap",
     "gap if True else 1": "must be a formula of gap",
     "x": "must be a formula of gap",
+    "9**9**9**9 - gap": "is inf at gap 0",
+    "1e300 * 10**400 - gap": "is inf at gap 0",
+    str(10**400) + " - gap": "must be a formula of gap",
     "1 +": "must be a formula of gap",
     "1) + (2": "must be a formula of gap",
     "(" * 300 + "gap" + ")" * 300: "must be a formula of gap",
@@ -209,6 +212,11 @@ def test_what_is_no_wall_is_refused_in_one_line(text):
     with pytest.raises(InputError, match=WRONG[text]) as error:
         FormulaWall(pressure=text, gaps=(0, 1))
     assert str(error.value).startswith("wall.pressure = ") and "\n" not in str(error.value)
+
+
+def test_a_comment_ends_a_formula():
+    """It is no part of it, also if it has a bracket."""
+    assert formula.function("2 / (1 + gap)  # )", "gap")(0.5) == pytest.approx(4 / 3, rel=1e-15, abs=0)
 
 
 @pytest.mark.parametrize("gaps", [(1, 0), (1, 1), 2.0, None, (0, math.inf), (0, math.nan)])

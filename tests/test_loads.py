@@ -209,6 +209,13 @@ def test_a_tolerance_beyond_rounding_is_refused_by_its_name(rough, control):
         Counted(control, *rough, gap_tolerance=1e-16).solution(0.3)
 
 
+@pytest.mark.parametrize("control", ["displacement", "mean_gap"])
+def test_a_target_of_1e_300_is_no_division_by_zero(rough, control):
+    """A displacement that only a pressure below 1e-120 E' gives is refused; such a gap is one of 0, to rounding."""
+    with pytest.raises((InputError, SolverError), match=r"must lie between|load\.mean_gap = 1e-300"):
+        Counted(control, *rough).solution(1e-300)
+
+
 @pytest.mark.parametrize("control", ["pressure", "mean_gap"])
 def test_a_failure_names_the_key_that_asked_for_the_tolerance(rough, control):
     """Where rounding forbids solver.tolerance the message names that key, and the load; one of the search's own, which

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from functools import cache
 from types import CodeType
+from typing import Any
 
 from pgfmd.options.rules import Rule, text
 
@@ -17,6 +18,7 @@ _ALLOWED = (
     ast.Call, ast.Name, ast.Load, ast.Constant, ast.IfExp, ast.Compare, ast.Lt, ast.LtE, ast.Gt, ast.GtE,
 )  # fmt: skip
 LONGEST = 1000  # letters
+MOST_FACTORS = 1000  # whole exponents up to this are products in compiled code
 
 
 def formula(variable: str) -> Rule:
@@ -56,10 +58,25 @@ def _code(written: str, variable: str) -> CodeType:
     except (SyntaxError, RecursionError, MemoryError):
         raise ValueError from None
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    right = len(written) <= LONGEST and all(_is_allowed(node, variable, id(node) in called) for node in ast.walk(tree))
-    if not right:
-        raise ValueError
-    return compile(f"lambda {variable}: ({written.strip()})", "<formula>", "eval")
+    powers = {id(node.right) for node in ast.walk(tree) if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)}
+    for node in ast.walk(tree):
+        if len(written) > LONGEST or not _is_allowed(node, variable, id(node) in called):
+            raise ValueError
+        if isinstance(node, ast.Constant):
+            node.value = _number(node.value, id(node) in powers)
+    function = ast.parse(f"lambda {variable}: 0", mode="eval")
+    function.body.body = tree.body  # type: ignore[attr-defined]
+    return compile(function, "<formula>", "eval")
+
+
+def _number(constant: Any, is_exponent: bool) -> float:
+    """As a real number: powers of whole numbers have as many digits as the memory holds."""
+    if is_exponent and isinstance(constant, int) and constant <= MOST_FACTORS:
+        return constant
+    try:
+        return float(constant)
+    except OverflowError:
+        raise ValueError from None
 
 
 def _is_allowed(node: ast.AST, variable: str, called: bool) -> bool:

@@ -144,7 +144,8 @@ def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], 
     real = np.dtype(dtype)
 
     def action(block: np.ndarray, first: int, stop: int) -> None:
-        block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
+        with np.errstate(over="ignore", invalid="ignore"):  # of iterations that diverge, which end at such numbers
+            block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
 
     return action
 

@@ -26,18 +26,18 @@ def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> floa
     prefix = 0
     bits = heights.view(np.int64)
     for shift in range(64 - DIGIT, -1, -DIGIT):
-        counts = _count(grid, bits, prefix, shift)
-        below = np.cumsum(counts)
+        below = _count_up_to(grid, bits, prefix, shift)
         digit = int(np.searchsorted(below, place, side="right"))
-        place -= int(below[digit] - counts[digit])
+        place -= int(below[digit - 1]) if digit else 0
+        del below
         prefix = prefix << DIGIT | digit
     found = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
     return float(np.array(found, np.uint64).view(np.float64))
 
 
-def _count(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndarray:
-    """Number of heights whose keys (`count_digits`) begin with the digits `prefix`, by the next digit: (2^16,) int64.
-    Collective.
+def _count_up_to(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndarray:
+    """Number of heights whose keys (`count_digits`) begin with the digits `prefix` and go on with at most each next
+    digit: (2^16,) int64.  Collective.
     """
     parts = []
 
@@ -47,6 +47,8 @@ def _count(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndar
         parts.append(counts)
 
     grid.threads.split(part, len(bits))
-    total = np.sum(parts, axis=0)
+    total = parts.pop()
+    while parts:
+        total += parts.pop()
     grid.comm.Allreduce(MPI.IN_PLACE, total)
-    return total
+    return np.cumsum(total, out=total)

@@ -217,7 +217,7 @@ class Relaxation:
             for fields, begin in pieces:
                 part = slice(max(first - begin, 0), max(stop + 2 * margin - begin, 0))
                 piece = fields[0][part], fields[1][part]
-                residual_limits(piece, limits, STRIDES[0], work[:3, at : at + len(piece[0])])
+                residual_limits(piece, limits, (at, STRIDES[0]), work)
                 at += len(piece[0])
             for done, stride in enumerate(STRIDES):
                 halo = sum(STRIDES[:done]), STRIDES[0]
@@ -276,14 +276,14 @@ def contact_sums(
 
 
 @jit
-def residual_limits(fields: Fields, limits: tuple[float, float], margin: int, out: np.ndarray) -> None:
-    """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into `out`
-    (3, rows, ny + 2 margin); limits: level and highest pressure.
+def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[int, int], out: np.ndarray) -> None:
+    """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into
+    out[0 … 2], from a row and a column on; limits: level and highest pressure; place: that row and column.
     """
     pressure, gap = fields
-    level, highest = limits
+    (level, highest), (at, margin) = limits, place
     for i in range(gap.shape[0]):
-        p, g, least, most, first = pressure[i], gap[i], out[0, i], out[1, i], out[2, i]
+        p, g, least, most, first = pressure[i], gap[i], out[0, at + i], out[1, at + i], out[2, at + i]
         for j in range(p.size):
             rest, above, below = np.float32(g[j] - level), p[j] > 0, p[j] < highest
             k = u(j + margin)
