@@ -12,7 +12,7 @@ from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness, preconditioner
-from pgfmd.solvers.active_set.dual import NearCompliance
+from pgfmd.solvers.active_set.dual import near_compliance
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
@@ -59,8 +59,8 @@ def test_unknowns(shape):
     p[:, 70:240], gap[:, 70:240] = 0.0, 0.2  # a long piece without unknowns
     mask = (p > 0) & (p < 1) | (p <= 0) & (gap < 0.1) | (p >= 1) & (gap > 0.1)
     points = Unknowns(grid, (p, gap), 0.1, 1.0)
-    assert np.array_equal(points.columns, np.nonzero(mask)[1])
-    assert np.array_equal(np.diff(points.offsets), mask.sum(axis=1)) and points.count == mask.sum()
+    assert np.array_equal(points.lists[0], np.nonzero(mask)[1])
+    assert np.array_equal(np.diff(points.lists[1]), mask.sum(axis=1)) and points.count == mask.sum()
     assert np.array_equal(points.below(0.1, gap).own, (0.1 - gap[mask]).astype(np.float32))
     assert set(points.below(0.1, gap * 1e30).own) <= {np.float32(0.1), np.float32(1e25), np.float32(-1e25)}
     values, field = rng.random(points.count).astype(np.float32), p.copy()
@@ -71,7 +71,7 @@ def test_unknowns(shape):
         block *= np.float32(1 / grid.size)
 
     out = np.empty_like(values)
-    FullResponse(unchanged).apply(points, on(points, values), out)
+    FullResponse(unchanged).apply(on(points, values), out)
     assert np.allclose(out, values, rtol=0, atol=1e-6)
 
 
@@ -84,7 +84,9 @@ def test_halo_of_a_set(shape):
     columns, offsets = points.extended
     assert np.array_equal(np.diff(offsets), mask[rows].sum(axis=1))
     assert np.array_equal(columns, np.nonzero(mask[rows])[1])
-    assert np.array_equal(on(points, field[grid.rows][mask[grid.rows]]).exchange(), field[rows][mask[rows]])
+    vector = on(points, field[grid.rows][mask[grid.rows]])
+    vector.exchange()
+    assert np.array_equal(vector.all, field[rows][mask[rows]])
 
 
 @pytest.mark.parametrize("count", [1, (comm.size + 1) // 2, comm.size])
@@ -165,7 +167,7 @@ def test_mesh_is_exact_for_long_waves(wave):
     q = 2 * np.pi / 128 * np.hypot(*wave)
     for response in (elasticity.stiffness, elasticity.compliance):
         near = elasticity.stiffness if response == elasticity.stiffness else lambda q: 2 / (1.3 * q)
-        MeshResponse(grid, near, response).apply(everything, on(everything, values), found)
+        MeshResponse(grid, near, response).apply(on(everything, values), found)
         assert np.allclose(found, response(q) * values, rtol=0, atol=0.02 * response(q))
 
 
@@ -174,8 +176,8 @@ def deviation(grid: SlabGrid, density: float, mesh: MeshResponse, action) -> tup
     points, mask, field = random_set(grid, density)
     values = field[grid.rows][mask[grid.rows]]
     exact, found = np.empty_like(values), np.empty_like(values)
-    mesh.apply(points, on(points, values), found)
-    FullResponse(action).apply(points, on(points, values), exact)
+    mesh.apply(on(points, values), found)
+    FullResponse(action).apply(on(points, values), exact)
     exact, found = (everywhere(grid, points, part)[mask] for part in (exact, found))
     return found - exact, exact
 
@@ -199,12 +201,12 @@ def test_near_compliance_is_positive(lengths):
     """⟨a, M a⟩ > 0 for waves of every length, also on oblong pixels."""
     grid = SlabGrid(comm, (64, 64), lengths)
     everything = Unknowns(grid, (np.ones(grid.local_shape), np.ones(grid.local_shape)), -np.inf)
-    near = NearCompliance(grid, lambda q: 2 / q)
+    near = near_compliance(grid, lambda q: 2 / q)
     for wave in ((1, 0), (0, 1), (32, 0), (0, 32), (32, 32), (16, 32), (16, 0), (0, 16), (32, 11), (11, 32)):
         phase = 2 * np.pi / 64 * (wave[0] * np.arange(64)[grid.rows, None] + wave[1] * np.arange(64))
-        values, out = on(everything, np.cos(phase).ravel()), on(everything)
-        near.apply(everything, values, out)
-        assert comm.allreduce(float(values.own @ out.own)) > 0
+        values, out = on(everything, np.cos(phase).ravel()), np.empty(everything.count, np.float32)
+        near.apply(values, out)
+        assert comm.allreduce(float(values.own @ out)) > 0
 
 
 @pytest.mark.parametrize("shape", [(512, 384), (387, 386), (20, 20)])
@@ -220,9 +222,9 @@ def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, sm
 
     def applied(grid, field):
         points, mask, _ = random_set(grid, 0.4)
-        out = on(points)
-        MultilevelStiffness(grid, *kernels).apply(points, on(points, field[grid.rows][mask[grid.rows]]), out)
-        return points, out.own
+        out = np.empty(points.count, np.float32)
+        MultilevelStiffness(grid, *kernels).apply(on(points, field[grid.rows][mask[grid.rows]]), out)
+        return points, out
 
     a, b = np.random.default_rng(1).standard_normal((2, *shape))
     images = []
@@ -281,9 +283,9 @@ def test_preconditioner_answers_long_waves_weakly(monkeypatch):
 
     def answer(wave: int) -> float:
         phase = 2 * np.pi / 512 * wave * np.arange(512)[grid.rows, None] + np.zeros(512)
-        values, out = on(points, np.cos(phase)[mask]), on(points)
-        MultilevelStiffness(grid, lambda q: q / 2, lambda q: q / 2).apply(points, values, out)
-        return comm.allreduce(float(values.own @ out.own))
+        values, out = on(points, np.cos(phase)[mask]), np.empty(points.count, np.float32)
+        MultilevelStiffness(grid, lambda q: q / 2, lambda q: q / 2).apply(values, out)
+        return comm.allreduce(float(values.own @ out))
 
     monkeypatch.setattr(block_stiffness, "FEWEST", 8)
     assert 4 < answer(8) / answer(1) < 16

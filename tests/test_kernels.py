@@ -150,17 +150,15 @@ def test_blocks(points, rng):
     """Sums over blocks of pixels, and a value per block subtracted from the points in it; of rows that exist only."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.nonzero(mask)[0]
-    row_block, column_block = np.arange(9) // 3, np.arange(7) // 3
-    sums, expected = np.zeros((3, 3)), np.zeros((3, 3))
-    preconditioner.block_sums(values, (columns, offsets), (0, 9), 3, column_block, sums)
-    np.add.at(expected, (rows // 3, columns // 3), values)
+    sums, expected, beyond = np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((5, 2))
+    preconditioner.block_sums(values, (columns, offsets), (0, 9), sums)
+    np.add.at(expected, (rows // 4, columns // 4), values)
     assert np.allclose(sums, expected, rtol=1e-14, atol=0)
-    beyond = np.zeros((5, 3))
-    preconditioner.block_sums(values, (columns, offsets), (-3, 12), 3, column_block, beyond)
+    preconditioner.block_sums(values, (columns, offsets), (-4, 16), beyond)
     assert np.array_equal(beyond[1:4], sums) and not beyond[[0, 4]].any()
     out = np.zeros_like(values)
-    preconditioner.subtract_blocks(values, sums, (columns, offsets), (0, 9), (row_block, column_block), out)
-    assert np.allclose(out, values - sums[rows // 3, columns // 3], rtol=1e-14, atol=1e-15)
+    preconditioner.subtract_blocks(values, beyond, (columns, offsets), (5, 0, 9), out)
+    assert np.allclose(out, values - beyond[(5 + rows) // 4, columns // 4], rtol=1e-14, atol=1e-15)
 
 
 @pytest.mark.parametrize("start", [0, 5])

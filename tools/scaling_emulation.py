@@ -97,13 +97,13 @@ def _inner(grid: SlabGrid) -> dict[str, float]:
     rows = np.arange(grid.rows.start, grid.rows.stop)[:, None] // PATCH
     chance = np.sin(12.9898 * rows + 78.233 * along) * 43758.5453 % 1  # the same at any rank count
     points = Unknowns(grid, ((chance < AREA).astype(float), np.ones(grid.local_shape)), -math.inf)
-    values, out = SetVector(points), SetVector(points)
+    values, out = SetVector(points), np.empty(points.count, np.float32)
     values.all[:] = 0
     values.own[:] = np.random.default_rng(2).standard_normal(points.count)
     share = math.prod(grid.local_shape)
     return {
-        "mesh": 1e9 * _best(lambda: mesh.apply(points, values, out.own)) / share,
-        "blocks": 1e9 * _best(lambda: blocks.apply(points, values, out)) / share,
+        "mesh": 1e9 * _best(lambda: mesh.apply(values, out)) / share,
+        "blocks": 1e9 * _best(lambda: blocks.apply(values, out)) / share,
         "area": points.count / share,
     }
 

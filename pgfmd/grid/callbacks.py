@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pgfmd.grid import kernels
+
 RowAction = Callable[[int, int, np.ndarray], None]
 """action(first, stop, rows): fills or reads `rows` (stop − first, ny), local rows first … stop−1 of a field."""
 ColumnAction = Callable[[np.ndarray, int, int], None]
@@ -32,3 +34,12 @@ def sink(field: np.ndarray) -> RowAction:
         field[first:stop] = rows
 
     return drain
+
+
+def scaling(factors: np.ndarray) -> ColumnAction:
+    """Multiplies the modes of a spectrum in single precision by factors (nky_local, nx) of that precision."""
+
+    def act(block: np.ndarray, first: int, stop: int) -> None:
+        kernels.scale_modes(block.view(factors.dtype).reshape(*block.shape, 2), factors[first:stop])
+
+    return act

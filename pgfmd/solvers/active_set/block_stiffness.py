@@ -14,10 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.grid import kernels
+from pgfmd.grid.callbacks import scaling
 from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.parallel.layout import Exchange, Layout, Piece, RowPlan, RowWindow
+from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many per side
@@ -41,26 +42,27 @@ class Blocks:
     receives what the caller is to subtract from each point: an entry for each block that has points of this rank.  The
     rank that has the first row of a block sums over it; the ranks that hold the grid of blocks answer.
 
-    Attributes: low, first row of blocks in the window.  transformed: points of the transforms in one application.
+    Attributes: start, of this rank's rows in the window, in rows of points.  transformed: points of the transforms in
+    one application.
     """
 
-    _counts: list[Piece] | None
-    _residuals: list[Piece]
-    _answers: Exchange | None
+    _answers: Exchange
 
     def __init__(self, grid: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
         """side: of a block, in pixels; pixel: side of a pixel; stiffness(|q|): of the solid."""
         nx, ny = shape = larger(grid.shape)
         lengths = nx * FACTOR * grid.spacing[0], ny * FACTOR * grid.spacing[1]
         self.place, self.threads = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS), grid.threads
-        layout = Layout(grid.comm, -(-grid.starts // FACTOR))
+        layout, answered = Layout(grid.comm, -(-grid.starts // FACTOR)), self.place.layout
         self.window = RowWindow(layout, (grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)), ny)
-        self.low, self._start = self.window.low, grid.rows.start
-        self.plan = RowPlan(self.place.layout, [(layout.rows.start, layout.rows.stop)])
+        self.start = grid.rows.start - self.window.low * FACTOR
+        self._gather = RowPlan(layout, [(answered.rows.start, answered.rows.stop)])
+        self._scatter = RowPlan(answered, [(layout.rows.start, layout.rows.stop)])
         # together: who sums over a block answers for it, too, everywhere
-        self.together = np.array_equal(layout.starts, self.place.layout.starts)
+        self.together = np.array_equal(layout.starts, answered.starts)
         self.together &= len(np.flatnonzero(np.diff(layout.starts))) == grid.comm.size
         self.inverse_counts, self.sums, self.loads = (np.zeros_like(self.window.own) for _ in range(3))
+        self.gathered = np.empty(self.place.local_shape, np.float32)
         self.stiffness = None
         if self.place.grid is not None:
             self.stiffness = BlockStiffness(self.place.grid, side, stiffness, pixel)
@@ -68,46 +70,43 @@ class Blocks:
         while not self.transformed or min(shape) >= FEWEST:
             self.transformed, shape = self.transformed + math.prod(shape), larger(shape)
 
-    def split(self, residuals: Sums, exchange: Exchange, counts: Sums | None, answered: bool = True) -> None:
-        """Sets the window to the means of the residuals.  If they are to be answered, adds to the exchange what
-        `respond` needs; if not, the loads for `join` are 0.  Collective.
+    def prepare(self, counts: Sums) -> None:
+        """Takes a new set, by the number of its points in each block.  Collective."""
+        self._sum(counts)
+        np.divide(1, np.maximum(self.window.own, 1), out=self.inverse_counts)
+        gathered = self._gather.fetch(self.window.own, np.empty_like(self.gathered))
+        if self.stiffness is not None:
+            self.stiffness.prepare(gathered)
 
-        counts: number of points in each block, if the set is new.
+    def split(self, residuals: Sums, exchange: Exchange) -> None:
+        """Sets the window to the means of the residuals, and adds to the exchange what `respond` needs.  Until that is
+        called, the loads for `join` are 0.  Collective.
         """
-        window, self._answers, self._counts = self.window, None, None
-        if counts is not None:
-            self._sum(counts)
-            np.divide(1, np.maximum(window.own, 1), out=self.inverse_counts)
-            self._counts = exchange.give(self.plan, window.own.copy()) if answered else None
         self._sum(residuals)
-        if answered:
-            self.sums[...] = window.own
-            self._residuals = exchange.give(self.plan, self.sums)
-            if self.together:
-                self._split_larger(exchange)
-        else:
-            self.loads[...] = 0
-        window.own *= self.inverse_counts
-        window.fetch()
+        self.sums[...] = self.window.own
+        self._answers, self.loads[...] = Exchange(self.window.plan.comm), 0
+        exchange.fetch(self._gather, self.sums, self.gathered)
+        if self.together and self.stiffness is not None:
+            self.stiffness.split(self.gathered, exchange)
+        self.window.own *= self.inverse_counts
+        self.window.fetch()
 
     def respond(self) -> None:
         """Begins to answer the sums of `split`, whose exchange has been carried out.  Collective."""
-        loads = np.empty(self.place.local_shape, np.float32)
+        loads = np.empty_like(self.gathered)
         if self.stiffness is not None:
             if not self.together:
                 exchange = Exchange(self.stiffness.blocks.comm)
-                self._split_larger(exchange)
+                self.stiffness.split(self.gathered, exchange)
                 exchange.carry_out()
             self.stiffness.respond(loads)
-        self._answers = Exchange(self.plan.comm)
-        self._answers.fetch(self.plan, loads, self.loads)
+        self._answers.fetch(self._scatter, loads, self.loads)
         self._answers.start()
 
     def join(self, answers: Sums) -> None:
-        """Sets the window to the excess per point of the answers' sums over the kept loads.  Collective."""
+        """Sets the window to the excess per point of the answers' sums over the loads.  Collective."""
         self._sum(answers)
-        if self._answers is not None:
-            self._answers.finish()
+        self._answers.finish()
         self.window.own -= self.loads
         self.window.own *= self.inverse_counts
         self.window.fetch()
@@ -123,24 +122,10 @@ class Blocks:
 
         def part(first: int, stop: int) -> None:
             rows[first:stop] = 0
-            at = (self.low + first) * FACTOR - self._start
-            sums(at, at + (stop - first) * FACTOR, rows[first:stop])
+            sums(first * FACTOR - self.start, stop * FACTOR - self.start, rows[first:stop])
 
         self.threads.deal(part, len(rows), 256 // FACTOR)
         self.window.add()
-
-    def _split_larger(self, exchange: Exchange) -> None:
-        """Hands the sums received, on the ranks that answer them, to `BlockStiffness.split`.  Collective over these."""
-        assert self.stiffness is not None
-        counts = None if self._counts is None else _whole(self._counts)
-        self.stiffness.split(_whole(self._residuals), exchange, counts)
-
-
-def _whole(pieces: list[Piece]) -> np.ndarray:
-    """All rows of a rank, from pieces that hold each row once."""
-    if len(pieces) == 1:
-        return pieces[0][1]
-    return np.concatenate([rows for _, rows in sorted(pieces, key=lambda piece: piece[0])])
 
 
 class BlockStiffness:
@@ -159,7 +144,6 @@ class BlockStiffness:
         self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
         coarser = min(larger(blocks.shape)) >= FEWEST
         self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel) if coarser else None
-        self._no_means = np.zeros((1, 1), np.float32)  # of one block, where there are no larger ones
 
     def free(self) -> None:
         """Frees the transforms.  Collective."""
@@ -167,40 +151,41 @@ class BlockStiffness:
         if self.coarser is not None:
             self.coarser.free()
 
-    def split(self, residuals: np.ndarray, exchange: Exchange, counts: np.ndarray | None) -> None:
-        """Takes residuals, which are sums over the points of each block, and for a new set the counts of these points;
-        adds to the exchange what larger blocks need of them.  Collective.
+    def prepare(self, counts: np.ndarray) -> None:
+        """counts: number of points in each block.  Collective."""
+        self.counts, self.inverse_counts = counts, 1 / np.maximum(counts, 1)
+        # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
+        self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
+        if self.coarser is not None:
+            self.coarser.prepare(self._sums(counts))
+
+    def split(self, residuals: np.ndarray, exchange: Exchange) -> None:
+        """Takes residuals, which are sums over the points of each block, and adds to the exchange what larger blocks
+        need of them.  Collective.
         """
-        if counts is not None:
-            self.counts, self.inverse_counts = counts, 1 / np.maximum(counts, 1)
-            # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
-            self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
         self.residuals = residuals
         if self.coarser is not None:
-            self.coarser.split(self._sums(residuals), exchange, None if counts is None else self._sums(counts))
+            self.coarser.split(self._sums(residuals), exchange)
 
     def respond(self, loads: np.ndarray) -> None:
         """loads of the blocks = K_blocks · residuals, which `split` took.  Collective."""
-        residuals, threads, coarser = self.residuals, self.blocks.threads, self.coarser
-        size, start, smooth = max(self.blocks.shape), 0, self._no_means
+        coarser, smooth = self.coarser, np.zeros((1, 1), np.float32)  # the mean of one block, if there are no larger
+        size, start = max(self.blocks.shape), 0
         if coarser is not None:
             coarser.respond()
-            size, start, smooth = FACTOR, self.blocks.rows.start - coarser.low * FACTOR, coarser.window.rows
+            size, start, smooth = FACTOR, coarser.start, coarser.window.rows
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            part = residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
+            part = self.residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
             kernels.rest_in_blocks(part, smooth, start + first, size, rows)
-
-        def act(block: np.ndarray, first: int, stop: int) -> None:
-            kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.stiffness[first:stop])
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, self.weights[first:stop], out=loads[first:stop])
 
-        self.blocks.convolve(fill, act, drain, np.float32)
+        self.blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
         if coarser is not None:
             coarser.join(self._sums(loads))
-            threads.deal(
+            self.blocks.threads.deal(
                 lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, size, loads[a:b]), len(loads)
             )
 

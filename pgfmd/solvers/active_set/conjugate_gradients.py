@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from pgfmd.grid.kernels import jit
 from pgfmd.parallel.collectives import Reduction
-from pgfmd.solvers.active_set.unknowns import Part, SetVector, Unknowns
+from pgfmd.solvers.active_set.unknowns import Part, SetVector
 
 ENTRIES = 1 << 16  # that a thread takes at a time: fewer cost more to hand out than to compute
 MOST_ITERATIONS = 300
@@ -18,8 +18,8 @@ MOST_ITERATIONS = 300
 class Operator(Protocol):
     """A linear operator between the points of a set."""
 
-    def apply(self, points: Unknowns, values: SetVector, out: Any, /) -> None:
-        """out = A · values.  `out` is an array (count,), or for a preconditioner a `SetVector`.  Collective."""
+    def apply(self, values: SetVector, out: np.ndarray, /) -> None:
+        """out (count,) = A · values, both in single precision; the halo of `values` is set.  Collective."""
 
 
 class ConjugateGradients:
@@ -40,7 +40,7 @@ class ConjugateGradients:
         squares, total, _, count = self._sums(residual.own, residual.own, self.points.count)
         self.rms = math.sqrt(squares / count) if count else 0.0
         self.inverse_count = 1 / count if neutral and count else 0.0  # sum · inverse_count: the mean to subtract
-        self.z, self.mean = SetVector(self.points), 0.0
+        self.z, self.mean = np.empty_like(residual.own), 0.0
         residual.own -= residual.own.dtype.type(total * self.inverse_count)
         self.square = self._precondition()
 
@@ -48,7 +48,7 @@ class ConjugateGradients:
         """Iterates until √`square` is at most `wanted` times its first value, `MOST_ITERATIONS` times at most.  Returns
         x (count,) and the number of iterations; each applies A once.  Collective.
         """
-        residual, z, direction = self.residual.own, self.z.own, SetVector(self.points)
+        residual, z, direction = self.residual.own, self.z, SetVector(self.points)
         real, d = residual.dtype.type, direction.own
         x, product = np.zeros_like(residual), np.empty_like(residual)
         d[:] = 0
@@ -66,7 +66,7 @@ class ConjugateGradients:
             turn = real(self.square / before), real(self.mean)
             self.threads.share(next_d, len(d), ENTRIES)
             before = self.square
-            self.operator.apply(self.points, direction, product)
+            self.operator.apply(direction, product)
             curvature, _, total = self._sums(d, product)
             if not curvature > 0:
                 return x, iteration
@@ -77,8 +77,8 @@ class ConjugateGradients:
 
     def _precondition(self) -> float:
         """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""
-        self.preconditioner.apply(self.points, self.residual, self.z)
-        square, sum_r, sum_z = self._sums(self.residual.own, self.z.own)
+        self.preconditioner.apply(self.residual, self.z)
+        square, sum_r, sum_z = self._sums(self.residual.own, self.z)
         self.mean = sum_z * self.inverse_count
         return square - self.mean * sum_r
 

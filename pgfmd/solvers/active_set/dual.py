@@ -20,7 +20,7 @@ from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
+from pgfmd.solvers.active_set.unknowns import Unknowns
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
@@ -36,7 +36,7 @@ class GapSteps(Relaxation):
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_stiffness, solid.stiffness, self.stiffness[np.float32])
-        self.preconditioner = NearCompliance(grid, solid.half_space_compliance)
+        self.preconditioner = near_compliance(grid, solid.half_space_compliance)
         self.mean, self.scale = 0.0, 1.0
 
     def free(self) -> None:
@@ -139,22 +139,13 @@ class GapSteps(Relaxation):
         self.grid.threads.deal(lambda a, b: np.maximum(state.gap[a:b], 0.0, out=state.gap[a:b]), len(state.gap))
 
 
-class NearCompliance:
-    """An approximate inverse of the stiffness on a set: the compliance, screened at long waves and truncated to two
-    pixels.
+def near_compliance(grid: SlabGrid, half_space: Symbol) -> Stencil:
+    """An approximate inverse of the stiffness on a set: half_space(|q|), the compliance of a half-space, screened at
+    long waves and truncated to two pixels.
     """
-
-    def __init__(self, grid: SlabGrid, half_space: Symbol) -> None:
-        """half_space(|q|): compliance of a half-space."""
-        screen = SCREENING / np.sqrt(grid.pixel_area)
-        kernel = lattice_kernel(grid, lambda q: half_space(np.hypot(q, screen)))
-        padded = np.zeros((64, 64))
-        padded[: len(kernel), : len(kernel)] = kernel
-        waves = np.fft.fft2(np.roll(padded, (-RADIUS, -RADIUS), (0, 1))).real
-        centre = kernel[RADIUS, RADIUS]
-        kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # needed for oblong pixels
-        self.stencil = Stencil(grid, kernel)
-
-    def apply(self, points: Unknowns, residual: SetVector, out: SetVector) -> None:
-        """out = M · residual on the set.  Collective."""
-        self.stencil.apply(points, residual.exchange(), out.own)
+    screen = SCREENING / np.sqrt(grid.pixel_area)
+    kernel = lattice_kernel(grid, lambda q: half_space(np.hypot(q, screen)))
+    waves = np.fft.fft2(np.roll(np.pad(kernel, (0, 64 - len(kernel))), (-RADIUS, -RADIUS), (0, 1))).real
+    centre = kernel[RADIUS, RADIUS]
+    kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # needed for oblong pixels
+    return Stencil(kernel)

@@ -17,15 +17,14 @@ import math
 
 import numpy as np
 
-from pgfmd.grid import kernels
-from pgfmd.grid.callbacks import ColumnAction
+from pgfmd.grid.callbacks import ColumnAction, scaling
 from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.layout import Exchange, Piece
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns, add_points, take_points
+from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, add_points, take_points
 
 SPLIT = 0.55  # α in 1/pixel: errors of the truncation and of the mesh are then about equal
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
@@ -37,11 +36,9 @@ Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class MeshResponse:
-    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness.  If
-    `near_only`, without the smooth part.
+    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness.
+    `stencil` is the near part.
     """
-
-    near_only = False
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol) -> None:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
@@ -55,7 +52,7 @@ class MeshResponse:
             return half_space(q) * np.vectorize(math.erf)(q / (2 * alpha))
 
         kernel = lattice_kernel(grid, near)
-        self.stencil = Stencil(grid, kernel)
+        self.stencil = Stencil(kernel)
         if self.place.grid is not None:
             self.influence = self._influence(self.place.grid, kernel, response)
         rows = _splines(np.arange(grid.rows.start, grid.rows.stop) * (shape[0] / grid.shape[0]))
@@ -72,59 +69,52 @@ class MeshResponse:
         q = np.array(0.25 * np.pi / max(grid.spacing))
         return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
 
-    def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
+    def apply(self, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective.
 
         One exchange brings the halo of `values` and what other ranks spread to this rank's rows of the mesh.
         """
-        if self.near_only:
-            self.stencil.apply(points, values.exchange(), out)
-            return
-        window = self.window
-        exchange = Exchange(self.grid.comm)
+        window, exchange = self.window, Exchange(self.grid.comm)
         values.send(exchange)
         for first, stop in window.around:
-            self._spread(points, values, first, window.rows[first:stop])
+            self._spread(values, first, window.rows[first:stop])
         pieces = exchange.give(window.plan, window.rows)
         exchange.carry_out()
-        self.stencil.apply(points, values.all, out)
+        self.stencil.sum(values, out)
         if self.place.grid is not None:
-            self._respond(self.place.grid, points, values, pieces)
+            self._respond(self.place.grid, values, pieces)
         window.fetch()
 
         def add(first: int, stop: int) -> None:
-            add_interpolated(window.rows, window.low, points.lists, (first, stop), self.splines, out)
+            add_interpolated(window.rows, window.low, values.points.lists, (first, stop), self.splines, out)
 
         self.grid.threads.deal(add, self.grid.local_shape[0])
         self.grid.transforms += 0.5 * self.place.size / self.grid.size
 
-    def _respond(self, mesh: SlabGrid, points: Unknowns, values: SetVector, pieces: list[Piece]) -> None:
+    def _respond(self, mesh: SlabGrid, values: SetVector, pieces: list[Piece]) -> None:
         """The smooth part of the response, on this rank's rows of the mesh.  pieces: (first row, rows) that others
         spread there.  Collective over the mesh.
         """
         begin = self.window.begin
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:
-            self._spread(points, values, begin + first, block)
+            self._spread(values, begin + first, block)
             for at, rows in pieces:
                 low, high = max(first, at), min(stop, at + len(rows))
                 if low < high:
                     block[low - first : high - first] += rows[low - at : high - at]
 
-        def act(block: np.ndarray, first: int, stop: int) -> None:
-            kernels.scale_modes(block.view(np.float32).reshape(*block.shape, 2), self.influence[first:stop])
-
         def drain(first: int, stop: int, block: np.ndarray) -> None:
             self.window.own[first:stop] = block
 
-        mesh.convolve(fill, act, drain, np.float32)
+        mesh.convolve(fill, scaling(self.influence), drain, np.float32)
 
-    def _spread(self, points: Unknowns, values: SetVector, first: int, block: np.ndarray) -> None:
+    def _spread(self, values: SetVector, first: int, block: np.ndarray) -> None:
         """Sets `block`, rows of the mesh from row `first` of the window on, to what this rank's points spread there."""
         block[...] = 0
         low = self.window.low + first
         part = np.searchsorted(self.splines[0], (low - 3, low + len(block)))
-        spread_points(values.own, points.lists, (part[0], part[1]), self.splines, low, block)
+        spread_points(values.own, values.points.lists, (part[0], part[1]), self.splines, low, block)
 
     def free(self) -> None:
         """Frees the transforms of the mesh.  Collective."""
@@ -173,8 +163,9 @@ class FullResponse:
     def __init__(self, action: ColumnAction) -> None:
         self.action = action
 
-    def apply(self, points: Unknowns, values: SetVector, out: np.ndarray) -> None:
+    def apply(self, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`.  Collective."""
+        points = values.points
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             rows[...] = 0

@@ -21,6 +21,7 @@ from pgfmd.solvers.active_set.block_stiffness import FACTOR, FEWEST, Blocks, Sum
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
 
+SHIFT = FACTOR.bit_length() - 1  # FACTOR = 2^SHIFT
 NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: below 1 it stays positive definite
 
 
@@ -30,110 +31,77 @@ class MultilevelStiffness:
     """
 
     near_only = False
+    _rest: SetVector | None = None  # of the set for which the blocks are prepared
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol) -> None:
         """half_space(|q|): stiffness of a half-space, for the near part; stiffness(|q|): of the solid, for the far."""
-        kernel = lattice_kernel(grid, half_space)
+        self.grid, kernel = grid, lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
-        self.near = Stencil(grid, kernel)
-        self.far = FarPart(grid, stiffness) if min(grid.shape) >= FEWEST * FACTOR else None
+        self.near = Stencil(kernel)
+        large = min(grid.shape) >= FEWEST * FACTOR
+        self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing)) if large else None
 
-    def apply(self, points: Unknowns, residual: SetVector, out: SetVector) -> None:
+    def apply(self, residual: SetVector, out: np.ndarray) -> None:
         """out = M · residual on the set.  Collective."""
-        if self.far is None:
-            self.near.apply(points, residual.exchange(), out.own)
+        points, blocks, rest = residual.points, self.blocks, self._rest
+        if blocks is None:
+            self.near.apply(residual, out)
             return
-        rest = self.far.split(points, residual, self.near_only)
-        self.near.apply(points, rest.all, out.own)
-        self.far.join(points, out)
+        if rest is None or rest.points is not points:
+            rest = self._rest = SetVector(points)
+            blocks.prepare(self._sums(points, np.ones(points.count, np.float32)))
+        exchange = Exchange(self.grid.comm)
+        blocks.split(self._sums(points, residual.own), exchange)
+        self._subtract(blocks, points, residual.own, rest.own)
+        rest.send(exchange)
+        exchange.carry_out()
+        if not self.near_only:
+            blocks.respond()
+            self.grid.transforms += 0.5 * blocks.transformed / self.grid.size
+        self.near.sum(rest, out)
+        blocks.join(self._sums(points, out))
+        self._subtract(blocks, points, out, out)
 
     def free(self) -> None:
         """Frees the transforms of the blocks.  Collective."""
-        if self.far is not None:
-            self.far.blocks.free()
-
-
-class FarPart:
-    """The far part: sums over the points of each block, the stiffness between blocks, and back to the points."""
-
-    def __init__(self, grid: SlabGrid, stiffness: Symbol) -> None:
-        self.grid = grid
-        self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing))
-        row_block = np.arange(grid.rows.start, grid.rows.stop) // FACTOR - self.blocks.low
-        self.block_of = row_block, np.arange(grid.shape[1]) // FACTOR
-        self.known: tuple[Unknowns, bool] | None = None  # the set for which the blocks are prepared
-        self.rest: SetVector
-
-    def split(self, points: Unknowns, residual: SetVector, near_only: bool) -> SetVector:
-        """The residual less its means over blocks, with its halo.  The loads that answer these means are kept for
-        `join`, or none if `near_only`.  Collective.
-        """
-        counts = None
-        if self.known is None or points is not self.known[0] or near_only != self.known[1]:
-            self.known, self.rest = (points, near_only), SetVector(points)
-            counts = self._sums(points, np.ones(points.count, np.float32))
-        exchange = Exchange(self.grid.comm)
-        self.blocks.split(self._sums(points, residual.own), exchange, counts, not near_only)
-        self._subtract(points, residual.own, self.rest.own)
-        self.rest.send(exchange)
-        exchange.carry_out()
-        if not near_only:
-            self.blocks.respond()
-            self.grid.transforms += 0.5 * self.blocks.transformed / self.grid.size
-        return self.rest
-
-    def join(self, points: Unknowns, values: SetVector) -> None:
-        """Replaces the sum of `values` over each block by its kept load, spread evenly over its points.  Collective."""
-        self.blocks.join(self._sums(points, values.own))
-        self._subtract(points, values.own, values.own)
+        if self.blocks is not None:
+            self.blocks.free()
 
     def _sums(self, points: Unknowns, values: np.ndarray) -> Sums:
         """Sums over blocks of values on the set."""
+        return lambda first, stop, sums: block_sums(values, points.lists, (first, stop), sums)
 
-        def add(first: int, stop: int, sums: np.ndarray) -> None:
-            block_sums(values, points.lists, (first, stop), FACTOR, self.block_of[1], sums)
-
-        return add
-
-    def _subtract(self, points: Unknowns, values: np.ndarray, out: np.ndarray) -> None:
+    def _subtract(self, blocks: Blocks, points: Unknowns, values: np.ndarray, out: np.ndarray) -> None:
         """out = values − what `Blocks` left in the window for the block of each."""
-        rows, lists = self.blocks.window.rows, points.lists
-
-        def part(first: int, stop: int) -> None:
-            subtract_blocks(values, rows, lists, (first, stop), self.block_of, out)
-
-        self.grid.threads.deal(part, self.grid.local_shape[0])
+        rows, start = blocks.window.rows, blocks.start
+        self.grid.threads.deal(
+            lambda a, b: subtract_blocks(values, rows, points.lists, (start, a, b), out), self.grid.local_shape[0]
+        )
 
 
 @jit
-def block_sums(
-    values: np.ndarray, points: Points, part: Part, size: int, column_block: np.ndarray, sums: np.ndarray
-) -> None:
-    """sums[(i − first) // size, column_block[columns[k]]] += values[k] for the points k of those of rows first … stop−1
+def block_sums(values: np.ndarray, points: Points, part: Part, sums: np.ndarray) -> None:
+    """sums[(i − first) >> SHIFT, columns[k] >> SHIFT] += values[k] for the points k of those of rows first … stop−1
     that exist.
     """
     columns, offsets = points
     first, stop = part
     for i in range(max(first, 0), min(stop, offsets.size - 1)):
-        line = sums[(i - first) // size]
+        line = sums[(i - first) >> SHIFT]
         for k in range(offsets[i], offsets[i + 1]):
-            line[u(column_block[u(columns[k])])] += values[k]
+            line[u(columns[k] >> SHIFT)] += values[k]
 
 
 @jit
 def subtract_blocks(
-    values: np.ndarray,
-    table: np.ndarray,
-    points: Points,
-    part: Part,
-    blocks: tuple[np.ndarray, np.ndarray],
-    out: np.ndarray,
+    values: np.ndarray, table: np.ndarray, points: Points, part: tuple[int, int, int], out: np.ndarray
 ) -> None:
-    """out[k] = values[k] − table[row_block[i], column_block[columns[k]]]; blocks: these two."""
+    """out[k] = values[k] − table[(start + i) >> SHIFT, columns[k] >> SHIFT] for the points k of rows i; part: start,
+    and the first row and the end of these rows.
+    """
     columns, offsets = points
-    first, stop = part
-    row_block, column_block = blocks
+    start, first, stop = part
     for i in range(first, stop):
-        line = table[row_block[i]]
+        line = table[(start + i) >> SHIFT]
         for k in range(offsets[i], offsets[i + 1]):
-            out[k] = values[k] - line[u(column_block[u(columns[k])])]
+            out[k] = values[k] - line[u(columns[k] >> SHIFT)]

@@ -54,10 +54,10 @@ class PressureSteps(Relaxation):
         """
         if isinstance(self.inner, MeshResponse):
             points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.highest)
-            self.inner.near_only = self.preconditioner.near_only = True
-            system = ConjugateGradients(points.below(0.0, state.gap), self.inner, self.preconditioner)
+            self.preconditioner.near_only = True
+            system = ConjugateGradients(points.below(0.0, state.gap), self.inner.stencil, self.preconditioner)
             self._solve(state, system, 0.5)
-            self.inner.near_only = self.preconditioner.near_only = False
+            self.preconditioner.near_only = False
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
@@ -87,7 +87,7 @@ class PressureSteps(Relaxation):
             self._solve(state, system, wanted)
             change.own -= near.below(0.0, state.pressure).own
             response = np.empty(near.count, np.float32)
-            self.inner.apply(near, change, response)
+            self.inner.apply(change, response)
             near.add(state.gap, response)
             system = self._system(state)
             if not goal < system.square < square / 2:

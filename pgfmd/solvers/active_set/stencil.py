@@ -9,7 +9,7 @@ import numpy as np
 from pgfmd.grid.kernels import FAST, inlined, jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.compiled import compiled
-from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, Unknowns
+from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, SetVector
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
@@ -39,20 +39,26 @@ def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
 class Stencil:
     """z = S K Sᵀ r: S restricts to a set of points, K is a `lattice_kernel`."""
 
-    def __init__(self, grid: SlabGrid, kernel: np.ndarray) -> None:
-        self.grid, corner = grid, kernel[RADIUS:, RADIUS:]
+    def __init__(self, kernel: np.ndarray) -> None:
+        corner = kernel[RADIUS:, RADIUS:]
         self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(np.float32)
 
-    def apply(self, points: Unknowns, extended: np.ndarray, out: np.ndarray) -> None:
-        """out (count,) = the kernel applied to `extended` (`SetVector.exchange`), on the set."""
-        vector, lists = (extended, points.extended), points.lists
-        rows, ny = self.grid.local_shape
+    def apply(self, values: SetVector, out: np.ndarray) -> None:
+        """out (count,) = the kernel applied to `values`.  Collective."""
+        values.exchange()
+        self.sum(values, out)
+
+    def sum(self, values: SetVector, out: np.ndarray) -> None:
+        """The same for values whose halo is present."""
+        points = values.points
+        vector, lists = (values.all, points.extended), points.lists
+        rows, ny = points.grid.local_shape
 
         def part(first: int, stop: int) -> None:
             work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), np.float32)
             correlate(vector, self.weights, (work, work.reshape(-1)), lists, (first, stop), out)
 
-        self.grid.threads.deal(part, rows)
+        points.grid.threads.deal(part, rows)
 
 
 @inlined

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
@@ -19,7 +18,8 @@ PIECE = 64  # points of a row; where few are unknowns, most pieces have none
 LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
 
 Points = tuple[np.ndarray, np.ndarray]
-"""(columns, offsets): the points of row i are columns[offsets[i]:offsets[i + 1]]; values are listed alike."""
+"""(columns (count,) int32, offsets (rows + 1,)): the points of row i are columns[offsets[i]:offsets[i + 1]]; values are
+listed alike."""
 Fields = tuple[np.ndarray, np.ndarray]
 """Pressure and gap."""
 Part = tuple[int, int]
@@ -32,8 +32,8 @@ class Unknowns:
     These are points whose pressure lies between its bounds 0 and `highest`, or at a bound from which the gap drives it
     (below `level` at 0, above it at `highest`).  For gaps as unknowns, the pressure and the gap change places.
 
-    Attributes: count, the number of them; columns (count,) int32, and offsets (nx_local + 1,) of each row in it.
-    `lists` and `extended` are `Points`, without and with a halo of `HALO` rows.
+    Attributes: count, the number of them; lists and extended, `Points` without and with a halo of
+    `HALO` rows; own, where those of `lists` are in `extended`.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
@@ -48,18 +48,11 @@ class Unknowns:
 
         parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows, grid.band)
         before, after = (choose(*(field[part] for field in around)) for part in (slice(HALO), slice(HALO, None)))
-        counts, columns = zip(before, *parts, after, strict=True)
-        self.extended_offsets = np.concatenate([[0], *counts]).cumsum()
-        own = self.extended_offsets[HALO : HALO + rows + 1]
-        self.first, self.offsets, self.count = int(own[0]), own - own[0], int(own[-1] - own[0])
-        extended = SetVector(self, np.int32)
-        self.columns = extended.own
-        self.extended: Points = np.concatenate(columns, out=extended.all), self.extended_offsets
-
-    @property
-    def lists(self) -> Points:
-        """(columns, offsets) of this rank's points."""
-        return self.columns, self.offsets
+        counts, lists = zip(before, *parts, after, strict=True)
+        columns, offsets = self.extended = np.concatenate(lists), np.concatenate([[0], *counts]).cumsum()
+        own = offsets[HALO : HALO + rows + 1]
+        self.own, self.count = slice(own[0], own[-1]), int(own[-1] - own[0])
+        self.lists: Points = columns[self.own], own - own[0]
 
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
@@ -81,21 +74,19 @@ class SetVector:
     after, in the order of `Unknowns.extended`.
     """
 
-    def __init__(self, points: Unknowns, dtype: DTypeLike = np.float32) -> None:
-        self.points = points
-        self.all = np.empty(points.extended_offsets[-1], dtype)
-        self.own = self.all[points.first : points.first + points.count]
+    def __init__(self, points: Unknowns) -> None:
+        self.points, self.all = points, np.empty(len(points.extended[0]), np.float32)
+        self.own = self.all[points.own]
 
     def send(self, exchange: Exchange) -> None:
         """Adds to an exchange what brings the present values of the halo.  `own` may be read meanwhile."""
-        exchange.fetch(self.points.halo, self.own, self.all, (self.points.offsets, self.points.extended_offsets))
+        exchange.fetch(self.points.halo, self.own, self.all, (self.points.lists[1], self.points.extended[1]))
 
-    def exchange(self) -> np.ndarray:
-        """The vector with the present values of its halo.  Collective."""
+    def exchange(self) -> None:
+        """Brings the present values of the halo.  Collective."""
         exchange = Exchange(self.points.grid.comm)
         self.send(exchange)
         exchange.carry_out()
-        return self.all
 
 
 @jit
