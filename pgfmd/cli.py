@@ -186,6 +186,7 @@ def _plot(words: list[str]) -> str:
 def _run(options: argparse.Namespace) -> int:
     """Run a job; the exit code.  Collective."""
     atexit.register(gc.freeze)  # no garbage collection at exit: it takes a tenth of a second with numba loaded
+    gc.disable()  # nor during imports, of which it takes a tenth
     comm = world()
     end_comm = comm.Dup()  # made now: a rank that has failed may never join a collective call on `comm`
     _log_on_root(comm.rank)
@@ -194,6 +195,7 @@ def _run(options: argparse.Namespace) -> int:
         from pgfmd.parallel.collectives import from_root
         from pgfmd.simulate import run_job
 
+        gc.enable()
         job = from_root(comm, load, options.job, options.set)
         run_job(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
     except (Exception, KeyboardInterrupt) as error:  # whatever it is, all ranks must end, and one of them must say why

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import pickle
 import shutil
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, SIZE
 
+from pgfmd.parallel import private_cache
 from pgfmd.parallel.private_cache import is_private, private_folder
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
@@ -253,6 +255,24 @@ def test_a_loop_is_compiled_by_one_process(tmp_path, count):
     compiled = [name for run in together for name in names(run)]
     assert sorted(name for name in compiled if name in LOOPS) == sorted(LOOPS)
     assert names(start()) == ["ready"]
+
+
+@pytest.mark.parametrize(("taken", "held"), [(fcntl.LOCK_EX, True), (fcntl.LOCK_SH, False)])
+def test_who_looks_for_a_lock_is_not_taken_for_its_holder(tmp_path, taken, held):
+    """All ranks but the first of a node look, until the first has it, with a lock that others may share."""
+    with open(tmp_path / "lock", "w") as other, open(tmp_path / "lock", "w") as mine:
+        fcntl.flock(other, taken)
+        assert private_cache.is_held(mine) == held
+        fcntl.flock(other, fcntl.LOCK_UN)
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # who has looked leaves no lock
+
+
+def test_other_ranks_take_a_lock_that_the_first_leaves(tmp_path, monkeypatch):
+    """After HEAD_START."""
+    monkeypatch.setenv("OMPI_COMM_WORLD_LOCAL_RANK", "1")
+    monkeypatch.setattr(private_cache, "HEAD_START", 0.02)
+    with private_cache.lock(tmp_path / "lock"), open(tmp_path / "lock") as other:
+        assert private_cache.is_held(other)
 
 
 FAIL = """

@@ -25,7 +25,9 @@ from typing import IO
 
 from pgfmd.parallel.mpi import first_of_node
 
-HEAD_START = 0.25  # seconds by which other ranks of a node ask later: the first loop of a process takes longest
+HEAD_START, PAUSE = 2.0, 0.005
+"""Seconds for which the other ranks of a node let the first one take a lock, and between their looks at it.  The first
+loop of a process takes longest to compile, so that one rank should compile all."""
 
 
 @functools.cache
@@ -45,14 +47,25 @@ def lock(path: Path) -> IO | None:
     """Sleeps until no other process holds the lock of this file, and takes it; the lock ends when the returned file is
     closed or the process ends.  None where the file system has no locks.  After it, look again before making a file.
     """
-    if not first_of_node():
-        time.sleep(HEAD_START)
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         file = open(path, "w")
+        until = time.monotonic() + (0 if first_of_node() else HEAD_START)
+        while time.monotonic() < until and not is_held(file):
+            time.sleep(PAUSE)
         fcntl.flock(file, fcntl.LOCK_EX)
         return file
     return None
+
+
+def is_held(file: IO) -> bool:
+    """Whether another process holds the lock of the file."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: others that look do not matter
+    except BlockingIOError:
+        return True
+    fcntl.flock(file, fcntl.LOCK_UN)
+    return False
 
 
 def is_private(folder: Path) -> bool:
