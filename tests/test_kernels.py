@@ -122,14 +122,15 @@ def test_correlate(room, rng):
 def test_spread_and_interpolate(points, rng):
     """Values to the nodes around each point by weights, and back by the same: one is the transpose of the other."""
     mask, offsets, columns = points
-    x_first, y_first = np.repeat([-1, 0, 1], 3).astype(np.int32), np.array([-1, 0, 1, 2, 3, 2, 4], np.int32)
+    x_first, y_first = np.repeat([-1, 0, 1], 3).astype(np.int32), np.array([-1, 0, 1, 2, 3, 2, 4])
     x_weights, y_weights = rng.random((9, 4)), rng.random((7, 4))
+    y_nodes = ((y_first[:, None] + np.arange(4)) % 5).astype(np.int32)
     matrix = np.zeros((len(columns), 7, 5))  # points × nodes −1 … 5 and 0 … 4, periodic
     for k, (i, j) in enumerate(zip(*np.nonzero(mask), strict=True)):
         for s in range(4):
             for t in range(4):
-                matrix[k, x_first[i] + s + 1, (y_first[j] + t) % 5] += x_weights[i, s] * y_weights[j, t]
-    splines = x_first, x_weights, y_first, y_weights
+                matrix[k, x_first[i] + s + 1, y_nodes[j, t]] += x_weights[i, s] * y_weights[j, t]
+    splines = x_first, x_weights, y_nodes, y_weights
     values, nodes = rng.random(len(columns)), np.zeros((5, 5))
     particle_mesh.spread_points(values, (columns, offsets), (0, 9), splines, 0, nodes)
     assert np.allclose(nodes, np.einsum("k,kij->ij", values, matrix)[1:6], rtol=1e-13, atol=0)
@@ -274,24 +275,22 @@ def test_start_rows(rng):
 
 
 def test_interpolate_rows(rng):
-    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic; rows 2 to 6 of the array lie in one, the
-    others in another."""
+    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic."""
     coarse = rng.random((8, 6))
     index, weights = np.array([0, 3, 4]), rng.random((3, 4))
     first, column_weights = rng.integers(-1, 6, 4), rng.random((4, 4))
     columns = (first[:, None] + np.arange(4)) % 6
     out = np.empty((3, 4))
-    rows = coarse[2:7], coarse[[0, 1, 7]], np.array([-1, -2, 0, 1, 2, 3, 4, -3])
-    kernels.interpolate_rows(rows, index, weights, first, column_weights, out)
+    kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
     picked = coarse[(index[:, None] + np.arange(4))[:, :, None, None], columns[None, None]]
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13, atol=0)
 
 
 def test_combine_columns(rng):
-    """Σ_t w_t field[i, j + t], columns periodic."""
-    field, first, weights, out = rng.random((3, 9)), np.array([-4, 0, 7, 9]), rng.random((4, 5)), np.empty((3, 4))
-    kernels.combine_columns(field, first, weights, out)
-    picked = field[:, (first[:, None] + np.arange(5)) % 9]
+    """Σ_t w_t field[i, column t of j]."""
+    field, columns, weights, out = rng.random((3, 9)), rng.integers(0, 9, (4, 8)), rng.random((4, 8)), np.empty((3, 4))
+    kernels.combine_columns(field, columns, weights, out)
+    picked = field[:, columns]
     assert np.allclose(out, np.einsum("jt,ijt->ij", weights, picked), rtol=1e-13, atol=0)
 
 

@@ -15,9 +15,7 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}
 jit = compiled(fastmath=FAST)
 inlined = compiled(fastmath=FAST, inline="always")  # for what a loop calls in one place
 
-Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""(own, others, places): row k of an array whose rows lie in two is own[places[k]], or others[−1 − places[k]] if that
-is negative."""
+TAPS = 8  # points that make one of a coarser grid
 
 u = np.uintp  # for indices: Numba tests signed ones for < 0, and does not vectorise loops with that test
 
@@ -104,64 +102,43 @@ def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
             block[j, i, 1] *= scale[j, i]
 
 
-@inlined
-def _row(rows: Rows, k: int) -> np.ndarray:
-    own, others, places = rows
-    return own[places[k]] if places[k] >= 0 else others[-1 - places[k]]
-
-
-@inlined
-def _blend_rows(coarse: Rows, first: int, weights: np.ndarray, line: np.ndarray) -> None:
-    """line[1 + j] = Σ_s weights[s] coarse[first + s, j], wrapped: one entry before and three after."""
-    p, q, r, s = _row(coarse, first), _row(coarse, first + 1), _row(coarse, first + 2), _row(coarse, first + 3)
-    width = p.size
-    a, b, c, d = weights
-    for j in range(width):
-        line[u(j + 1)] = b * q[u(j)] + c * r[u(j)] + a * p[u(j)] + d * s[u(j)]
-    line[0] = line[width]
-    for t in range(3):
-        line[width + 1 + t] = line[1 + t]
-
-
 @jit
 def interpolate_rows(
-    coarse: Rows,
-    first_index: np.ndarray,
+    coarse: np.ndarray,
+    first_row: np.ndarray,
     weights: np.ndarray,
-    columns_first: np.ndarray,
+    first_column: np.ndarray,
     column_weights: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_index[i] + s, columns_first[j] + t]: separable
+    """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_row[i] + s, first_column[j] + t]: separable
     interpolation by four points; columns from −1 on, wrapping.
     """
-    line = np.empty(coarse[0].shape[1] + 4, coarse[0].dtype)
+    ny = coarse.shape[1]
+    line = np.empty(ny + 4, coarse.dtype)
     for i in range(out.shape[0]):
-        _blend_rows(coarse, first_index[i], weights[i], line)
-        target = out[i]
-        for j in range(target.size):
-            at = columns_first[j] + 1
-            inner = column_weights[j, 1] * line[u(at + 1)] + column_weights[j, 2] * line[u(at + 2)]
-            target[j] = inner + column_weights[j, 0] * line[u(at)] + column_weights[j, 3] * line[u(at + 3)]
+        at, a, b, c, d = first_row[i], weights[i, 0], weights[i, 1], weights[i, 2], weights[i, 3]
+        for j in range(ny):
+            line[j + 1] = b * coarse[at + 1, j] + c * coarse[at + 2, j] + (a * coarse[at, j] + d * coarse[at + 3, j])
+        line[0] = line[ny]
+        for t in range(1, weights.shape[1]):  # not range(4): to unroll it takes long
+            line[ny + t] = line[t]
+        for j in range(out.shape[1]):
+            start, total = first_column[j] + 1, 0.0
+            for t in range(4):
+                total += column_weights[j, t] * line[u(start + t)]
+            out[i, j] = total
 
 
 @jit
-def combine_columns(field: np.ndarray, first: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
-    """out[i, j] = Σ_t weights[j, t] field[i, first[j] + t]; columns wrap, by at most weights.shape[1]."""
-    ny, margin = field.shape[1], weights.shape[1]
-    line = np.empty(ny + 2 * margin, field.dtype)
-    for i in range(field.shape[0]):
-        row, target = field[i], out[i]
-        for j in range(ny):
-            line[u(margin + j)] = row[u(j)]
-        for j in range(margin):
-            line[j] = line[ny + j]
-            line[margin + ny + j] = line[margin + j]
-        for j in range(target.size):
-            at, total = margin + first[j], 0.0
-            for t in range(margin):
-                total += weights[j, t] * line[u(at + t)]
-            target[j] = total
+def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+    """out[i, j] = Σ_t weights[j, t] field[i, columns[j, t]] over t < `TAPS`"""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            total = 0.0
+            for t in range(TAPS):
+                total += weights[j, t] * field[i, u(columns[j, t])]
+            out[i, j] = total
 
 
 @jit

@@ -7,12 +7,11 @@ import numpy as np
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import new_field
 from pgfmd.grid.callbacks import sink, source
+from pgfmd.grid.kernels import TAPS
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
-
-TAPS = 8  # fine points at most within two coarse spacings, where these are at most twice the fine ones
 
 
 def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
@@ -50,8 +49,9 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
     """The field on a coarse grid of half as many points or more each way (nx_coarse_local, ny_coarse), without
     transforms: means of fine points, weighted by the transpose of `Interpolation`, in single precision.  Collective.
     """
-    (first, weights), columns = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
+    (first, weights), (left, across) = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
     weights = weights.astype(np.float32)
+    columns = (np.add.outer(left, np.arange(TAPS)) % fine.shape[1]).astype(np.int32)
     start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
     low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
     rows, begin, end = np.empty((high - low, coarse.shape[1]), np.float32), fine.rows.start, fine.rows.stop
@@ -59,7 +59,7 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
         narrow, ranges, places = rows[begin - low : end - low], ((low, begin), (end, high)), (0, end - low)
     else:
         narrow, ranges, places = np.empty((len(field), rows.shape[1]), np.float32), ((low, high), (high, high)), (0, 0)
-    fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], *columns, narrow[a:b]), len(field))
+    fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], columns, across, narrow[a:b]), len(field))
     RowPlan(fine.layout, ranges, places).fetch(narrow, rows)
     out = new_field(coarse.local_shape)
 
@@ -102,9 +102,14 @@ class Interpolation:
         """Rows first … stop−1 (local to the fine grid; at most its `band`) of field number `which`, shape
         (stop − first, ny_fine).  The next call of that thread overwrites them.
         """
-        index, weights = self._x
-        out = self._buffer[thread, which, : stop - first]
-        kernels.interpolate_rows(self._fields[which], index[first:stop], weights[first:stop], *self._y, out)
+        index, weights = (each[first:stop] for each in self._x)
+        out, (own, others, places) = self._buffer[thread, which, : stop - first], self._fields[which]
+        needed = places[index[0] : index[-1] + 4]
+        if needed.min() >= 0:
+            coarse = own[needed[0] : needed[-1] + 1]
+        else:
+            coarse = np.array([own[place] if place >= 0 else others[-1 - place] for place in needed])
+        kernels.interpolate_rows(coarse, index - index[0], weights, *self._y, out)
         return out
 
 

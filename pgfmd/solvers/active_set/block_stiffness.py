@@ -169,15 +169,17 @@ class BlockStiffness:
 
     def respond(self, loads: np.ndarray) -> None:
         """loads of the blocks = K_blocks · residuals, which `split` took.  Collective."""
-        coarser, smooth = self.coarser, np.zeros((1, 1), np.float32)  # the mean of one block, if there are no larger
-        size, start = max(self.blocks.shape), 0
+        coarser = self.coarser
         if coarser is not None:
             coarser.respond()
-            size, start, smooth = FACTOR, coarser.start, coarser.window.rows
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             part = self.residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
-            kernels.rest_in_blocks(part, smooth, start + first, size, rows)
+            if coarser is None:
+                np.multiply(*part[:2], out=rows)
+                rows *= part[2]
+            else:
+                kernels.rest_in_blocks(part, coarser.window.rows, coarser.start + first, FACTOR, rows)
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, self.weights[first:stop], out=loads[first:stop])
@@ -185,8 +187,10 @@ class BlockStiffness:
         self.blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
         if coarser is not None:
             coarser.join(self._sums(loads))
+            smooth, start = coarser.window.rows, coarser.start
             self.blocks.threads.deal(
-                lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, size, loads[a:b]), len(loads)
+                lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, FACTOR, loads[a:b]),
+                len(loads),
             )
 
     def _sums(self, values: np.ndarray) -> Sums:

@@ -10,6 +10,7 @@ from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.transfer import Interpolation
+from pgfmd.physics.elasticity import multiply
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent
@@ -27,7 +28,7 @@ def _full_contact(problem: ContactProblem) -> State | None:
     """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective."""
     grid, heights = problem.grid, problem.heights
     pressure = grid.new_field()
-    stiffness = problem.solid.apply_stiffness(grid, np.float64, 1 / grid.size)
+    stiffness = multiply(grid, np.float64, lambda q: problem.solid.stiffness(q) / grid.size)  # no loop to compile
     grid.convolve(source(heights), stiffness, sink(pressure))
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
     squares = np.array([grid.reduction.dot(field, field) for field in (pressure, heights)])

@@ -19,7 +19,7 @@ import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, scaling
 from pgfmd.grid.holders import LEAST_MESH_ROWS
-from pgfmd.grid.kernels import jit
+from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.layout import Exchange, Piece
@@ -32,7 +32,7 @@ COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay
 SMALLEST = 256  # points of the shorter side below which full transforms are as cheap
 
 Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""First node and weights of each row, and of each column."""
+"""First node and weights (nx_local, 4) of each row; nodes, periodic, and weights (ny, 4) of each column."""
 
 
 class MeshResponse:
@@ -56,7 +56,9 @@ class MeshResponse:
         if self.place.grid is not None:
             self.influence = self._influence(self.place.grid, kernel, response)
         rows = _splines(np.arange(grid.rows.start, grid.rows.stop) * (shape[0] / grid.shape[0]))
-        self.splines: Splines = *rows, *_splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
+        first, weights = _splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
+        nodes = np.add.outer(first, np.arange(4, dtype=np.int32)) % np.int32(shape[1])
+        self.splines: Splines = *rows, nodes, weights
         self.window = self.place.window((int(rows[0][0]), int(rows[0][-1]) + 4))
 
     @staticmethod
@@ -193,60 +195,45 @@ def inner_response(
 def spread_points(
     values: np.ndarray, points: Points, part: Part, splines: Splines, mesh_row: int, mesh: np.ndarray
 ) -> None:
-    """mesh[x_first[i] + s − mesh_row, y_first[j] + t] += x_weights[i, s] y_weights[j, t] values[k] for the points k of
-    the rows first ≤ i < stop, j = columns[k], and s, t < 4; rows outside `mesh` are left out, columns wrap.
+    """mesh[x_first[i] + s − mesh_row, nodes[j, t]] += x_weights[i, s] y_weights[j, t] values[k] for the points k of the
+    rows first ≤ i < stop, j = columns[k], and s, t < 4; rows outside `mesh` are left out.
     """
     columns, offsets = points
-    first, stop = part
-    x_first, x_weights, y_first, y_weights = splines
-    ny = mesh.shape[1]
-    line = np.empty(ny + 4, mesh.dtype)
-    for i in range(first, stop):
+    x_first, x_weights, nodes, y_weights = splines
+    line = np.empty(mesh.shape[1], mesh.dtype)
+    for i in range(part[0], part[1]):
         if offsets[i] == offsets[i + 1]:
             continue
         line[:] = 0
         for k in range(offsets[i], offsets[i + 1]):
-            column = columns[k]
-            at = y_first[column] + 1
+            column, value = u(columns[k]), values[u(k)]
             for t in range(4):
-                line[at + t] += y_weights[column, t] * values[k]
-        line[ny] += line[0]
-        for t in range(1, 4):
-            line[t] += line[ny + t]
-        for s in range(4):
-            row = x_first[i] + s - mesh_row
-            weight = x_weights[i, s]
+                line[u(nodes[column, u(t)])] += y_weights[column, u(t)] * value
+        for s in range(x_weights.shape[1]):  # not range(4): to unroll it takes long
+            row, weight = x_first[i] + s - mesh_row, x_weights[i, s]
             if 0 <= row < mesh.shape[0] and weight != 0:
                 target = mesh[row]
-                for j in range(ny):
-                    target[j] += weight * line[j + 1]
+                for j in range(line.size):
+                    target[u(j)] += weight * line[u(j)]
 
 
 @jit
 def add_interpolated(
     mesh: np.ndarray, mesh_row: int, points: Points, part: Part, splines: Splines, values: np.ndarray
 ) -> None:
-    """values[k] += Σ_st x_weights[i, s] y_weights[j, t] mesh[x_first[i] + s − mesh_row, y_first[j] + t] for the points
-    k of the rows first ≤ i < stop, j = columns[k]; columns wrap.
+    """values[k] += Σ_st x_weights[i, s] y_weights[j, t] mesh[x_first[i] + s − mesh_row, nodes[j, t]] for the points k
+    of the rows first ≤ i < stop, j = columns[k].
     """
-    columns, offsets = points
-    first, stop = part
-    x_first, x_weights, y_first, y_weights = splines
-    line, ny = np.empty(mesh.shape[1] + 4, mesh.dtype), mesh.shape[1]
+    line, (columns, offsets), (first, stop) = np.empty(mesh.shape[1], mesh.dtype), points, part
+    x_first, x_weights, nodes, y_weights = splines
     for i in range(first, stop):
         if offsets[i] == offsets[i + 1]:
             continue
-        at = x_first[i] - mesh_row
-        a, b, c, d = x_weights[i]
-        for j in range(ny):
-            line[j + 1] = a * mesh[at, j] + b * mesh[at + 1, j] + c * mesh[at + 2, j] + d * mesh[at + 3, j]
-        line[0] = line[ny]
-        for t in range(3):
-            line[ny + 1 + t] = line[1 + t]
+        at, a, b, c, d = x_first[i] - mesh_row, x_weights[i, 0], x_weights[i, 1], x_weights[i, 2], x_weights[i, 3]
+        for j in range(line.size):
+            line[j] = a * mesh[at, j] + b * mesh[at + 1, j] + c * mesh[at + 2, j] + d * mesh[at + 3, j]
         for k in range(offsets[i], offsets[i + 1]):
-            column = columns[k]
-            at = y_first[column] + 1
-            total = values[k]
+            column, total = columns[k], values[k]
             for t in range(4):
-                total += y_weights[column, t] * line[at + t]
+                total += y_weights[column, t] * line[u(nodes[column, t])]
             values[k] = total
