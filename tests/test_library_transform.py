@@ -102,7 +102,7 @@ from pgfmd.simulate import simulate
 grid = SlabGrid(MPI.COMM_SELF, (8, 8), transform="mpi4py-fft")
 assert abs(grid.forward(np.ones((8, 8)))[0, 0] - 64) < 1e-12
 try:
-    SlabGrid(MPI.COMM_SELF, (8, 8)).transform()
+    SlabGrid(MPI.COMM_SELF, (8, 8)).forward(np.ones((8, 8)))
 except InputError as error:
     assert "pyfftw" in str(error)
 else:

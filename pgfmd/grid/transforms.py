@@ -14,6 +14,9 @@ rank share the blocks between them.  Transforms are unnormalised in both directi
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import DTypeLike
 
@@ -33,7 +36,7 @@ TILE_PIECE, ROW_PIECE = 1 << 11, 1 << 7
 
 
 class _Worker:
-    """Blocks and plans of one thread.
+    """Blocks of one thread.
 
     rows: a block of real rows; half: their transforms along y, the half with ky ≥ 0; block: a block of columns.
     """
@@ -43,13 +46,7 @@ class _Worker:
         real, cplx = transform.real, transform.complex
         self.rows = aligned((transform.row_block, ny), real, pad=False)
         self.half = aligned((transform.row_block, ny // 2 + 1), cplx)
-        self.rows_forward = plan(self.rows, self.half, True)
-        self.rows_backward = plan(self.half, self.rows, False)
         self.block = aligned((transform.column_block, nx), cplx)
-        self.columns_forward = plan(self.block, self.block, True)
-        self.columns_backward = plan(self.block, self.block, False)
-        for array in (self.rows, self.half, self.block):
-            array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
         self.padded_half, self.padded_block = with_padding(self.half), with_padding(self.block)
 
 
@@ -71,15 +68,26 @@ class Transform:
         self.column_block = _per_block(columns, strips.width, threads.count, ALIGNMENT // itemsize)
         self.threads = threads
         self.workers = [_Worker(self) for _ in range(threads.count)]
+        self._known: dict[tuple[str, str, bool], list[Callable[[], None]]] = {}
         self.cost = self.real.itemsize / 8  # of a transform pair, in double-precision equivalents
+
+    def _plans(self, source: str, target: str, forward: bool) -> list[Callable[[], None]]:
+        """The plan of each thread from one of its blocks to another, made on first use: heights need two of four."""
+        if (key := (source, target, forward)) not in self._known:
+            blocks = [(getattr(worker, source), getattr(worker, target)) for worker in self.workers]
+            self._known[key] = [plan(*pair, forward) for pair in blocks]
+            for array in itertools.chain(*blocks):
+                array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
+        return self._known[key]
 
     def rows_forward(self, fill: RowAction) -> None:
         """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  Collective."""
+        plans = self._plans("rows", "half", True)
 
         def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
             fill(first, stop, worker.rows[: stop - first])
-            worker.rows_forward()
+            plans[thread]()
             self.strips.put(self.parts, first, worker.padded_half[: stop - first])
 
         self.strips.begin()
@@ -96,27 +104,30 @@ class Transform:
         """
         if not forward:
             self.strips.begin()
+        to = self._plans("block", "block", True) if forward else []
+        back = self._plans("block", "block", False) if backward else []
 
         def one(thread: int, first: int, stop: int) -> None:
             worker, place = self.workers[thread], self.strips.first_column + first
             block = worker.block[: stop - first]
             if forward:
                 kernels.tiles_and_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block, False)
-                worker.columns_forward()
+                to[thread]()
             action(block, first, stop)
             if backward:
-                worker.columns_backward()
+                back[thread]()
                 kernels.tiles_and_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block, True)
 
         self.threads.share(one, self.strips.width if count is None else count, self.column_block)
 
     def rows_backward(self, drain: RowAction) -> None:
         """Strips to real rows, each block handed to `drain(first, stop, block)`.  Collective."""
+        plans = self._plans("half", "rows", False)
 
         def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
             self.strips.get(self.parts, first, worker.padded_half[: stop - first])
-            worker.rows_backward()
+            plans[thread]()
             drain(first, stop, worker.rows[: stop - first])
 
         self.strips.to_rows(self.complex)
