@@ -24,7 +24,7 @@ from pgfmd.grid import kernels
 from pgfmd.grid.aligned import ALIGNMENT, aligned, with_padding
 from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.fftw import plan
-from pgfmd.grid.transpose import Strips
+from pgfmd.grid.transpose import WORD, Strips
 from pgfmd.parallel.threads import Threads
 
 ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it and its transform stay in the second-level cache
@@ -61,7 +61,7 @@ class Transform:
         self.parts, self.strip = strips.parts(self.complex), strips.strip(self.complex)
         # Larger with threads: between blocks they wait for the interpreter's lock.
         budget, itemsize = ROW_BLOCK * min(threads.count, 2), self.complex.itemsize
-        narrowest = int(self.parts.table[:, 3].min()) * itemsize
+        narrowest = int(self.parts.table[:, 3].min()) * WORD.itemsize
         rows = max(budget // (ny * self.real.itemsize), -(-TILE_PIECE // narrowest))
         columns = max(COLUMN_BLOCK // (nx * itemsize), ROW_PIECE // itemsize)
         self.row_block = _per_block(rows, strips.rows, threads.count)
