@@ -42,6 +42,8 @@ class Blocks:
     receives what the caller is to subtract from each point: an entry for each block that has points of this rank.  The
     rank that has the first row of a block sums over it; the ranks that hold the grid of blocks answer.
 
+    The map from residuals to loads is symmetric, positive, and accurate for waves of any length.
+
     Attributes: start, of this rank's rows in the window, in rows of points.  transformed: points of the transforms in
     one application.
     """
@@ -52,20 +54,23 @@ class Blocks:
         """side: of a block, in pixels; pixel: side of a pixel; stiffness(|q|): of the solid."""
         nx, ny = shape = larger(grid.shape)
         lengths = nx * FACTOR * grid.spacing[0], ny * FACTOR * grid.spacing[1]
-        self.place, self.threads = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS), grid.threads
-        layout, answered = Layout(grid.comm, -(-grid.starts // FACTOR)), self.place.layout
+        self.place, self.threads, self.area = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS), grid.threads, side**2
+        layout, answering = Layout(grid.comm, -(-grid.starts // FACTOR)), self.place.layout
         self.window = RowWindow(layout, (grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)), ny)
         self.start = grid.rows.start - self.window.low * FACTOR
-        self._gather = RowPlan(layout, [(answered.rows.start, answered.rows.stop)])
-        self._scatter = RowPlan(answered, [(layout.rows.start, layout.rows.stop)])
+        self.inverse_counts, self.loads = np.zeros_like(self.window.own), np.zeros_like(self.window.own)
+        self._gather = RowPlan(layout, [(answering.rows.start, answering.rows.stop)])
+        self._scatter = RowPlan(answering, [(layout.rows.start, layout.rows.stop)])
         # together: who sums over a block answers for it, too, everywhere
-        self.together = np.array_equal(layout.starts, answered.starts)
+        self.together = np.array_equal(layout.starts, answering.starts)
         self.together &= len(np.flatnonzero(np.diff(layout.starts))) == grid.comm.size
-        self.inverse_counts, self.sums, self.loads = (np.zeros_like(self.window.own) for _ in range(3))
-        self.gathered = np.empty(self.place.local_shape, np.float32)
-        self.stiffness = None
-        if self.place.grid is not None:
-            self.stiffness = BlockStiffness(self.place.grid, side, stiffness, pixel)
+        self.residuals, self.counts, self.shares, self.weights = np.empty((4, *self.place.local_shape), np.float32)
+        self.coarser: Blocks | None = None
+        if (blocks := self.place.grid) is not None:
+            soft, stiff = SOFTENING * side / stiffness(np.array(1 / pixel)), stiffness(np.sqrt(blocks.q_squared()))
+            self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
+            if min(larger(shape)) >= FEWEST:
+                self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel)
         self.transformed = 0
         while not self.transformed or min(shape) >= FEWEST:
             self.transformed, shape = self.transformed + math.prod(shape), larger(shape)
@@ -74,32 +79,34 @@ class Blocks:
         """Takes a new set, by the number of its points in each block.  Collective."""
         self._sum(counts)
         np.divide(1, np.maximum(self.window.own, 1), out=self.inverse_counts)
-        gathered = self._gather.fetch(self.window.own, np.empty_like(self.gathered))
-        if self.stiffness is not None:
-            self.stiffness.prepare(gathered)
+        self._gather.fetch(self.window.own, self.counts)
+        np.divide(1, np.maximum(self.counts, 1), out=self.shares)
+        # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
+        np.sqrt(np.sqrt(self.counts / np.float32(self.area)), out=self.weights)
+        if self.coarser is not None:
+            self.coarser.prepare(_sums_of(self.counts))
 
     def split(self, residuals: Sums, exchange: Exchange) -> None:
         """Sets the window to the means of the residuals, and adds to the exchange what `respond` needs.  Until that is
         called, the loads for `join` are 0.  Collective.
         """
         self._sum(residuals)
-        self.sums[...] = self.window.own
         self._answers, self.loads[...] = Exchange(self.window.plan.comm), 0
-        exchange.fetch(self._gather, self.sums, self.gathered)
-        if self.together and self.stiffness is not None:
-            self.stiffness.split(self.gathered, exchange)
+        exchange.fetch(self._gather, self.window.own.copy(), self.residuals)
+        if self.together and self.coarser is not None:
+            self.coarser.split(_sums_of(self.residuals), exchange)
         self.window.own *= self.inverse_counts
         self.window.fetch()
 
     def respond(self) -> None:
         """Begins to answer the sums of `split`, whose exchange has been carried out.  Collective."""
-        loads = np.empty_like(self.gathered)
-        if self.stiffness is not None:
-            if not self.together:
-                exchange = Exchange(self.stiffness.blocks.comm)
-                self.stiffness.split(self.gathered, exchange)
+        loads = np.empty_like(self.residuals)
+        if self.place.grid is not None:
+            if not self.together and self.coarser is not None:
+                exchange = Exchange(self.place.grid.comm)
+                self.coarser.split(_sums_of(self.residuals), exchange)
                 exchange.carry_out()
-            self.stiffness.respond(loads)
+            self._respond(self.place.grid, loads)
         self._answers.fetch(self._scatter, loads, self.loads)
         self._answers.start()
 
@@ -113,8 +120,9 @@ class Blocks:
 
     def free(self) -> None:
         """Frees the transforms.  Collective."""
-        if self.stiffness is not None:
-            self.stiffness.free()
+        self.place.free()
+        if self.coarser is not None:
+            self.coarser.free()
 
     def _sum(self, sums: Sums) -> None:
         """Sums over this rank's blocks in its own part of the window.  Collective."""
@@ -127,54 +135,14 @@ class Blocks:
         self.threads.deal(part, len(rows), 256 // FACTOR)
         self.window.add()
 
-
-class BlockStiffness:
-    """The map from residuals of blocks to their loads: symmetric, positive, accurate for waves of any length."""
-
-    residuals: np.ndarray
-    counts: np.ndarray
-    inverse_counts: np.ndarray
-    weights: np.ndarray
-
-    def __init__(self, blocks: SlabGrid, side: int, stiffness: Symbol, pixel: float) -> None:
-        """blocks: the grid whose points are the blocks; the others as for `Blocks`.  Collective."""
-        self.blocks, self.area = blocks, side**2
-        soft = SOFTENING * side / stiffness(np.array(1 / pixel))
-        stiff = stiffness(np.sqrt(blocks.q_squared()))
-        self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
-        coarser = min(larger(blocks.shape)) >= FEWEST
-        self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel) if coarser else None
-
-    def free(self) -> None:
-        """Frees the transforms.  Collective."""
-        self.blocks.free()
-        if self.coarser is not None:
-            self.coarser.free()
-
-    def prepare(self, counts: np.ndarray) -> None:
-        """counts: number of points in each block.  Collective."""
-        self.counts, self.inverse_counts = counts, 1 / np.maximum(counts, 1)
-        # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
-        self.weights = np.sqrt(np.sqrt(counts / np.float32(self.area)))
-        if self.coarser is not None:
-            self.coarser.prepare(self._sums(counts))
-
-    def split(self, residuals: np.ndarray, exchange: Exchange) -> None:
-        """Takes residuals, which are sums over the points of each block, and adds to the exchange what larger blocks
-        need of them.  Collective.
-        """
-        self.residuals = residuals
-        if self.coarser is not None:
-            self.coarser.split(self._sums(residuals), exchange)
-
-    def respond(self, loads: np.ndarray) -> None:
-        """loads of the blocks = K_blocks · residuals, which `split` took.  Collective."""
+    def _respond(self, blocks: SlabGrid, loads: np.ndarray) -> None:
+        """loads of the blocks = K_blocks · residuals.  Collective on their grid."""
         coarser = self.coarser
         if coarser is not None:
             coarser.respond()
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            part = self.residuals[first:stop], self.inverse_counts[first:stop], self.weights[first:stop]
+            part = self.residuals[first:stop], self.shares[first:stop], self.weights[first:stop]
             if coarser is None:
                 np.multiply(*part[:2], out=rows)
                 rows *= part[2]
@@ -184,20 +152,21 @@ class BlockStiffness:
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, self.weights[first:stop], out=loads[first:stop])
 
-        self.blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
+        blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
         if coarser is not None:
-            coarser.join(self._sums(loads))
+            coarser.join(_sums_of(loads))
             smooth, start = coarser.window.rows, coarser.start
-            self.blocks.threads.deal(
+            blocks.threads.deal(
                 lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, FACTOR, loads[a:b]),
                 len(loads),
             )
 
-    def _sums(self, values: np.ndarray) -> Sums:
-        """Sums over larger blocks of this rank's values."""
 
-        def add(first: int, stop: int, sums: np.ndarray) -> None:
-            low = max(first, 0)
-            kernels.sum_over_blocks(values[low : max(low, stop)], low - first, FACTOR, sums)
+def _sums_of(values: np.ndarray) -> Sums:
+    """Sums over larger blocks of this rank's values."""
 
-        return add
+    def add(first: int, stop: int, sums: np.ndarray) -> None:
+        low = max(first, 0)
+        kernels.sum_over_blocks(values[low : max(low, stop)], low - first, FACTOR, sums)
+
+    return add
