@@ -79,44 +79,28 @@ def test_fill_wrapped(points, rng):
     """The values on the set, zero elsewhere, and two columns from the other side on each side."""
     mask, offsets, columns = points
     values, rows = rng.random(len(columns)), np.full((6, 11), np.nan)
-    stencil.fill_wrapped(values, (columns, offsets), 2, 5, 2, rows)
+    stencil.fill_wrapped(values, (columns, offsets), (2, 7), (rows.reshape(-1), 11))
     dense = np.zeros((9, 7))
     dense[mask] = values
     assert np.array_equal(rows[:5], np.pad(dense, ((0, 0), (2, 2)), mode="wrap")[2:7])
 
 
 @pytest.mark.parametrize("density", [0.05, 0.4, 0.95])
-def test_apply_stencil(density, rng):
-    """A correlation with a symmetric disc of radius 2, on points that lie apart and on runs of them."""
-    mask, field = rng.random((9, 70)) < density, rng.random((13, 74))
-    weights = rng.random(6)
+def test_correlate(density, rng):
+    """A correlation with a symmetric disc of radius 2 of a periodic field that is zero off one set, at the points of
+    another: on points that lie apart and on runs of them, in rows of two calls, more than are evaluated together."""
+    source, target = rng.random((82, 70)) < 0.3, rng.random((78, 70)) < density
+    field, weights, out = np.where(source, rng.random((82, 70)), 0), rng.random(6), np.zeros(target.sum())
     a, b, c, d, e, f = weights
     disc = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
-    offsets = np.concatenate([[0], np.cumsum(mask.sum(axis=1))])
-    out = np.zeros(offsets[-1])
-    points = np.nonzero(mask)[1].astype(np.int32), offsets
-    stencil.apply_stencil((field, field.reshape(-1)), weights, points, 0, 9, out)
-    windows = np.lib.stride_tricks.sliding_window_view(field, (5, 5))
-    assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[mask], rtol=1e-13, atol=0)
-
-
-@pytest.mark.parametrize("room", [5, 7, 40])
-def test_correlate(room, rng):
-    """The stencil on a periodic field that is zero off one set, at the points of another, few rows at a time."""
-    source, target, halo = rng.random((30, 40)) < 0.3, rng.random((14, 40)) < 0.5, 8
-    field, weights = np.where(source, rng.random((30, 40)), 0), rng.random(6)
     lists = [
         (np.nonzero(mask)[1].astype(np.int32), np.concatenate([[0], np.cumsum(mask.sum(axis=1))]))
         for mask in (source, target)
     ]
-    out, whole = (np.zeros(target.sum()) for _ in range(2))
-    vector = field[source], (lists[0][0], lists[0][1][halo - 2 :])
-    work = np.empty((room, 44))
-    for rows in ((0, 5), (5, 14)):
-        stencil.correlate(vector, weights, (work, work.reshape(-1)), lists[1], rows, out)
-    padded = np.pad(field, ((0, 0), (2, 2)), mode="wrap")[halo - 2 : halo + 16]
-    stencil.apply_stencil((padded, padded.reshape(-1)), weights, lists[1], 0, 14, whole)
-    assert np.array_equal(out, whole)
+    for rows in ((0, 5), (5, 78)):
+        stencil.correlate((field[source], lists[0]), weights, 70, lists[1], rows, out)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(field, ((0, 0), (2, 2)), mode="wrap"), (5, 5))
+    assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[target], rtol=1e-13, atol=1e-15)
 
 
 def test_spread_and_interpolate(points, rng):
@@ -303,10 +287,10 @@ def test_vectors_of_conjugate_gradients(rng):
     assert np.allclose(conjugate_gradients.dot_and_sums(a, b, 10, 900), expected, rtol=1e-12, atol=1e-12)
     expected = direction.copy()
     expected[part] = (0.3 * direction + (z - 0.1))[part]
-    conjugate_gradients.next_direction(direction, z, real(0.3), real(0.1), 10, 900)
+    conjugate_gradients.next_direction(direction, z, (real(0.3), real(0.1)), 10, 900)
     assert np.allclose(direction, expected, rtol=0, atol=1e-6)
     expected = x.copy(), a.copy()
     expected[0][part] += 0.2 * direction[part]
     expected[1][part] -= 0.2 * (b[part] - 0.4)
-    conjugate_gradients.advance(x, a, (direction, b), real(0.2), real(0.4), (10, 900))
+    conjugate_gradients.advance(x, a, (direction, b), (real(0.2), real(0.4)), 10, 900)
     assert np.allclose([x, a], expected, rtol=0, atol=1e-6)

@@ -223,8 +223,8 @@ for back in (False, True):
     kernels.tiles_and_columns(tiles, 4, 0, 4, block, back)
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
-rows, points = np.empty((5, 12)), (np.zeros(0, np.int32), np.zeros(6, int))
-correlate((np.zeros(0), points), np.ones(6), (rows, rows.reshape(-1)), points, (0, 1), np.zeros(0))
+points = np.zeros(0, np.int32), np.zeros(6, int)
+correlate((np.zeros(0), points), np.ones(6), 8, points, (0, 1), np.zeros(0))
 print(*Count.names)
 """
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from pgfmd.grid.kernels import jit
 from pgfmd.parallel.collectives import Reduction
-from pgfmd.solvers.active_set.unknowns import Part, SetVector
+from pgfmd.solvers.active_set.unknowns import SetVector
 
 ENTRIES = 1 << 16  # that a thread takes at a time: fewer cost more to hand out than to compute
 MOST_ITERATIONS = 300
+
+Pair = tuple[float, float]
 
 
 class Operator(Protocol):
@@ -53,25 +56,18 @@ class ConjugateGradients:
         x, product = np.zeros_like(residual), np.empty_like(residual)
         d[:] = 0
         before, goal = math.inf, wanted**2 * self.square
-
-        def next_d(_: int, i: int, j: int) -> None:
-            next_direction(d, z, *turn, i, j)
-
-        def next_x(_: int, i: int, j: int) -> None:
-            advance(x, residual, (d, product), *step, (i, j))
-
         for iteration in range(MOST_ITERATIONS):
             if self.square <= goal or self.square <= 0:
                 return x, iteration
             turn = real(self.square / before), real(self.mean)
-            self.threads.share(next_d, len(d), ENTRIES)
+            self.threads.deal(partial(next_direction, d, z, turn), len(d), ENTRIES)
             before = self.square
             self.operator.apply(direction, product)
             curvature, _, total = self._sums(d, product)
             if not curvature > 0:
                 return x, iteration
             step = real(before / curvature), real(total * self.inverse_count)
-            self.threads.share(next_x, len(d), ENTRIES)
+            self.threads.deal(partial(advance, x, residual, (d, product), step), len(d), ENTRIES)
             self.square = self._precondition()
         return x, MOST_ITERATIONS
 
@@ -101,21 +97,21 @@ def dot_and_sums(a: np.ndarray, b: np.ndarray, first: int, stop: int) -> tuple[f
 
 
 @jit
-def next_direction(direction: np.ndarray, z: np.ndarray, factor: float, mean: float, first: int, stop: int) -> None:
-    """direction = factor · direction + z − mean in the entries first … stop−1."""
+def next_direction(direction: np.ndarray, z: np.ndarray, turn: Pair, first: int, stop: int) -> None:
+    """direction = factor · direction + z − mean in the entries first … stop−1; turn: factor and mean."""
+    factor, mean = turn
     for k in range(first, stop):
         direction[k] = factor * direction[k] + (z[k] - mean)
 
 
 @jit
 def advance(
-    x: np.ndarray, residual: np.ndarray, along: tuple[np.ndarray, np.ndarray], step: float, mean: float, part: Part
+    x: np.ndarray, residual: np.ndarray, along: tuple[np.ndarray, np.ndarray], step: Pair, first: int, stop: int
 ) -> None:
-    """x += step · direction and residual −= step · (product − mean) in the entries first … stop−1; along: direction and
-    product.
+    """x += factor · direction and residual −= factor · (product − mean) in the entries first … stop−1; along: direction
+    and product; step: factor and mean.
     """
-    direction, product = along
-    first, stop = part
+    (direction, product), (factor, mean) = along, step
     for k in range(first, stop):
-        x[k] += step * direction[k]
-        residual[k] -= step * (product[k] - mean)
+        x[k] += factor * direction[k]
+        residual[k] -= factor * (product[k] - mean)

@@ -14,8 +14,8 @@ from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, SetVector
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
 
-Rows = tuple[np.ndarray, np.ndarray]
-"""A contiguous array by rows, and flat: to reshape it takes long to compile."""
+Rows = tuple[np.ndarray, int]
+"""Rows one after the other in one array, and their length: to reshape an array takes long to compile."""
 
 RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
@@ -51,32 +51,26 @@ class Stencil:
     def sum(self, values: SetVector, out: np.ndarray) -> None:
         """The same for values whose halo is present."""
         points = values.points
-        vector, lists = (values.all, points.extended), points.lists
-        rows, ny = points.grid.local_shape
-
-        def part(first: int, stop: int) -> None:
-            work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), np.float32)
-            correlate(vector, self.weights, (work, work.reshape(-1)), lists, (first, stop), out)
-
-        points.grid.threads.deal(part, rows)
+        vector, (rows, ny) = (values.all, points.extended), points.grid.local_shape
+        points.grid.threads.deal(lambda a, b: correlate(vector, self.weights, ny, points.lists, (a, b), out), rows)
 
 
 @inlined
-def fill_wrapped(values: np.ndarray, points: Points, first: int, count: int, margin: int, rows: np.ndarray) -> None:
-    """rows[i, margin + columns[k]] = values[k] for the points k of row first + i, i < count, 0 elsewhere; `margin`
-    columns on either side repeat those of the other.
+def fill_wrapped(values: np.ndarray, points: Points, part: Part, rows: Rows) -> None:
+    """Row i of the rows, from column `RADIUS` on, is values[k] at columns[k] for the points k of row first + i, up to
+    row stop−1, and 0 elsewhere; `RADIUS` columns on either side repeat those of the other.
     """
-    columns, offsets = points
-    ny = rows.shape[1] - 2 * margin
-    for i in range(count):
-        row = rows[i]
+    (columns, offsets), (first, stop), (flat, stride) = points, part, rows
+    ny = stride - 2 * RADIUS
+    for i in range(stop - first):
+        row = flat[i * stride : (i + 1) * stride]
         row[:] = 0
         for k in range(offsets[first + i], offsets[first + i + 1]):
-            row[u(margin + columns[k])] = values[k]
-        for j in range(margin):
+            row[u(RADIUS + columns[k])] = values[k]
+        for j in range(RADIUS):
             row[j] = row[j + ny]
-        for j in range(margin):
-            row[ny + margin + j] = row[margin + j]
+        for j in range(RADIUS):
+            row[ny + RADIUS + j] = row[RADIUS + j]
 
 
 @compiled(fastmath=FAST, no_cpython_wrapper=True)
@@ -90,52 +84,45 @@ def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> f
 
 
 @inlined
-def apply_stencil(
-    work: Rows, weights: np.ndarray, points: Points, first: int, count: int, values: np.ndarray
-) -> None:
-    """values[k] = Σ_st w[s, t] rows[i + 2 + s, columns[k] + 2 + t] for the points k of row first + i, rows i < count.
+def apply_stencil(rows: Rows, weights: np.ndarray, points: Points, part: Part, out: np.ndarray) -> None:
+    """out[k] = Σ_st w[s, t] (row i − first + 2 + s of the rows)[columns[k] + 2 + t] for the points k of the rows first
+    ≤ i < stop.
 
     weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are zero.  Points that lie close
     are evaluated together with what lies between them: a loop over contiguous memory is several times faster.
     """
-    columns, offsets = points
-    flat, stride = work[1], work[0].shape[1]
-    line = np.empty(stride, values.dtype)
+    (columns, offsets), (first, stop), (flat, stride) = points, part, rows
+    line = np.empty(stride, out.dtype)
     six = (weights[0], weights[1], weights[2], weights[3], weights[4], weights[5])
-    for i in range(count):
-        base = (i + 2) * stride + 2
-        k, end = offsets[first + i], offsets[first + i + 1]
+    for i in range(first, stop):
+        base = (i - first + 2) * stride + 2
+        k, end = offsets[i], offsets[i + 1]
         while k < end:
-            stop, start = k + 1, columns[k]
-            while stop < end and columns[stop] <= columns[stop - 1] + _APART:
-                stop += 1
-            if stop - k < _FEW:
-                for m in range(k, stop):
-                    values[m] = _thirteen(flat, base + columns[m], stride, six)
+            end_of_run, start = k + 1, columns[k]
+            while end_of_run < end and columns[end_of_run] <= columns[end_of_run - 1] + _APART:
+                end_of_run += 1
+            if end_of_run - k < _FEW:
+                for m in range(k, end_of_run):
+                    out[m] = _thirteen(flat, base + columns[m], stride, six)
             else:
-                for m in range(columns[stop - 1] - start + 1):
+                for m in range(columns[end_of_run - 1] - start + 1):
                     line[m] = _thirteen(flat, base + start + m, stride, six)
-                for m in range(k, stop):
-                    values[m] = line[u(columns[m] - start)]
-            k = stop
+                for m in range(k, end_of_run):
+                    out[m] = line[u(columns[m] - start)]
+            k = end_of_run
 
 
 @jit
 def correlate(
-    vector: tuple[np.ndarray, Points],
-    weights: np.ndarray,
-    work: Rows,
-    targets: Points,
-    part: Part,
-    out: np.ndarray,
+    vector: tuple[np.ndarray, Points], weights: np.ndarray, ny: int, targets: Points, part: Part, out: np.ndarray
 ) -> None:
-    """`apply_stencil` to a vector (values, points) on one set, whose rows are listed from two before the first on, for
-    the points of another in rows first … stop−1; as many rows at a time as `work` has room for.
+    """`apply_stencil` to a vector (values, points) on one set, whose rows of ny points are listed from two before the
+    first on, for the points of another in rows first … stop−1; `ROWS` rows at a time.
     """
     values, points = vector
-    first, stop = part
-    batch = work[0].shape[0] - 4
-    for low in range(first, stop, batch):
-        count = min(batch, stop - low)
-        fill_wrapped(values, points, low, count + 4, 2, work[0])
-        apply_stencil(work, weights, targets, low, count, out)
+    stride = ny + 2 * RADIUS
+    rows = np.empty((ROWS + 2 * RADIUS) * stride, values.dtype), stride
+    for low in range(part[0], part[1], ROWS):
+        high = min(low + ROWS, part[1])
+        fill_wrapped(values, points, (low, high + 2 * RADIUS), rows)
+        apply_stencil(rows, weights, targets, (low, high), out)
