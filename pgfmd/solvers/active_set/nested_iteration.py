@@ -67,9 +67,30 @@ class ActiveSetIteration(NestedIteration[State]):
         return self.relax(problem, State(np.full(shape, problem.mean_pressure), np.empty(shape)), exact)
 
     def prolong(self, coarse: Coarse, found: State, problem: ContactProblem) -> tuple[State, bool]:
-        """Full contact and True, if both grids have it; else a start from the coarse state and False."""
-        full = _full_contact(problem) if found.between == coarse.place.size else None
-        return (full, True) if full is not None else (_prolong(coarse, found, problem), False)
+        """Full contact and True, if both grids have it; else a start from the coarse state and False.
+
+        A point is then in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than
+        the gap to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
+        (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
+        """
+        if found.between == coarse.place.size and (full := _full_contact(problem)) is not None:
+            return full, True
+        grid = problem.grid
+        found.gap -= found.level
+        interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
+        found.pressure = found.gap = coarse.place.no_rows()  # the interpolation has copies: one field of this grid less
+        compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
+        pressure, gap = grid.new_field(), grid.new_field()
+
+        def part(thread: int, first: int, stop: int) -> None:
+            rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
+            fields = read(0), read(1), read(2)
+            start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
+
+        grid.threads.share(part, grid.local_shape[0], grid.band)
+        scale_to_load(grid, (pressure, gap), problem.load, problem.law.highest, 1 / compliance)
+        between = round(found.between / coarse.place.size * grid.size)
+        return State(pressure, gap, estimated=True, between=between), False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
@@ -94,30 +115,6 @@ class ActiveSetIteration(NestedIteration[State]):
 
 solve_hard_wall = ActiveSetIteration.contact
 """The contact with a hard wall, or one of limited hardness: see `NestedIteration.contact`.  Collective."""
-
-
-def _prolong(coarse: Coarse, found: State, problem: ContactProblem) -> State:
-    """The state with which the finer grid starts.  Collective.
-
-    A point is in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap
-    to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
-    (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
-    """
-    grid, highest = problem.grid, problem.law.highest
-    found.gap -= found.level
-    interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
-    found.pressure = found.gap = coarse.place.no_rows()  # the interpolation has copies: one field of this grid less
-    compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
-    pressure, gap = grid.new_field(), grid.new_field()
-
-    def part(thread: int, first: int, stop: int) -> None:
-        rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
-        fields = read(0), read(1), read(2)
-        start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
-
-    grid.threads.share(part, grid.local_shape[0], grid.band)
-    scale_to_load(grid, (pressure, gap), problem.load, highest, 1 / compliance)
-    return State(pressure, gap, estimated=True, between=round(found.between / coarse.place.size * grid.size))
 
 
 @jit
