@@ -324,5 +324,5 @@ def test_a_mountain_in_one_slab(n):
 @pytest.mark.parametrize(("error", "goal"), [(np.inf, 2e-2), (0.8, 2e-2), (4e-3, 2e-4), (1e-14, 1e-8), (0.0, 1e-8)])
 def test_coarse_grids_aim_at_a_part_of_their_first_error(error, goal):
     """A twentieth, within limits: also where a grid begins with no error at all there is something to reach."""
-    assert PressureSteps.goal(None, error, 1e-12) == pytest.approx(goal)
-    assert PressureSteps.goal(None, error, 1e-3) == pytest.approx(max(goal, 2.5e-4))
+    assert PressureSteps.goal(error, 1e-12) == pytest.approx(goal)
+    assert PressureSteps.goal(error, 1e-3) == pytest.approx(max(goal, 2.5e-4))

@@ -41,6 +41,9 @@ CUT_POWER = 0.7  # after a step with the factor f on the error, the next one tak
 MARGIN = 0.4  # the last step aims at this part of the tolerance
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 STUCK = 3  # steps without halving the least error, before double precision is taken
+COARSE_PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
+LOOSEST = 2e-2  # largest tolerance of a coarse grid
+FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
 HUGE = np.finfo(np.float32).max
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
@@ -149,9 +152,12 @@ class Relaxation:
         last = math.sqrt(MARGIN * tolerance / max(estimate, tolerance))
         return last if last >= WITHIN * changes else changes
 
-    def goal(self, estimate: float, tolerance: float) -> float:
-        """Tolerance for a coarse grid, from the estimated error of its start."""
-        return tolerance
+    @staticmethod
+    def goal(estimate: float, tolerance: float) -> float:
+        """Tolerance for a coarse grid: `COARSE_PART` of the estimated error of its start, within limits.  That error
+        comes from interpolation, and interpolation to the next grid will make one of about the same size.
+        """
+        return max(min(COARSE_PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
     def begin(self, state: State) -> None:
         """Improves a start of estimated gap without full transforms.  Collective."""

@@ -19,9 +19,6 @@ from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import Unknowns
 
-COARSE_PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
-LOOSEST = 2e-2  # largest tolerance of a coarse grid
-FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 CLOSE = 1e-4  # least part of the energy error that steps by the mesh alone leave: its response is right to one per cent
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
 
@@ -40,12 +37,6 @@ class PressureSteps(Relaxation):
         """Frees the transforms of the mesh and of the blocks.  Collective."""
         self.inner.free()
         self.preconditioner.free()
-
-    def goal(self, estimate: float, tolerance: float) -> float:
-        """`COARSE_PART` of the error of the start, within limits.  That error comes from interpolation, and
-        interpolation to the next grid will make one of about the same size.
-        """
-        return max(min(COARSE_PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
     def begin(self, state: State) -> None:
         """Adapts the start to roughness that only this grid resolves: one iteration with the near part of the response.
