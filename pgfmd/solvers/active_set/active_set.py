@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -88,11 +87,12 @@ class Relaxation:
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
         self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
-        self.highest, self.solid, self.kind = problem.law.highest, solid, problem.law.kind
+        self.highest, self.kind = problem.law.highest, problem.law.kind
         precisions: tuple[Precision, Precision] = (np.float32, np.float64)
         self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.size) for real in precisions}
         self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.size) for real in precisions}
         self.squares, self.heights_squared = np.zeros(2), 0.0
+        self.rounding = Rounding(grid, solid) if exact else None
         self.summit = float(grid.reduction.max(problem.heights))
 
     def relax(self, state: State, tolerance: float, monitor: Callable[[State], None] | None = None) -> State:
@@ -109,14 +109,12 @@ class Relaxation:
             estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
-            known = self.exact and state.energy > 0
-            rounding = self.rounding_bound(state, precision) / (2 * state.energy) if known else 0.0
+            rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, precision)
                 raised *= max(1.0, state.error / max(estimate, MARGIN * tolerance))
-            self.settle(state)
             if monitor is not None:
                 monitor(state)
             if negligible and state.error <= tolerance:
@@ -159,17 +157,11 @@ class Relaxation:
         """
         return max(min(COARSE_PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
-    def begin(self, state: State) -> None:
-        """Improves a start of estimated gap without full transforms.  Collective."""
-
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state, and chooses the unknowns.  Returns the system whose solution
         improves them.  Collective.
         """
         raise NotImplementedError
-
-    def settle(self, state: State) -> None:
-        """Makes the pressure that `linearise` computed feasible, if it is not.  Collective."""
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Reduces the residual of the system by the factor `wanted`, and makes the state feasible.  May take further
@@ -235,15 +227,10 @@ class Relaxation:
         return certified(square, self.rounding_bound(state, precision)) / (2 * state.energy)
 
     def rounding_bound(self, state: State, precision: Precision) -> float:
-        """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in that precision.  Collective on
-        first use.
-        """
-        return self._rounding.bound(self.squares, self.heights_squared, 2 * state.energy, precision)
-
-    @cached_property
-    def _rounding(self) -> Rounding:
-        """Rounding on this grid.  Collective on first use; coarse grids do not need it."""
-        return Rounding(self.grid, self.solid)
+        """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in that precision; 0 if not `exact`."""
+        if self.rounding is None:
+            return 0.0
+        return self.rounding.bound(self.squares, self.heights_squared, 2 * state.energy, precision)
 
 
 @jit

@@ -20,7 +20,7 @@ from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import Unknowns
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns, add_points
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
@@ -29,53 +29,52 @@ LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is
 class GapSteps(Relaxation):
     """Relaxation that costs least where most points are in contact.
 
-    Attributes: mean, of h + g; scale, of the tensionless pressure to the load.
+    Attributes: mean, of h + g; lacking, −p on the open set, before it was settled; scale, of the settled pressure to
+    the load.
     """
+
+    mean: float
+    scale: float
+    lacking: SetVector
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_stiffness, solid.stiffness, self.stiffness[np.float32])
         self.preconditioner = near_compliance(grid, solid.half_space_compliance)
-        self.mean, self.scale = 0.0, 1.0
 
     def free(self) -> None:
         """Frees the transforms of the mesh.  Collective."""
         self.inner.free()
 
-    def begin(self, state: State) -> None:
-        """The gap of the coarser grid is a start.  Collective."""
-        self.clip_gap(state)
-
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """The pressure of the gap; the system makes it vanish where there is a gap.  Collective."""
+        """The pressure of the gap, settled; the system makes it vanish where there is a gap or tension.  Collective."""
         if not state.clipped:
-            self.compute_gap(state, precision)
-            self.measure(state)
+            if not state.estimated:
+                self.compute_gap(state, precision)
+                self.measure(state)
             self.clip_gap(state)
         self.compute_pressure(state, precision)
-        self.scale, sums = 1.0, []
+        points, sums = Unknowns(self.grid, (state.gap, state.pressure)), []
+        self.lacking = points.below(0.0, state.pressure)
 
-        def add(_: int, first: int, stop: int) -> None:
-            pressure = self.settled(state, first, stop)
-            products = (float(np.vdot(pressure, other)) for other in (self.heights[first:stop], pressure))
-            sums.append((first, float(pressure.sum()), *products, np.count_nonzero(pressure)))
+        def settle(_: int, first: int, stop: int) -> None:
+            rows = state.pressure[first:stop]
+            rows[...] = np.where(state.gap[first:stop] > 0, 0.0, np.maximum(rows, 0.0))
+            products = (float(np.vdot(rows, other)) for other in (self.heights[first:stop], rows))
+            sums.append((first, float(rows.sum()), *products, np.count_nonzero(rows)))
 
-        self.grid.threads.share(add, len(state.gap), self.grid.band)
+        self.grid.threads.share(settle, len(state.gap), self.grid.band)
         total, work, self.squares[0], count = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
         if total == 0:
             state.pressure[...] = self.load / self.grid.size
             raise SolverError("hard wall: all points without a gap are in tension; allow a larger tolerance")
         self.scale = self.load / total
+        self.grid.threads.scale(state.pressure, self.scale)
         state.energy = (self.scale * work - self.mean * self.load) / 2
         state.contact = state.between = int(count)
         state.level = 0.0
-        points = Unknowns(self.grid, (state.gap, state.pressure))
-        return ConjugateGradients(points.below(0.0, state.pressure), self.inner, self.preconditioner, False)
-
-    def settled(self, state: State, first: int, stop: int) -> np.ndarray:
-        """Rows of the pressure without tensions, 0 where there is a gap, and scaled."""
-        return np.where(state.gap[first:stop] > 0, 0.0, self.scale * np.maximum(state.pressure[first:stop], 0.0))
+        return ConjugateGradients(self.lacking, self.inner, self.preconditioner, False)
 
     def clip_gap(self, state: State) -> None:
         """Clips the gap Gp − h (`State.clipped`)."""
@@ -85,7 +84,7 @@ class GapSteps(Relaxation):
             gap[...] = np.where(state.pressure[first:stop] > 0, 0.0, np.maximum(gap - state.level, 0.0))
 
         self.grid.threads.share(part, len(state.gap), self.grid.band)
-        state.clipped = True
+        state.clipped, state.estimated = True, False
 
     def compute_pressure(self, state: State, precision: Precision) -> None:
         """p = p̄ + K(h + g) for the state's gap, with either sign.  Collective."""
@@ -103,23 +102,14 @@ class GapSteps(Relaxation):
         total, self.squares[1] = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
         self.mean = float(total) / self.grid.size
 
-    def settle(self, state: State) -> None:
-        """Settles the pressure, unless `certify` has done so, which leaves the gap unclipped."""
-
-        def part(_: int, first: int, stop: int) -> None:
-            state.pressure[first:stop] = self.settled(state, first, stop)
-
-        if state.clipped:
-            self.grid.threads.share(part, len(state.gap), self.grid.band)
-
     def certify(self, state: State, precision: Precision) -> float:
-        """Settles the pressure, makes the gap Gp − h again, and certifies them as `Relaxation` does.  Collective."""
+        """Makes the gap Gp − h of the settled pressure, and certifies them as `Relaxation` does.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            np.subtract(self.settled(state, first, stop), state.pressure[first:stop], out=rows, casting="same_kind")
+            np.multiply(state.pressure[first:stop], 1 - 1 / self.scale, out=rows, casting="same_kind")
+            add_points(self.lacking.own, self.lacking.points.lists, first, rows)
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            state.pressure[first:stop] = self.settled(state, first, stop)
             state.gap[first:stop] += rows
             state.gap[first:stop] -= self.mean
 

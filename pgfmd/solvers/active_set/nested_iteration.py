@@ -98,8 +98,6 @@ class ActiveSetIteration(NestedIteration[State]):
         """
         by_gaps = problem.law.highest == np.inf and state.between > GAPS_FROM * problem.grid.size
         solver: Relaxation = GapSteps(problem, exact) if by_gaps else PressureSteps(problem, exact)
-        if state.estimated:
-            solver.begin(state)
         while True:
             try:
                 state = solver.relax(state, self.tolerance, self.watch(problem))

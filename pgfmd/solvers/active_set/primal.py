@@ -38,11 +38,12 @@ class PressureSteps(Relaxation):
         self.inner.free()
         self.preconditioner.free()
 
-    def begin(self, state: State) -> None:
+    def _begin(self, state: State) -> None:
         """Adapts the start to roughness that only this grid resolves: one iteration with the near part of the response.
         Blocks of pixels keep their loads, since the coarser grid has long waves right.  At λ_s = a this leaves a fifth
         of the error.  Collective.
         """
+        state.estimated = False
         if isinstance(self.inner, MeshResponse):
             points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.highest)
             self.preconditioner.near_only = True
@@ -52,6 +53,8 @@ class PressureSteps(Relaxation):
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
+        if state.estimated:
+            self._begin(state)
         self.compute_gap(state, precision)
         return self._system(state)
 
