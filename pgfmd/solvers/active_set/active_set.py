@@ -176,17 +176,15 @@ class Relaxation:
     def measure(self, state: State) -> None:
         """Sets the state's level, energy and counts from a pressure and its gap Gp − h, and Σ p².  Collective."""
         pressure, gap, heights, limits = state.pressure, state.gap, self.heights, (self.highest, self.summit)
-        parts = self.grid.threads.collect(
-            lambda a, b: contact_sums(pressure, gap, heights, limits, a, b), len(gap)
-        )
-        sums, most, least = zip(*parts, strict=True)
-        totals = self.grid.reduction.sums(*map(math.fsum, zip(*sums, strict=True)))
+        parts = self.grid.threads.collect(lambda a, b: contact_sums(pressure, gap, heights, limits, a, b), len(gap))
+        totals = self.grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         work, load, between, energy, self.squares[0], self.heights_squared, count = totals
         state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
         if between:
             state.level = float(work / load)
         else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 is right
-            state.level = (self.grid.reduction.max(most) + self.grid.reduction.min(least)) / 2
+            full, free = gap[pressure > 0], gap[pressure == 0]
+            state.level = (self.grid.reduction.max(full) + self.grid.reduction.min(free)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap to Gp − h, which may have either sign.  Collective."""
@@ -227,7 +225,7 @@ class Relaxation:
         return certified(square, self.rounding_bound(state, precision)) / (2 * state.energy)
 
     def rounding_bound(self, state: State, precision: Precision) -> float:
-        """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in that precision; 0 if not `exact`."""
+        """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in a precision; 0 if not `exact`."""
         if self.rounding is None:
             return 0.0
         return self.rounding.bound(self.squares, self.heights_squared, 2 * state.energy, precision)
@@ -236,23 +234,21 @@ class Relaxation:
 @jit
 def contact_sums(
     pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, limits: tuple[float, float], first: int, stop: int
-) -> tuple[tuple[float, float, float, float, float, float, int], float, float]:
+) -> tuple[float, float, int, float, float, float, int]:
     """(Σ p g, Σ p and number of points where 0 < p < highest; Σ p (g + h), Σ p², Σ h² + (h − summit)² and number of
-    points where p > 0), and the largest gap where p = highest and the least where p = 0, over rows first … stop−1.
+    points where p > 0) over rows first … stop−1.
 
     limits: the largest pressure `highest`, and the largest height `summit`
     """
     highest, summit = limits
     work = load = energy = squares = heights_squared = 0.0
     between = count = 0
-    most, least = -np.inf, np.inf
     for i in range(first, stop):
         row = pressure[i]
         for j in range(row.size):
             p = row[u(j)]
-            g = gap[i, u(j)]
             if p > 0:
-                h = heights[i, u(j)]
+                g, h = gap[i, u(j)], heights[i, u(j)]
                 energy += p * (g + h)
                 squares += p * p
                 heights_squared += h * h + (h - summit) ** 2
@@ -261,11 +257,7 @@ def contact_sums(
                     work += p * g
                     load += p
                     between += 1
-                else:
-                    most = max(most, g)
-            else:
-                least = min(least, g)
-    return (work, load, between, energy, squares, heights_squared, count), most, least
+    return work, load, between, energy, squares, heights_squared, count
 
 
 @jit

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -16,13 +16,9 @@ ENTRIES = 1 << 16  # that a thread takes at a time: fewer cost more to hand out 
 MOST_ITERATIONS = 300
 
 Pair = tuple[float, float]
-
-
-class Operator(Protocol):
-    """A linear operator between the points of a set."""
-
-    def apply(self, values: SetVector, out: np.ndarray, /) -> None:
-        """out (count,) = A · values, both in single precision; the halo of `values` is set.  Collective."""
+Operator = Callable[[SetVector, np.ndarray], None]
+"""operator(values, out): out (count,) = A · values on a set, in single precision; sets the halo of `values`.
+Collective."""
 
 
 class ConjugateGradients:
@@ -62,7 +58,7 @@ class ConjugateGradients:
             turn = real(self.square / before), real(self.mean)
             self.threads.deal(partial(next_direction, d, z, turn), len(d), ENTRIES)
             before = self.square
-            self.operator.apply(direction, product)
+            self.operator(direction, product)
             curvature, _, total = self._sums(d, product)
             if not curvature > 0:
                 return x, iteration
@@ -73,7 +69,7 @@ class ConjugateGradients:
 
     def _precondition(self) -> float:
         """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""
-        self.preconditioner.apply(self.residual, self.z)
+        self.preconditioner(self.residual, self.z)
         square, sum_r, sum_z = self._sums(self.residual.own, self.z)
         self.mean = sum_z * self.inverse_count
         return square - self.mean * sum_r

@@ -67,7 +67,7 @@ class Descent(PressureSteps):
         low, high, shown = pressure <= 0, pressure >= self.highest, gap.copy()
         while True:
             points = Unknowns(self.grid, (pressure, shown), level, self.highest)
-            system = ConjugateGradients(points.below(level, gap), self.inner, self.preconditioner)
+            system = ConjugateGradients(points.below(level, gap), self.inner.apply, self.preconditioner.apply)
             change, steps = system.solve(CUT)
             state.iterations += steps
             direction = np.zeros_like(pressure)

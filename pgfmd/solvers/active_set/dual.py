@@ -74,7 +74,7 @@ class GapSteps(Relaxation):
         state.energy = (self.scale * work - self.mean * self.load) / 2
         state.contact = state.between = int(count)
         state.level = 0.0
-        return ConjugateGradients(self.lacking, self.inner, self.preconditioner, False)
+        return ConjugateGradients(self.lacking, self.inner.apply, self.preconditioner.apply, False)
 
     def clip_gap(self, state: State) -> None:
         """Clips the gap Gp − h (`State.clipped`)."""

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from pgfmd.grid.callbacks import ColumnAction, scaling
+from pgfmd.grid.callbacks import ColumnAction, scaling, sink
 from pgfmd.grid.holders import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
@@ -106,10 +106,7 @@ class MeshResponse:
                 if low < high:
                     block[low - first : high - first] += rows[low - at : high - at]
 
-        def drain(first: int, stop: int, block: np.ndarray) -> None:
-            self.window.own[first:stop] = block
-
-        mesh.convolve(fill, scaling(self.influence), drain, np.float32)
+        mesh.convolve(fill, scaling(self.influence), sink(self.window.own), np.float32)
 
     def _spread(self, values: SetVector, first: int, block: np.ndarray) -> None:
         """Sets `block`, rows of the mesh from row `first` of the window on, to what this rank's points spread there."""

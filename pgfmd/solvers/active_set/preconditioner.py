@@ -27,10 +27,9 @@ NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: b
 
 class MultilevelStiffness:
     """z = (1 − Q) S K_cut Sᵀ (1 − Q) r + B K_blocks Bᵀ r: S restricts to a contact set, Q = B Bᵀ takes means over
-    blocks.  If `near_only`, without the second term: blocks then keep their loads.
+    blocks.
     """
 
-    near_only = False
     _rest: SetVector | None = None  # of the set for which the blocks are prepared
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol) -> None:
@@ -41,8 +40,9 @@ class MultilevelStiffness:
         large = min(grid.shape) >= FEWEST * FACTOR
         self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing)) if large else None
 
-    def apply(self, residual: SetVector, out: np.ndarray) -> None:
-        """out = M · residual on the set.  Collective."""
+    def apply(self, residual: SetVector, out: np.ndarray, near_only: bool = False) -> None:
+        """out = M · residual on the set; if `near_only`, without the second term: blocks keep their loads.  Collective.
+        """
         points, blocks, rest = residual.points, self.blocks, self._rest
         if blocks is None:
             self.near.apply(residual, out)
@@ -55,7 +55,7 @@ class MultilevelStiffness:
         self._subtract(blocks, points, residual.own, rest.own)
         rest.send(exchange)
         exchange.carry_out()
-        if not self.near_only:
+        if not near_only:
             blocks.respond()
             self.grid.transforms += 0.5 * blocks.transformed / self.grid.size
         self.near.sum(rest, out)

@@ -8,6 +8,7 @@ the mesh to the changes, before the gap is computed by full transforms.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -46,10 +47,8 @@ class PressureSteps(Relaxation):
         state.estimated = False
         if isinstance(self.inner, MeshResponse):
             points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.highest)
-            self.preconditioner.near_only = True
-            system = ConjugateGradients(points.below(0.0, state.gap), self.inner.stencil, self.preconditioner)
-            self._solve(state, system, 0.5)
-            self.preconditioner.near_only = False
+            near = self.inner.stencil.apply, partial(self.preconditioner.apply, near_only=True)
+            self._solve(state, ConjugateGradients(points.below(0.0, state.gap), *near), 0.5)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
@@ -62,7 +61,7 @@ class PressureSteps(Relaxation):
         """The system for a gap that is known.  Collective."""
         self.measure(state)
         points = Unknowns(self.grid, (state.pressure, state.gap), state.level, self.highest)
-        return ConjugateGradients(points.below(state.level, state.gap), self.inner, self.preconditioner)
+        return ConjugateGradients(points.below(state.level, state.gap), self.inner.apply, self.preconditioner.apply)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Makes the gap constant on the unknowns, solving for them anew as they change: the mesh tells the response to
