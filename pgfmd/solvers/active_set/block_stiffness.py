@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import scaling
@@ -34,18 +35,41 @@ def larger(shape: tuple[int, int]) -> tuple[int, int]:
     return -(-shape[0] // FACTOR), -(-shape[1] // FACTOR)
 
 
+class BlockWindow(RowWindow):
+    """Sums over blocks of points of a grid.  The rank that has the first row of a block holds it; the window has all
+    that have rows of this rank.  Collective to make.
+
+    Attributes: layout, of the rows of blocks.  start, of this rank's rows in the window, in rows of points.
+    """
+
+    def __init__(self, grid: SlabGrid, side: int, width: int, dtype: DTypeLike = np.float32) -> None:
+        """side: of a block, in points; width: sums of a row of blocks."""
+        self.layout, self.threads, self.side = Layout(grid.comm, -(-grid.starts // side)), grid.threads, side
+        super().__init__(self.layout, (grid.rows.start // side, -(-grid.rows.stop // side)), width, dtype)
+        self.start = grid.rows.start - self.low * side
+
+    def sum(self, sums: Sums) -> None:
+        """Sets each rank's own rows to the sums over its blocks.  Collective."""
+
+        def part(first: int, stop: int) -> None:
+            self.rows[first:stop] = 0
+            sums(first * self.side - self.start, stop * self.side - self.start, self.rows[first:stop])
+
+        self.threads.deal(part, len(self.rows), 256 // self.side)
+        self.add()
+
+
 class Blocks:
     """Blocks of points of a grid, which may be blocks themselves.  Collective to make.
 
     A residual is split: its means over blocks are answered by the stiffness between blocks, the rest by the caller.
     Then the sum of the caller's answer over each block is replaced by the load of the block.  Both times `window`
     receives what the caller is to subtract from each point: an entry for each block that has points of this rank.  The
-    rank that has the first row of a block sums over it; the ranks that hold the grid of blocks answer.
+    ranks that hold the grid of blocks answer.
 
     The map from residuals to loads is symmetric, positive, and accurate for waves of any length.
 
-    Attributes: start, of this rank's rows in the window, in rows of points.  transformed: points of the transforms in
-    one application.
+    Attributes: transformed, points of the transforms in one application.
     """
 
     _answers: Exchange
@@ -55,9 +79,8 @@ class Blocks:
         nx, ny = shape = larger(grid.shape)
         lengths = nx * FACTOR * grid.spacing[0], ny * FACTOR * grid.spacing[1]
         self.place, self.threads, self.area = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS), grid.threads, side**2
-        layout, answering = Layout(grid.comm, -(-grid.starts // FACTOR)), self.place.layout
-        self.window = RowWindow(layout, (grid.rows.start // FACTOR, -(-grid.rows.stop // FACTOR)), ny)
-        self.start = grid.rows.start - self.window.low * FACTOR
+        self.window = BlockWindow(grid, FACTOR, ny)
+        layout, answering = self.window.layout, self.place.layout
         self.inverse_counts, self.loads = np.zeros_like(self.window.own), np.zeros_like(self.window.own)
         self._gather = RowPlan(layout, [(answering.rows.start, answering.rows.stop)])
         self._scatter = RowPlan(answering, [(layout.rows.start, layout.rows.stop)])
@@ -77,7 +100,7 @@ class Blocks:
 
     def prepare(self, counts: Sums) -> None:
         """Takes a new set, by the number of its points in each block.  Collective."""
-        self._sum(counts)
+        self.window.sum(counts)
         np.divide(1, np.maximum(self.window.own, 1), out=self.inverse_counts)
         self._gather.fetch(self.window.own, self.counts)
         np.divide(1, np.maximum(self.counts, 1), out=self.shares)
@@ -90,7 +113,7 @@ class Blocks:
         """Sets the window to the means of the residuals, and adds to the exchange what `respond` needs.  Until that is
         called, the loads for `join` are 0.  Collective.
         """
-        self._sum(residuals)
+        self.window.sum(residuals)
         self._answers, self.loads[...] = Exchange(self.window.plan.comm), 0
         exchange.fetch(self._gather, self.window.own.copy(), self.residuals)
         if self.together and self.coarser is not None:
@@ -112,7 +135,7 @@ class Blocks:
 
     def join(self, answers: Sums) -> None:
         """Sets the window to the excess per point of the answers' sums over the loads.  Collective."""
-        self._sum(answers)
+        self.window.sum(answers)
         self._answers.finish()
         self.window.own -= self.loads
         self.window.own *= self.inverse_counts
@@ -123,17 +146,6 @@ class Blocks:
         self.place.free()
         if self.coarser is not None:
             self.coarser.free()
-
-    def _sum(self, sums: Sums) -> None:
-        """Sums over this rank's blocks in its own part of the window.  Collective."""
-        rows = self.window.rows
-
-        def part(first: int, stop: int) -> None:
-            rows[first:stop] = 0
-            sums(first * FACTOR - self.start, stop * FACTOR - self.start, rows[first:stop])
-
-        self.threads.deal(part, len(rows), 256 // FACTOR)
-        self.window.add()
 
     def _respond(self, blocks: SlabGrid, loads: np.ndarray) -> None:
         """loads of the blocks = K_blocks · residuals.  Collective on their grid."""
@@ -147,7 +159,7 @@ class Blocks:
                 np.multiply(*part[:2], out=rows)
                 rows *= part[2]
             else:
-                kernels.rest_in_blocks(part, coarser.window.rows, coarser.start + first, FACTOR, rows)
+                kernels.rest_in_blocks(part, coarser.window.rows, coarser.window.start + first, FACTOR, rows)
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, self.weights[first:stop], out=loads[first:stop])
@@ -155,7 +167,7 @@ class Blocks:
         blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
         if coarser is not None:
             coarser.join(_sums_of(loads))
-            smooth, start = coarser.window.rows, coarser.start
+            smooth, start = coarser.window.rows, coarser.window.start
             blocks.threads.deal(
                 lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, FACTOR, loads[a:b]),
                 len(loads),

@@ -14,7 +14,7 @@ import numpy as np
 
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.layout import Layout, RowWindow
+from pgfmd.solvers.active_set.block_stiffness import BlockWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Part, Points, Unknowns
 
 SHIFT = 5  # blocks of 2⁵ × 2⁵ pixels: wider than the rim of a patch, shorter than waves that are costly to correct
@@ -31,11 +31,8 @@ class Feasible:
     def __init__(self, grid: SlabGrid, highest: float, stiffness: float) -> None:
         """highest: the largest pressure; stiffness: of a pixel, about."""
         self.grid, self.highest, self.stiffness = grid, highest, stiffness
-        start, stop = grid.rows.start, grid.rows.stop
-        # The rank that has the first row of a block holds it.
-        layout = Layout(grid.comm, grid.starts + (1 << SHIFT) - 1 >> SHIFT)
         self.width = (grid.shape[1] - 1 >> SHIFT) + 1
-        self.window = RowWindow(layout, (start >> SHIFT, (stop - 1 >> SHIFT) + 1), 2 * self.width, np.float64)
+        self.window = BlockWindow(grid, 1 << SHIFT, 2 * self.width, np.float64)
 
     def make(self, points: Unknowns, fields: Fields, load: float) -> None:
         """Brings the pressure on the set between its bounds, and its sum over all points to `load`.  Collective.
@@ -43,66 +40,52 @@ class Feasible:
         The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
         (`scale_to_load`).
         """
-        pressure, highest, threads = fields[0], self.highest, self.grid.threads
-        start, end = self.grid.rows.start, self.grid.rows.stop
-        # Of each block: its load, and that of its pressures cut to their bounds; then the factor on these.
-        blocks = self.window.rows.reshape(-1, 2, self.width)
-
-        def part(block: int) -> tuple[int, int]:
-            """The rows of a row of blocks."""
-            low = self.window.low + block << SHIFT
-            return max(low, start) - start, min(low + (1 << SHIFT), end) - start
-
-        def measure(_: int, first: int, last: int) -> None:
-            for block in range(first, last):
-                blocks[block] = 0
-                measure_blocks(pressure, points.lists, part(block), highest, blocks[block])
-
-        def cut(_: int, first: int, last: int) -> None:
-            for block in range(first, last):
-                cut_in_blocks(pressure, points.lists, part(block), highest, blocks[block, 0])
-
-        threads.share(measure, len(blocks), 1)
-        self.window.add()
-        own = self.window.own.reshape(-1, 2, self.width)
-        loads, bounded = np.maximum(own[:, 0], 0), own[:, 1]
+        pressure, highest, window, lists = fields[0], self.highest, self.window, points.lists
+        window.sum(lambda first, stop, sums: measure_blocks(pressure, lists, (first, stop), highest, sums))
+        loads, bounded = np.maximum(window.own[:, : self.width], 0), window.own[:, self.width :]
         sums = self.grid.reduction.sums(loads.sum(), bounded.sum())
         if sums[0] <= CANCELLED * sums[1]:
             loads, sums[0] = bounded, sums[1]
-        own[:, 0] = loads / np.where(bounded > 0, bounded, 1)
-        if math.isinf(highest):
-            own[:, 0] *= load / sums[0]
-        self.window.fetch()
-        threads.share(cut, len(blocks), 1)
+        factors = loads / np.where(bounded > 0, bounded, 1)
+        window.own[:, : self.width] = factors * (load / sums[0]) if math.isinf(highest) else factors
+        window.fetch()
+        self.grid.threads.deal(
+            lambda a, b: cut_in_blocks(pressure, lists, (window.start, a, b), highest, window.rows), len(pressure)
+        )
         if math.isfinite(highest):
             scale_to_load(self.grid, fields, load, highest, self.stiffness)
 
 
 @jit
 def measure_blocks(pressure: np.ndarray, points: Points, part: Part, highest: float, sums: np.ndarray) -> None:
-    """Adds the pressures of the points in a row of blocks to sums[0, block], and what they are when cut to 0 and
-    `highest` to sums[1, block].
+    """sums[(i − first) >> SHIFT, b] += p and sums[(i − first) >> SHIFT, width + b] += min(max(p, 0), highest) for the
+    pressures p of the points of those of rows first … stop−1 that exist, b = column >> SHIFT.
     """
     columns, offsets = points
-    for i in range(part[0], part[1]):
-        row = pressure[i]
+    first, stop = part
+    width = sums.shape[1] // 2
+    for i in range(max(first, 0), min(stop, offsets.size - 1)):
+        row, line = pressure[i], sums[(i - first) >> SHIFT]
         for k in range(offsets[i], offsets[i + 1]):
             p, block = row[u(columns[k])], columns[k] >> SHIFT
-            sums[0, block] += p
-            sums[1, block] += min(max(p, 0.0), highest)
+            line[u(block)] += p
+            line[u(width + block)] += min(max(p, 0.0), highest)
 
 
 @jit
-def cut_in_blocks(pressure: np.ndarray, points: Points, part: Part, highest: float, factors: np.ndarray) -> None:
-    """Cuts the pressures of the points in a row of blocks at 0, multiplies them by the factor of their block, and cuts
-    them at `highest`.
+def cut_in_blocks(
+    pressure: np.ndarray, points: Points, part: tuple[int, int, int], highest: float, factors: np.ndarray
+) -> None:
+    """Cuts the pressures p of the points of rows i at 0, multiplies them by factors[(start + i) >> SHIFT, column >>
+    SHIFT], and cuts them at `highest`; part: start, and the first row and the end of these rows.
     """
     columns, offsets = points
-    for i in range(part[0], part[1]):
-        row = pressure[i]
+    start, first, stop = part
+    for i in range(first, stop):
+        row, line = pressure[i], factors[(start + i) >> SHIFT]
         for k in range(offsets[i], offsets[i + 1]):
             j = u(columns[k])
-            row[j] = min(factors[columns[k] >> SHIFT] * max(row[j], 0.0), highest)
+            row[j] = min(line[u(columns[k] >> SHIFT)] * max(row[j], 0.0), highest)
 
 
 def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, stiffness: float) -> None:

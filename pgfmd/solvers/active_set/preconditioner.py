@@ -73,7 +73,7 @@ class MultilevelStiffness:
 
     def _subtract(self, blocks: Blocks, points: Unknowns, values: np.ndarray, out: np.ndarray) -> None:
         """out = values − what `Blocks` left in the window for the block of each."""
-        rows, start = blocks.window.rows, blocks.start
+        rows, start = blocks.window.rows, blocks.window.start
         self.grid.threads.deal(
             lambda a, b: subtract_blocks(values, rows, points.lists, (start, a, b), out), self.grid.local_shape[0]
         )
