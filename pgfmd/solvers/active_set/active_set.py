@@ -216,8 +216,7 @@ class Relaxation:
                 residual_limits(piece, limits, (at, STRIDES[0]), work)
                 at += len(piece[0])
             for done, stride in enumerate(STRIDES):
-                halo = sum(STRIDES[:done]), STRIDES[0]
-                average_between(work[2 + done % 2], work[:2], (stride, *halo), work[3 - done % 2])
+                average_between(work[2 + done % 2], work[:2], stride, STRIDES[0], work[3 - done % 2])
             rows[...] = work[2 + len(STRIDES) % 2, margin:-margin, STRIDES[0] : -STRIDES[0]]
 
         square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
@@ -278,20 +277,19 @@ def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[in
 
 
 @jit
-def average_between(field: np.ndarray, limits: np.ndarray, reach: tuple[int, int, int], out: np.ndarray) -> None:
+def average_between(field: np.ndarray, limits: np.ndarray, stride: int, margin: int, out: np.ndarray) -> None:
     """out = the mean of a field over the eight points one stride away, or the nearest value within limits (2, rows,
-    columns).  reach: the stride; number of rows at either side that are not read, and of columns there that repeat
-    those of the other side, which this sets.
+    columns), but for rows nearer to an edge.  margin: number of columns at either side that repeat those of the other,
+    which this sets.
     """
-    stride, unread, margin = reach
     ny = field.shape[1] - 2 * margin
-    for i in range(unread, field.shape[0] - unread):
+    for i in range(field.shape[0]):
         row = field[i]
         for j in range(margin):
             row[u(margin - 1 - j)] = row[u(margin - 1 - j + ny)]
             row[u(margin + ny + j)] = row[u(margin + j)]
-    at, edge = margin - stride, unread + stride
-    for i in range(edge, field.shape[0] - edge):
+    at = margin - stride
+    for i in range(stride, field.shape[0] - stride):
         a, b, c = field[i - stride][at:], field[i][at:], field[i + stride][at:]
         least, most, target = limits[0, i][margin:], limits[1, i][margin:], out[i][margin : margin + ny]
         for j in range(ny):
