@@ -15,7 +15,7 @@ from pgfmd.solvers.active_set import block_stiffness, preconditioner
 from pgfmd.solvers.active_set.dual import near_compliance
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
+from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.active_set.unknowns import HALO, SetVector, Unknowns
@@ -187,7 +187,11 @@ def test_mesh_is_where_it_serves():
     grid = SlabGrid(comm, (256, 256))
 
     def serves(grid, thickness=np.inf):
-        return MeshResponse.serves(grid, lambda q: 2 / q, Elasticity(1.0, thickness).compliance)
+        solid = Elasticity(1.0, thickness)
+        action = solid.apply_compliance(grid, np.float32, 1 / grid.size)
+        found = inner_response(grid, lambda q: 2 / q, solid.compliance, action)
+        found.free()
+        return isinstance(found, MeshResponse)
 
     assert serves(grid)
     assert serves(grid, 20.0)

@@ -250,7 +250,7 @@ def test_start_rows(rng):
     a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
-    nested_iteration.start_rows((p, g, coarse), h, 0.3, pressure, gap)
+    nested_iteration.start_rows((p, g, coarse), h, 0.3, (pressure, gap))
     flattened, contact = nested_iteration.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
     assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
     assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-300), 0), rtol=1e-14, atol=0)

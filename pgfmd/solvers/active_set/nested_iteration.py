@@ -17,11 +17,14 @@ from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
+
+Three = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _full_contact(problem: ContactProblem) -> State | None:
@@ -84,8 +87,7 @@ class ActiveSetIteration(NestedIteration[State]):
 
         def part(thread: int, first: int, stop: int) -> None:
             rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
-            fields = read(0), read(1), read(2)
-            start_rows(fields, problem.heights[rows], compliance, pressure[rows], gap[rows])
+            start_rows((read(0), read(1), read(2)), problem.heights[rows], compliance, (pressure[rows], gap[rows]))
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         scale_to_load(grid, (pressure, gap), problem.load, problem.law.highest, 1 / compliance)
@@ -116,18 +118,12 @@ solve_hard_wall = ActiveSetIteration.contact
 
 
 @jit
-def start_rows(
-    coarse: tuple[np.ndarray, np.ndarray, np.ndarray],
-    heights: np.ndarray,
-    compliance: float,
-    pressure: np.ndarray,
-    gap: np.ndarray,
-) -> None:
-    """Pressure and gap that start a finer grid, from those of the coarse one interpolated.  With new = h − coarse h,
-    the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact: its pressure is
-    max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere the pressure is 0.
+def start_rows(coarse: Three, heights: np.ndarray, compliance: float, fields: Fields) -> None:
+    """Fills pressure and gap that start a finer grid, from pressure, gap and heights of the coarse one interpolated.
+    With new = h − coarse h, the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact:
+    its pressure is max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere p = 0.
     """
-    coarse_pressure, coarse_gap, coarse_heights = coarse
+    (coarse_pressure, coarse_gap, coarse_heights), (pressure, gap) = coarse, fields
     for i in range(pressure.shape[0]):
         for j in range(pressure.shape[1]):
             p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]

@@ -61,16 +61,6 @@ class MeshResponse:
         self.splines: Splines = *rows, nodes, weights
         self.window = self.place.window((int(rows[0][0]), int(rows[0][-1]) + 4))
 
-    @staticmethod
-    def serves(grid: SlabGrid, half_space: Symbol, response: Symbol) -> bool:
-        """Whether the split pays and is accurate: the grid is large, its pixels are nearly square, and the solid
-        responds like a half-space to short waves.
-        """
-        if min(grid.shape) < SMALLEST or max(grid.spacing) > MOST_OBLONG * min(grid.spacing):
-            return False
-        q = np.array(0.25 * np.pi / max(grid.spacing))
-        return bool(abs(response(q) / half_space(q) - 1) < 1e-2)
-
     def apply(self, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective.
 
@@ -121,20 +111,14 @@ class MeshResponse:
 
     def _influence(self, mesh: SlabGrid, kernel: np.ndarray, response: Symbol) -> np.ndarray:
         """Factors of the mesh's modes (nky_local, nx): the response less that of the truncated near part."""
-        offsets = np.arange(-RADIUS, RADIUS + 1)
-        cos_x, cos_y = (
-            np.cos(np.outer(q, step * offsets))
-            for q, step in zip((mesh.qx[0], mesh.qy[:, 0]), self.grid.spacing, strict=True)
-        )
-        weights = [
-            _spline_response(q * step / (2 * np.pi)) for q, step in zip((mesh.qx, mesh.qy), mesh.spacing, strict=True)
-        ]
-        across, along = kernel.T @ cos_x.T, weights[0] / self.grid.size
-        influence = np.empty(mesh.spectral_shape, np.float32)
+        offsets, waves = np.arange(-RADIUS, RADIUS + 1), (mesh.qx[0], mesh.qy[:, 0])
+        cos_x, cos_y = (np.cos(np.outer(q, a * offsets)) for q, a in zip(waves, self.grid.spacing, strict=True))
+        spline_x, spline_y = (_spline_response(q * a / (2 * np.pi)) for q, a in zip(waves, mesh.spacing, strict=True))
+        across, influence = kernel.T @ cos_x.T, np.empty(mesh.spectral_shape, np.float32)
 
         def part(_: int, first: int, stop: int) -> None:
             rest = response(np.sqrt(mesh.q_squared(first, stop))) - cos_y[first:stop] @ across
-            influence[first:stop] = rest * (weights[1][first:stop] * along)
+            influence[first:stop] = rest * np.outer(spline_y[first:stop], spline_x / self.grid.size)
 
         self.grid.threads.share(part, len(influence), COLUMNS)
         return influence
@@ -182,9 +166,13 @@ class FullResponse:
 def inner_response(
     grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction
 ) -> MeshResponse | FullResponse:
-    """A `MeshResponse` if it serves, else a `FullResponse`; `action` multiplies full transforms by A.  Collective."""
-    if MeshResponse.serves(grid, half_space, response):
-        return MeshResponse(grid, half_space, response)
+    """A `MeshResponse` where that pays and is accurate: the grid is large, its pixels are nearly square, and the solid
+    responds like a half-space to short waves.  Else a `FullResponse`: `action` multiplies modes by A.  Collective.
+    """
+    if min(grid.shape) >= SMALLEST and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
+        q = np.array(0.25 * np.pi / max(grid.spacing))
+        if abs(response(q) / half_space(q) - 1) < 1e-2:
+            return MeshResponse(grid, half_space, response)
     return FullResponse(action)
 
 
