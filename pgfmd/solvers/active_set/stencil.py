@@ -6,20 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.kernels import FAST, inlined, jit, u
+from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.compiled import compiled
 from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, SetVector
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
 
-Rows = tuple[np.ndarray, int]
-"""Rows one after the other in one array, and their length: to reshape an array takes long to compile."""
-
 RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
-_APART, _FEW = 2, 8  # columns between points evaluated together; points below which that is not worth it
 
 
 def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
@@ -52,77 +47,56 @@ class Stencil:
         """The same for values whose halo is present."""
         points = values.points
         vector, (rows, ny) = (values.all, points.extended), points.grid.local_shape
-        points.grid.threads.deal(lambda a, b: correlate(vector, self.weights, ny, points.lists, (a, b), out), rows)
 
+        def part(first: int, stop: int) -> None:
+            work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), np.float32)
+            correlate(vector, self.weights, work, points.lists, (first, stop), out)
 
-@inlined
-def fill_wrapped(values: np.ndarray, points: Points, part: Part, rows: Rows) -> None:
-    """Row i of the rows, from column `RADIUS` on, is values[k] at columns[k] for the points k of row first + i, up to
-    row stop−1, and 0 elsewhere; `RADIUS` columns on either side repeat those of the other.
-    """
-    (columns, offsets), (first, stop), (flat, stride) = points, part, rows
-    ny = stride - 2 * RADIUS
-    for i in range(stop - first):
-        row = flat[i * stride : (i + 1) * stride]
-        row[:] = 0
-        for k in range(offsets[first + i], offsets[first + i + 1]):
-            row[u(RADIUS + columns[k])] = values[k]
-        for j in range(RADIUS):
-            row[j] = row[j + ny]
-        for j in range(RADIUS):
-            row[ny + RADIUS + j] = row[RADIUS + j]
-
-
-@compiled(fastmath=FAST, no_cpython_wrapper=True)
-def _thirteen(flat: np.ndarray, p: int, s: int, weights: tuple[float, ...]) -> float:
-    """The stencil around flat index p of rows s apart.  Unsigned indices spare the test for negative ones."""
-    a, b, c, d, e, f = weights
-    centre = a * flat[u(p)] + b * (flat[u(p - 1)] + flat[u(p + 1)]) + c * (flat[u(p - 2)] + flat[u(p + 2)])
-    corners = (flat[u(p - s - 1)] + flat[u(p - s + 1)]) + (flat[u(p + s - 1)] + flat[u(p + s + 1)])
-    across = d * (flat[u(p - s)] + flat[u(p + s)]) + f * (flat[u(p - 2 * s)] + flat[u(p + 2 * s)])
-    return centre + e * corners + across
-
-
-@inlined
-def apply_stencil(rows: Rows, weights: np.ndarray, points: Points, part: Part, out: np.ndarray) -> None:
-    """out[k] = Σ_st w[s, t] (row i − first + 2 + s of the rows)[columns[k] + 2 + t] for the points k of the rows first
-    ≤ i < stop.
-
-    weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are zero.  Points that lie close
-    are evaluated together with what lies between them: a loop over contiguous memory is several times faster.
-    """
-    (columns, offsets), (first, stop), (flat, stride) = points, part, rows
-    line = np.empty(stride, out.dtype)
-    six = (weights[0], weights[1], weights[2], weights[3], weights[4], weights[5])
-    for i in range(first, stop):
-        base = (i - first + 2) * stride + 2
-        k, end = offsets[i], offsets[i + 1]
-        while k < end:
-            end_of_run, start = k + 1, columns[k]
-            while end_of_run < end and columns[end_of_run] <= columns[end_of_run - 1] + _APART:
-                end_of_run += 1
-            if end_of_run - k < _FEW:
-                for m in range(k, end_of_run):
-                    out[m] = _thirteen(flat, base + columns[m], stride, six)
-            else:
-                for m in range(columns[end_of_run - 1] - start + 1):
-                    line[m] = _thirteen(flat, base + start + m, stride, six)
-                for m in range(k, end_of_run):
-                    out[m] = line[u(columns[m] - start)]
-            k = end_of_run
+        points.grid.threads.deal(part, rows)
 
 
 @jit
 def correlate(
-    vector: tuple[np.ndarray, Points], weights: np.ndarray, ny: int, targets: Points, part: Part, out: np.ndarray
+    vector: tuple[np.ndarray, Points],
+    weights: np.ndarray,
+    rows: np.ndarray,
+    targets: Points,
+    part: Part,
+    out: np.ndarray,
 ) -> None:
-    """`apply_stencil` to a vector (values, points) on one set, whose rows of ny points are listed from two before the
-    first on, for the points of another in rows first … stop−1; `ROWS` rows at a time.
+    """out[k] = Σ_st w[s, t] field[i + s, columns[k] + t] at the points k of the rows first ≤ i < stop of one set.  The
+    field is a vector (values, points) on another set, 0 elsewhere, and periodic along the rows; its points are listed
+    from two rows before the first on.
+
+    weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are 0.  rows: room for some rows of
+    the field, and for two columns on either side.  Points next to each other are evaluated by a vectorised loop.
     """
-    values, points = vector
-    stride = ny + 2 * RADIUS
-    rows = np.empty((ROWS + 2 * RADIUS) * stride, values.dtype), stride
-    for low in range(part[0], part[1], ROWS):
-        high = min(low + ROWS, part[1])
-        fill_wrapped(values, points, (low, high + 2 * RADIUS), rows)
-        apply_stencil(rows, weights, targets, (low, high), out)
+    values, (sources, begins) = vector
+    columns, offsets = targets
+    a, b, c, d, e, f = weights[0], weights[1], weights[2], weights[3], weights[4], weights[5]
+    ny, batch = rows.shape[1] - 4, rows.shape[0] - 4
+    for low in range(part[0], part[1], batch):
+        count = min(batch, part[1] - low)
+        for i in range(count + 4):
+            row = rows[i]
+            row[:] = 0
+            for k in range(begins[low + i], begins[low + i + 1]):
+                row[u(sources[k] + 2)] = values[k]
+            row[1] = row[ny + 1]
+            row[0] = row[ny]
+            row[ny + 2] = row[2]
+            row[ny + 3] = row[3]
+        for i in range(count):
+            p, q, r, s, t = rows[i], rows[i + 1], rows[i + 2], rows[i + 3], rows[i + 4]
+            k, end = offsets[low + i], offsets[low + i + 1]
+            while k < end:
+                stop, shift = k + 1, columns[k] - k
+                while stop < end and columns[stop] == shift + stop:
+                    stop += 1
+                for m in range(k, stop):
+                    j = shift + m
+                    centre = a * r[u(j + 2)] + b * (r[u(j + 1)] + r[u(j + 3)]) + c * (r[u(j)] + r[u(j + 4)])
+                    corners = (q[u(j + 1)] + q[u(j + 3)]) + (s[u(j + 1)] + s[u(j + 3)])
+                    across = d * (q[u(j + 2)] + s[u(j + 2)]) + f * (p[u(j + 2)] + t[u(j + 2)])
+                    out[u(m)] = centre + e * corners + across
+                k = stop
