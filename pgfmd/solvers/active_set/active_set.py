@@ -206,18 +206,22 @@ class Relaxation:
         margin, own = sum(STRIDES), (state.pressure, state.gap)
         p, g = self.grid.neighbours(own, margin)
         pieces = ((p[:margin], g[:margin]), 0), (own, margin), ((p[margin:], g[margin:]), margin + len(own[0]))
-        limits = state.level, self.highest
+        limits, wide, ny = (state.level, self.highest), STRIDES[0], self.grid.shape[1]
+        edges = np.r_[:wide, wide + ny : 2 * wide + ny]
+        within = wide + (edges - wide) % ny
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            work, at = np.empty((4, len(rows) + 2 * margin, rows.shape[1] + 2 * STRIDES[0]), np.float32), 0
+            work, at = np.empty((4, len(rows) + 2 * margin, ny + 2 * wide), np.float32), 0
             for fields, begin in pieces:
                 part = slice(max(first - begin, 0), max(stop + 2 * margin - begin, 0))
                 piece = fields[0][part], fields[1][part]
-                residual_limits(piece, limits, (at, STRIDES[0]), work)
+                residual_limits(piece, limits, (at, wide), work)
                 at += len(piece[0])
             for done, stride in enumerate(STRIDES):
-                average_between(work[2 + done % 2], work[:2], stride, STRIDES[0], work[3 - done % 2])
-            rows[...] = work[2 + len(STRIDES) % 2, margin:-margin, STRIDES[0] : -STRIDES[0]]
+                field, means = work[2 + done % 2], work[3 - done % 2]
+                field[:, edges] = field[:, within]
+                average_between(field, work[:2], stride, wide, means)
+            rows[...] = means[margin:-margin, wide:-wide]
 
         square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
@@ -264,36 +268,27 @@ def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[in
     """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into
     out[0 … 2], from a row and a column on; limits: level and highest pressure; place: that row and column.
     """
-    pressure, gap = fields
-    (level, highest), (at, margin) = limits, place
+    (pressure, gap), (level, highest), (at, margin) = fields, limits, place
     for i in range(gap.shape[0]):
-        p, g, least, most, first = pressure[i], gap[i], out[0, at + i], out[1, at + i], out[2, at + i]
-        for j in range(p.size):
-            rest, above, below = np.float32(g[j] - level), p[j] > 0, p[j] < highest
+        for j in range(gap.shape[1]):
+            rest, above, below = np.float32(gap[i, j] - level), pressure[i, j] > 0, pressure[i, j] < highest
             k = u(j + margin)
-            least[k] = rest if above else -HUGE
-            most[k] = rest if below else HUGE
-            first[k] = rest if above and below else np.float32(0)
+            out[0, at + i, k] = rest if above else -HUGE
+            out[1, at + i, k] = rest if below else HUGE
+            out[2, at + i, k] = rest if above and below else np.float32(0)
 
 
 @jit
 def average_between(field: np.ndarray, limits: np.ndarray, stride: int, margin: int, out: np.ndarray) -> None:
     """out = the mean of a field over the eight points one stride away, or the nearest value within limits (2, rows,
-    columns), but for rows nearer to an edge.  margin: number of columns at either side that repeat those of the other,
-    which this sets.
+    columns), but for rows and columns at the edge: one stride of rows, and the margin of columns.
     """
-    ny = field.shape[1] - 2 * margin
-    for i in range(field.shape[0]):
-        row = field[i]
-        for j in range(margin):
-            row[u(margin - 1 - j)] = row[u(margin - 1 - j + ny)]
-            row[u(margin + ny + j)] = row[u(margin + j)]
-    at = margin - stride
     for i in range(stride, field.shape[0] - stride):
-        a, b, c = field[i - stride][at:], field[i][at:], field[i + stride][at:]
-        least, most, target = limits[0, i][margin:], limits[1, i][margin:], out[i][margin : margin + ny]
-        for j in range(ny):
-            left, here, right = u(j), u(j + stride), u(j + 2 * stride)
+        a, b, c = field[i - stride], field[i], field[i + stride]
+        least, most, target = limits[0, i], limits[1, i], out[i]
+        for j in range(margin, field.shape[1] - margin):
+            left, here, right = u(j - stride), u(j), u(j + stride)
             sides = (a[left] + b[left] + c[left]) + (a[right] + b[right] + c[right])
             mean = (sides + (a[here] + c[here])) * np.float32(0.125)
-            target[left] = min(max(mean, least[left]), most[left])
+            mean = mean if mean > least[here] else least[here]
+            target[here] = mean if mean < most[here] else most[here]
