@@ -54,25 +54,17 @@ def test_strips_in_tiles(rng):
 
 
 @pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
-def test_divide_by_q(dtype, close, rng):
-    """block · factor/|q|, zero for the mean mode; to rounding of a square root and two products."""
+def test_scale_by_q(dtype, close, rng):
+    """block · factor |q|, and block · factor/|q|, zero for the mean mode; to rounding of a square root and two
+    products."""
     qx, qy = rng.random(8).astype(dtype), rng.random(3).astype(dtype)
     qx[0] = qy[0] = 0
-    block = rng.random((3, 8)).astype(dtype) + 1j * rng.random((3, 8)).astype(dtype)
     q = np.hypot(qx[None, :], qy[:, None])
-    expected = block * np.divide(2.5, q, out=np.zeros_like(q), where=q > 0)
-    kernels.divide_by_q(block.view(dtype).reshape(3, 8, 2), qx**2, qy**2, dtype(2.5))
-    assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
-
-
-@pytest.mark.parametrize(("dtype", "close"), [(np.float64, 1e-15), (np.float32, 1e-6)])
-def test_multiply_by_q(dtype, close, rng):
-    """block · factor |q|, to rounding of a square root and two products."""
-    qx, qy = rng.random(8).astype(dtype), rng.random(3).astype(dtype)
-    block = rng.random((3, 8)).astype(dtype) + 1j * rng.random((3, 8)).astype(dtype)
-    expected = block * (2.5 * np.hypot(qx[None, :], qy[:, None]))
-    kernels.multiply_by_q(block.view(dtype).reshape(3, 8, 2), qx**2, qy**2, dtype(2.5))
-    assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
+    for divide, scale in ((False, 2.5 * q), (True, np.divide(2.5, q, out=np.zeros_like(q), where=q > 0))):
+        block = rng.random((3, 8)).astype(dtype) + 1j * rng.random((3, 8)).astype(dtype)
+        expected = block * scale
+        kernels.scale_by_q(block.view(dtype).reshape(3, 8, 2), qx**2, qy**2, dtype(2.5), divide)
+        assert np.abs(block - expected).max() < 4 * close * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("density", [0.05, 0.4, 0.95])

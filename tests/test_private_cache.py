@@ -204,7 +204,7 @@ from numba.core import event
 import numpy as np
 import pgfmd
 from pgfmd.grid import kernels
-from pgfmd.solvers.active_set.stencil import correlate
+from pgfmd.observables.statistics.kernels import histogram
 
 class Count(event.Listener):
     names = []
@@ -223,13 +223,12 @@ for back in (False, True):
     kernels.tiles_and_columns(tiles, 4, 0, 4, block, back)
 kernels.rows_and_tiles(half, 0, tiles.reshape(-1), table, 5, True)
 assert (half == np.arange(32.0).reshape(4, 8)).all()
-points = np.zeros(0, np.int32), np.zeros(6, int)
-correlate((np.zeros(0), points), np.ones(6), 8, points, (0, 1), np.zeros(0))
+histogram(half, np.arange(3.0), 0, 4, np.zeros(2, int))
 print(*Count.names)
 """
 
 
-LOOPS = ("rows_and_tiles", "tiles_and_columns", "correlate", "_thirteen")
+LOOPS = ("rows_and_tiles", "tiles_and_columns", "histogram", "find_bin")
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -26,71 +26,51 @@ def rows_and_tiles(half: np.ndarray, at: int, flat: np.ndarray, table: np.ndarra
     (first, stop, offset, w) of the table: rows to tiles of w columns, one table row per target.  back: the inverse.
     """
     for target in range(table.shape[0]):
-        first, stop, offset, width = table[target]
-        for start in range(first, stop, width):
-            count = min(width, stop - start)
+        stop, offset, width = table[target, 1], table[target, 2], table[target, 3]
+        for start in range(table[target, 0], stop, width):
             for i in range(half.shape[0]):
-                row, place = half[i], offset + (at + i) * width
-                if back:
-                    for j in range(count):
-                        row[u(start + j)] = flat[u(place + j)]
-                else:
-                    for j in range(count):
-                        flat[u(place + j)] = row[u(start + j)]
+                place = offset + (at + i) * width
+                for j in range(min(width, stop - start)):
+                    if back:
+                        half[i, u(start + j)] = flat[u(place + j)]
+                    else:
+                        flat[u(place + j)] = half[i, u(start + j)]
             offset += height * width
 
 
 @jit
 def tiles_and_columns(tiles: np.ndarray, nx: int, first: int, count: int, block: np.ndarray, back: bool) -> None:
     """block[c, i] = tiles[(first + c) // w, i, (first + c) % w] for c < count and i < nx, where w = tiles.shape[2].
-    back: the inverse.  16 rows at a time, so that both arrays stay in cache.
+    back: the inverse.  32 rows at a time, so that both arrays stay in cache.
     """
-    size, done = tiles.shape[2], 0
-    while done < count:
-        tile, at = tiles[(first + done) // size], (first + done) % size
-        width = min(size - at, count - done)
-        columns = block[done : done + width]
-        for low in range(0, nx, 16):
-            high = min(low + 16, nx)
-            if back:
-                for i in range(low, high):
-                    for j in range(width):
-                        tile[i, at + j] = columns[j, i]
-            else:
-                for j in range(width):
-                    for i in range(low, high):
-                        columns[j, i] = tile[i, at + j]
-        done += width
+    size = tiles.shape[2]
+    for low in range(0, nx, 32):
+        for c in range(count):
+            tile, at = u((first + c) // size), u((first + c) % size)
+            for i in range(low, min(low + 32, nx)):
+                if back:
+                    tiles[tile, u(i), at] = block[u(c), u(i)]
+                else:
+                    block[u(c), u(i)] = tiles[tile, u(i), at]
 
 
 @jit
-def divide_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float) -> None:
-    """block[j, i] *= factor / sqrt(qx²[i] + qy²[j]), and 0 at q = 0; the last axis of `block` holds (real,
-    imaginary).
+def scale_by_q(
+    block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float, divide: bool
+) -> None:
+    """block[j, i] *= factor · √(qx²[i] + qy²[j]), or if `divide` factor / √(qx²[i] + qy²[j]) and 0 at q = 0; the last
+    axis of `block` holds (real, imaginary).
     """
     scale = np.empty_like(qx_squared)
     for j in range(qy_squared.size):
         for i in range(scale.size):  # a loop of its own, so that it is vectorised
-            scale[i] = factor / math.sqrt(qx_squared[i] + qy_squared[j])
-        if qx_squared[0] + qy_squared[j] == 0:
+            q = math.sqrt(qx_squared[i] + qy_squared[j])
+            scale[i] = factor / q if divide else factor * q
+        if divide and qx_squared[0] + qy_squared[j] == 0:
             scale[0] = 0
-        row = block[j]
         for i in range(scale.size):
-            row[i, 0] *= scale[i]
-            row[i, 1] *= scale[i]
-
-
-@jit
-def multiply_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float) -> None:
-    """block[j, i] *= factor · sqrt(qx²[i] + qy²[j]); the last axis of `block` holds (real, imaginary)."""
-    scale = np.empty_like(qx_squared)
-    for j in range(qy_squared.size):
-        for i in range(scale.size):
-            scale[i] = factor * math.sqrt(qx_squared[i] + qy_squared[j])
-        row = block[j]
-        for i in range(scale.size):
-            row[i, 0] *= scale[i]
-            row[i, 1] *= scale[i]
+            block[j, i, 0] *= scale[i]
+            block[j, i, 1] *= scale[i]
 
 
 @jit

@@ -114,18 +114,18 @@ class Elasticity:
         """Column action p̃ ← factor · compliance(q) · p̃ in the given precision."""
         if math.isinf(self.thickness):
             scale = 2 * factor / self.contact_modulus * min(grid.spacing)
-            return _act_by_q(grid, dtype, kernels.divide_by_q, scale)
+            return _scale_by_q(grid, dtype, scale, divide=True)
         return multiply(grid, dtype, lambda q: factor * self.compliance(q))
 
     def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
         if math.isinf(self.thickness):
             scale = factor * self.contact_modulus / 2 / min(grid.spacing)
-            return _act_by_q(grid, dtype, kernels.multiply_by_q, scale)
+            return _scale_by_q(grid, dtype, scale, divide=False)
         return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
 
 
-def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) -> ColumnAction:
+def _scale_by_q(grid: SlabGrid, dtype: DTypeLike, scale: float, divide: bool) -> ColumnAction:
     """Column action by a kernel that takes squares of wave numbers.  They are multiplied by the square of the smaller
     spacing, so that they fit into single precision whatever the unit of length is.
     """
@@ -134,7 +134,8 @@ def _act_by_q(grid: SlabGrid, dtype: DTypeLike, kernel: Callable, scale: float) 
     factor = np.asarray(scale, real)[()]
 
     def act(block: np.ndarray, first: int, stop: int) -> None:
-        kernel(block.view(real).reshape(*block.shape, 2), qx_squared, qy_squared[first:stop], factor)
+        parts = block.view(real).reshape(*block.shape, 2)
+        kernels.scale_by_q(parts, qx_squared, qy_squared[first:stop], factor, divide)
 
     return act
 
