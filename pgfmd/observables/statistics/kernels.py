@@ -11,7 +11,8 @@ import numpy as np
 
 from pgfmd.parallel.compiled import compiled
 
-_jit = compiled(fastmath={"contract", "nsz"})
+FAST = {"contract", "nsz"}
+_jit = compiled(fastmath=FAST)
 
 
 @_jit
@@ -68,24 +69,25 @@ def survey(field: np.ndarray, first: int, stop: int) -> tuple[int, float, float,
         sum_of_row = 0.0
         for j in range(field.shape[1]):
             value = field[i, j]
-            least, largest = min(least, value), max(largest, value)
             sum_of_row += value
+            least = value if value < least else least
+            largest = value if value > largest else largest
             if value > 0:
                 positive += 1
-                least_positive = min(least_positive, value)
+                least_positive = value if value < least_positive else least_positive
         total += sum_of_row
     return positive, total, least_positive, least, largest
 
 
-@_jit
-def find_bin(value: float, at: float, edges: np.ndarray, origin: float, scale: float) -> int:
+@compiled(fastmath=FAST, no_cpython_wrapper=True)
+def find_bin(value: float, at: float, edges: np.ndarray, origin: float, scale: float) -> int | np.int64:
     """The bin that holds a value: its lower edge belongs to it, and the last bin holds both of its edges.
 
     at: the value, or its logarithm if that is what the edges are evenly spaced in; `origin` is the first edge there and
     `scale` the number of bins per unit.  (at − origin)·scale is the first guess.
     """
-    last = edges.size - 2
-    b = min(max(int((at - origin) * scale), 0), last)
+    guess, last = (at - origin) * scale, edges.size - 2
+    b = 0 if guess < 0 else np.int64(guess) if guess < last else last
     while b > 0 and value < edges[b]:  # rounding of the guess
         b -= 1
     while b < last and value >= edges[b + 1]:

@@ -115,6 +115,6 @@ def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float
             wrong = abs(away) if closed else -away
             if wrong > largest:
                 largest = wrong
-            gap[i, j] = 0.0 if closed else height * max(away, 0.0)
+            gap[i, j] = 0.0 if closed or away < 0 else height * away
             pressure[i, j] *= unit
     return largest

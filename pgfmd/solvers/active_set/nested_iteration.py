@@ -130,4 +130,5 @@ def start_rows(coarse: Three, heights: np.ndarray, compliance: float, fields: Fi
             g = coarse_gap[i, j] - new
             closed = compliance * p > g
             gap[i, j] = g + ROUGHER * new if closed else g
-            pressure[i, j] = max(p + ROUGHER / compliance * new, 1e-300) if closed else 0.0
+            p += ROUGHER / compliance * new
+            pressure[i, j] = (p if p > 1e-300 else 1e-300) if closed else 0.0
