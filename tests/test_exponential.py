@@ -12,6 +12,7 @@ from reference import Contact, Solid
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.laws.elementary import exponential, logarithm
 from pgfmd.physics.laws.exponential import ExponentialWall, wright_omega
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -210,6 +211,17 @@ def test_contact_tends_to_that_of_the_hard_wall(rough):
     area, *areas = (grid.reduction.sum(found.pressure_in_contact() > 0) / grid.size for found in solutions)
     assert areas == sorted(areas)
     assert abs(areas[0] / area - 1) <= 0.01
+
+
+def test_logarithm_and_exponential_are_right_to_rounding():
+    """A unit of rounding, or the two units that a result next to a power of two has, from the libraries of C."""
+    x = np.concatenate([np.geomspace(3e-308, 1e308, 20011), 1 + np.linspace(-0.5, 1, 20011)])
+    found, right = np.array([logarithm(value) for value in x]), np.log(x)
+    assert np.max(np.abs(found - right) / np.spacing(np.abs(right))) <= 1
+    x = -np.concatenate([np.linspace(0, 708, 20011), np.geomspace(1e-20, 1, 2001)])
+    found, right = np.array([exponential(value) for value in x]), np.exp(x)
+    assert np.max(np.abs(found - right) / np.spacing(right)) <= 2
+    assert exponential(-708.5) == exponential(-np.inf) == 0
 
 
 def test_omega_solves_its_equation():

@@ -1,0 +1,62 @@
+"""Logarithm and exponential without branches and calls: loops over them are vectorised, four times as fast."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgfmd.parallel.compiled import compiled
+
+LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, the first of 32 bits
+ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
+LEAST = -708.0  # below, the exponential is not a normal number
+
+_inlined = compiled(inline="always")
+
+
+@_inlined
+def logarithm(x: float) -> float:
+    """ln x of a normal number x > 0, to .6 units of rounding.
+
+    With x = 2ᵏ (1 + f), √½ ≤ 1 + f < √2, and s = f/(2 + f), the series of ln((1 + s)/(1 − s)) in s; summed as in FDLIBM
+    (Sun Microsystems 1993, e_log.c), so that f is not rounded.
+    """
+    bits = np.float64(x).view(np.int64)
+    k = (bits - ROOT_HALF) >> 52
+    f = np.int64(bits - (k << 52)).view(np.float64) - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    series = 2 / 21 * z + 2 / 19
+    series = series * z + 2 / 17
+    series = series * z + 2 / 15
+    series = series * z + 2 / 13
+    series = series * z + 2 / 11
+    series = series * z + 2 / 9
+    series = series * z + 2 / 7
+    series = series * z + 2 / 5
+    series = (series * z + 2 / 3) * z
+    half = 0.5 * f * f
+    return k * LN2_HIGH - ((half - (s * (half + series) + k * LN2_LOW)) - f)
+
+
+@_inlined
+def exponential(x: float) -> float:
+    """exp x of a number x ≤ 0, to a unit of rounding; 0 below `LEAST`.
+
+    With x = k ln 2 + r, |r| ≤ ln 2/2: the Taylor series in r, times 2ᵏ.
+    """
+    within = max(x, LEAST)
+    k = np.floor(within * (1 / (LN2_HIGH + LN2_LOW)) + 0.5)
+    r = (within - k * LN2_HIGH) - k * LN2_LOW
+    series = r / 6227020800 + 1 / 479001600  # 1/13!, 1/12!
+    series = series * r + 1 / 39916800
+    series = series * r + 1 / 3628800
+    series = series * r + 1 / 362880
+    series = series * r + 1 / 40320
+    series = series * r + 1 / 5040
+    series = series * r + 1 / 720
+    series = series * r + 1 / 120
+    series = series * r + 1 / 24
+    series = series * r + 1 / 6
+    series = series * r + 1 / 2
+    power = np.int64((np.int64(k) + 1023) << 52).view(np.float64)
+    return (1 + (r + r * r * series)) * power if x >= LEAST else 0.0
