@@ -20,7 +20,7 @@ from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
-from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns, add_points
+from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
@@ -29,23 +29,16 @@ LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is
 class GapSteps(Relaxation):
     """Relaxation that costs least where most points are in contact.
 
-    Attributes: mean, of h + g; lacking, −p on the open set, before it was settled; scale, of the settled pressure to
-    the load.
+    Attributes: mean, of h + g; scale, of the settled pressure to the load.
     """
 
-    mean: float
-    scale: float
-    lacking: SetVector
+    mean, scale = 0.0, 1.0
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_stiffness, solid.stiffness, self.stiffness[np.float32])
         self.preconditioner = near_compliance(grid, solid.half_space_compliance)
-
-    def free(self) -> None:
-        """Frees the transforms of the mesh.  Collective."""
-        self.inner.free()
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """The pressure of the gap, settled; the system makes it vanish where there is a gap or tension.  Collective."""
@@ -56,7 +49,7 @@ class GapSteps(Relaxation):
             self.clip_gap(state)
         self.compute_pressure(state, precision)
         points, sums = Unknowns(self.grid, (state.gap, state.pressure)), []
-        self.lacking = points.below(0.0, state.pressure)
+        residual = points.below(0.0, state.pressure)
 
         def settle(_: int, first: int, stop: int) -> None:
             rows = state.pressure[first:stop]
@@ -74,7 +67,7 @@ class GapSteps(Relaxation):
         state.energy = (self.scale * work - self.mean * self.load) / 2
         state.contact = state.between = int(count)
         state.level = 0.0
-        return ConjugateGradients(self.lacking, self.inner.apply, self.preconditioner.apply, False)
+        return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, False)
 
     def clip_gap(self, state: State) -> None:
         """Clips the gap Gp − h (`State.clipped`)."""
@@ -102,12 +95,12 @@ class GapSteps(Relaxation):
         total, self.squares[1] = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
         self.mean = float(total) / self.grid.size
 
-    def certify(self, state: State, precision: Precision) -> float:
+    def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
         """Makes the gap Gp − h of the settled pressure, and certifies them as `Relaxation` does.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(state.pressure[first:stop], 1 - 1 / self.scale, out=rows, casting="same_kind")
-            add_points(self.lacking.own, self.lacking.points.lists, first, rows)
+            add_points(system.residual.own, system.points.lists, first, rows)  # −p where it was set to 0
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             state.gap[first:stop] += rows
@@ -116,7 +109,7 @@ class GapSteps(Relaxation):
         self.grid.convolve(fill, self.compliance[np.float32], drain, np.float32)
         self.measure(state)
         state.clipped = False
-        return super().certify(state, precision)
+        return super().certify(state, system, precision)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Reduce the pressure on the open set by the factor `wanted`, and make the gap feasible.  Collective."""

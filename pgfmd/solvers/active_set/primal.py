@@ -35,8 +35,8 @@ class PressureSteps(Relaxation):
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
     def free(self) -> None:
-        """Frees the transforms of the mesh and of the blocks.  Collective."""
-        self.inner.free()
+        """Frees the transforms of the inner solver.  Collective."""
+        super().free()
         self.preconditioner.free()
 
     def _begin(self, state: State) -> None:
