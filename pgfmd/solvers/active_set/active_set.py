@@ -129,8 +129,6 @@ class Relaxation:
             single_serves = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK
             if precision is np.float32 and not single_serves:
                 precision = np.float64
-                if estimate <= tolerance:
-                    continue  # certify in double precision before another step
             # The longer the error has not been halved, the more exactly the system is solved.
             wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (patience.lost / STEPS)
             before = estimate
