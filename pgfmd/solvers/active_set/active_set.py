@@ -129,8 +129,7 @@ class Relaxation:
             single_serves = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK
             if precision is np.float32 and not single_serves:
                 precision = np.float64
-            # The longer the error has not been halved, the more exactly the system is solved.
-            wanted = self.next_cut(estimate, before, tolerance) * LEAST_CUT ** (patience.lost / STEPS)
+            wanted = self.next_cut(estimate, before, tolerance)
             before = estimate
             self.improve(state, system, wanted, MARGIN * tolerance / max(estimate, tolerance))
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
