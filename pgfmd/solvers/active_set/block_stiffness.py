@@ -85,8 +85,7 @@ class Blocks:
         self._gather = RowPlan(layout, [(answering.rows.start, answering.rows.stop)])
         self._scatter = RowPlan(answering, [(layout.rows.start, layout.rows.stop)])
         # together: who sums over a block answers for it, too, everywhere
-        self.together = np.array_equal(layout.starts, answering.starts)
-        self.together &= len(np.flatnonzero(np.diff(layout.starts))) == grid.comm.size
+        self.together = np.array_equal(layout.starts, answering.starts) and np.diff(layout.starts).all()
         self.residuals, self.counts, self.shares, self.weights = np.empty((4, *self.place.local_shape), np.float32)
         self.coarser: Blocks | None = None
         if (blocks := self.place.grid) is not None:
@@ -167,10 +166,9 @@ class Blocks:
         blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
         if coarser is not None:
             coarser.join(_sums_of(loads))
-            smooth, start = coarser.window.rows, coarser.window.start
+            smooth, start, counts = coarser.window.rows, coarser.window.start, self.counts
             blocks.threads.deal(
-                lambda a, b: kernels.subtract_blocks(smooth, self.counts[a:b], start + a, FACTOR, loads[a:b]),
-                len(loads),
+                lambda a, b: kernels.subtract_blocks(smooth, counts[a:b], start + a, FACTOR, loads[a:b]), len(loads)
             )
 
 

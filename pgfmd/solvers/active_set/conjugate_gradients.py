@@ -25,13 +25,10 @@ class ConjugateGradients:
     """S A Sᵀ x = residual for an operator A; S restricts to a set.  If `neutral`, Σ x = 0, and the equation holds up to
     a constant.
 
-    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M; rms,
-    of the first residual.
+    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M; rms, of the first.
     """
 
-    def __init__(
-        self, residual: SetVector, operator: Operator, preconditioner: Operator, neutral: bool = True
-    ) -> None:
+    def __init__(self, residual: SetVector, operator: Operator, preconditioner: Operator, neutral: bool = True) -> None:
         """`residual` is overwritten.  Collective."""
         self.points, self.residual = residual.points, residual
         self.operator, self.preconditioner = operator, preconditioner

@@ -89,8 +89,7 @@ def cut_in_blocks(
 
 
 def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, stiffness: float) -> None:
-    """Multiplies the pressures below `highest`, all ≥ 0, and limits them to that, so that they sum to `load`.
-    Collective.
+    """Multiplies pressures ≥ 0 that are below `highest`, and limits them to that, to a sum of `load`.  Collective.
 
     If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and
     `highest`, with the level that makes the sum `load` up to the level's rounding, a projected gradient step; then
@@ -122,9 +121,7 @@ def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, s
         excess((found, 0.0, 0.0), keep=True)
 
 
-def _root(
-    excess: Callable[[float], tuple[float, float]], bracket: tuple[float, float, float], close: float
-) -> float:
+def _root(excess: Callable[[float], tuple[float, float]], bracket: tuple[float, float, float], close: float) -> float:
     """The root of `excess`, an increasing function (value, derivative), by Newton's method in a bracket (low, first
     guess, high): one more step after |value| ≤ `close`.  inf if there is no root.
     """

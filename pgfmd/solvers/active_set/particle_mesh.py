@@ -76,11 +76,10 @@ class MeshResponse:
         if self.place.grid is not None:
             self._respond(self.place.grid, values, pieces)
         window.fetch()
-
-        def add(first: int, stop: int) -> None:
-            add_interpolated(window.rows, window.low, values.points.lists, (first, stop), self.splines, out)
-
-        self.grid.threads.deal(add, self.grid.local_shape[0])
+        lists, splines, count = values.points.lists, self.splines, self.grid.local_shape[0]
+        self.grid.threads.deal(
+            lambda a, b: add_interpolated(window.rows, window.low, lists, (a, b), splines, out), count
+        )
         self.grid.transforms += 0.5 * self.place.size / self.grid.size
 
     def _respond(self, mesh: SlabGrid, values: SetVector, pieces: list[Piece]) -> None:

@@ -32,8 +32,8 @@ class Unknowns:
     These are points whose pressure lies between its bounds 0 and `highest`, or at a bound from which the gap drives it
     (below `level` at 0, above it at `highest`).  For gaps as unknowns, the pressure and the gap change places.
 
-    Attributes: count, the number of them; lists and extended, `Points` without and with a halo of
-    `HALO` rows; own, where those of `lists` are in `extended`.
+    Attributes: count, the number of them; lists and extended, `Points` without and with a halo of `HALO` rows; own,
+    where those of `lists` are in `extended`.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
@@ -56,12 +56,8 @@ class Unknowns:
 
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
-        out = SetVector(self)
-
-        def take(first: int, stop: int) -> None:
-            take_points(field[first:stop], self.lists, first, (level, -1.0), out.own)
-
-        self.grid.threads.deal(take, len(field))
+        out, line = SetVector(self), (level, -1.0)
+        self.grid.threads.deal(lambda a, b: take_points(field[a:b], self.lists, a, line, out.own), len(field))
         return out
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
