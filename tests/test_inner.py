@@ -10,6 +10,7 @@ from pgfmd.parallel import layout
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness, preconditioner
 from pgfmd.solvers.active_set.dual import near_compliance
@@ -253,7 +254,8 @@ def test_tensions_are_cut_where_they_are(shape):
     old = np.where(mask, np.random.default_rng(4).standard_normal(shape) + 0.8, 0)
     pressure = old[grid.rows].copy()
     load = 1.1 * old.sum()
-    Feasible(grid, np.inf, 1.0).make(points, (pressure, np.zeros_like(pressure)), load)
+    problem = ContactProblem(grid, np.zeros_like(pressure), Elasticity(1.0), HardWall(), load / grid.size)
+    Feasible(problem).make(points, (pressure, np.zeros_like(pressure)))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12, abs=0)
     before, after = (
@@ -270,7 +272,8 @@ def test_pressures_between_two_bounds_carry_the_load(load):
     points, mask, _ = random_set(grid, 0.4)
     old = np.where(mask, np.random.default_rng(4).standard_normal(grid.shape) + 0.8, 0)
     pressure, gap = old[grid.rows].copy(), np.random.default_rng(5).standard_normal(grid.shape)[grid.rows].copy()
-    Feasible(grid, 1.0, 2.0).make(points, (pressure, gap), load * grid.size)
+    problem = ContactProblem(grid, np.zeros_like(pressure), Elasticity(2.0), Hardness(hardness=1.0), load)
+    Feasible(problem).make(points, (pressure, gap))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() >= 0 and new.max() <= 1 + 1e-14
     assert new.sum() == pytest.approx(load * grid.size, rel=1e-12, abs=0)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.grid.kernels import jit, u
-from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.block_stiffness import BlockWindow
 from pgfmd.solvers.active_set.unknowns import Fields, Part, Points, Unknowns
 
@@ -26,34 +26,33 @@ Change = tuple[float, float, float]
 
 
 class Feasible:
-    """Makes pressures on one grid feasible.  Collective to make."""
+    """Makes pressures of a problem feasible.  Collective to make."""
 
-    def __init__(self, grid: SlabGrid, highest: float, stiffness: float) -> None:
-        """highest: the largest pressure; stiffness: of a pixel, about."""
-        self.grid, self.highest, self.stiffness = grid, highest, stiffness
-        self.width = (grid.shape[1] - 1 >> SHIFT) + 1
-        self.window = BlockWindow(grid, 1 << SHIFT, 2 * self.width, np.float64)
+    def __init__(self, problem: ContactProblem) -> None:
+        self.problem, self.width = problem, (problem.grid.shape[1] - 1 >> SHIFT) + 1
+        self.window = BlockWindow(problem.grid, 1 << SHIFT, 2 * self.width, np.float64)
 
-    def make(self, points: Unknowns, fields: Fields, load: float) -> None:
-        """Brings the pressure on the set between its bounds, and its sum over all points to `load`.  Collective.
+    def make(self, points: Unknowns, fields: Fields) -> None:
+        """Brings the pressure on the set between its bounds, and its sum over all points to the load.  Collective.
 
-        The sum over each block of pixels is kept if possible, up to a common change that brings the total to `load`
+        The sum over each block of pixels is kept if possible, up to a common change that brings the total to the load
         (`scale_to_load`).
         """
-        pressure, highest, window, lists = fields[0], self.highest, self.window, points.lists
+        grid, load, highest = self.problem.grid, self.problem.load, self.problem.law.highest
+        pressure, window, lists = fields[0], self.window, points.lists
         window.sum(lambda first, stop, sums: measure_blocks(pressure, lists, (first, stop), highest, sums))
         loads, bounded = np.maximum(window.own[:, : self.width], 0), window.own[:, self.width :]
-        sums = self.grid.reduction.sums(loads.sum(), bounded.sum())
+        sums = grid.reduction.sums(loads.sum(), bounded.sum())
         if sums[0] <= CANCELLED * sums[1]:
             loads, sums[0] = bounded, sums[1]
         factors = loads / np.where(bounded > 0, bounded, 1)
         window.own[:, : self.width] = factors * (load / sums[0]) if math.isinf(highest) else factors
         window.fetch()
-        self.grid.threads.deal(
+        grid.threads.deal(
             lambda a, b: cut_in_blocks(pressure, lists, (window.start, a, b), highest, window.rows), len(pressure)
         )
         if math.isfinite(highest):
-            scale_to_load(self.grid, fields, load, highest, self.stiffness)
+            scale_to_load(self.problem, fields)
 
 
 @jit
@@ -88,15 +87,16 @@ def cut_in_blocks(
             row[j] = min(line[u(columns[k] >> SHIFT)] * max(row[j], 0.0), highest)
 
 
-def scale_to_load(grid: SlabGrid, fields: Fields, load: float, highest: float, stiffness: float) -> None:
-    """Multiplies pressures ≥ 0 that are below `highest`, and limits them to that, to a sum of `load`.  Collective.
+def scale_to_load(problem: ContactProblem, fields: Fields) -> None:
+    """Multiplies pressures ≥ 0 that are below σ_Y, and limits them to that, to a sum of the load.  Collective.
 
-    If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and
-    `highest`, with the level that makes the sum `load` up to the level's rounding, a projected gradient step; then
-    they are multiplied.
+    If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and σ_Y,
+    with the stiffness of a pixel, about, and the level that makes the sum the load up to the level's rounding, a
+    projected gradient step; then they are multiplied.
     """
-    pressure, gap = fields
+    (pressure, gap), grid, load, highest = fields, problem.grid, problem.load, problem.law.highest
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
+    stiffness = problem.solid.contact_modulus / max(grid.spacing)
     if math.isinf(highest):
         total = reduction.sum(threads.collect(lambda a, b: float(pressure[a:b].sum()), len(pressure)))
         if total > 0 and math.isfinite(load / total):

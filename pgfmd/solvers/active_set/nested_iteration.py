@@ -53,8 +53,7 @@ class ActiveSetIteration(NestedIteration[State]):
         if grid.reduction.min(start) > 0 and (full := _full_contact(problem)) is not None:
             return full
         state = State(np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest), -problem.heights)
-        fields = state.pressure, state.gap
-        scale_to_load(grid, fields, problem.load, highest, problem.solid.contact_modulus / max(grid.spacing))
+        scale_to_load(problem, (state.pressure, state.gap))
         state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))
         return self.relax(problem, state)
 
@@ -90,7 +89,7 @@ class ActiveSetIteration(NestedIteration[State]):
             start_rows((read(0), read(1), read(2)), problem.heights[rows], compliance, (pressure[rows], gap[rows]))
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
-        scale_to_load(grid, (pressure, gap), problem.load, problem.law.highest, 1 / compliance)
+        scale_to_load(problem, (pressure, gap))
         between = round(found.between / coarse.place.size * grid.size)
         return State(pressure, gap, estimated=True, between=between), False
 

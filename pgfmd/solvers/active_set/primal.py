@@ -31,7 +31,7 @@ class PressureSteps(Relaxation):
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
-        self.feasible = Feasible(grid, self.highest, solid.contact_modulus / max(grid.spacing))
+        self.feasible = Feasible(problem)
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
     def free(self) -> None:
@@ -95,4 +95,4 @@ class PressureSteps(Relaxation):
         change, steps = system.solve(wanted)
         system.points.add(state.pressure, change)
         state.iterations += steps
-        self.feasible.make(system.points, (state.pressure, state.gap), self.load)
+        self.feasible.make(system.points, (state.pressure, state.gap))

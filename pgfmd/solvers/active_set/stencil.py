@@ -12,6 +12,7 @@ from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, SetVector
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
+Vector = tuple[np.ndarray, Points]
 
 RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
@@ -57,12 +58,7 @@ class Stencil:
 
 @jit
 def correlate(
-    vector: tuple[np.ndarray, Points],
-    weights: np.ndarray,
-    rows: np.ndarray,
-    targets: Points,
-    part: Part,
-    out: np.ndarray,
+    vector: Vector, weights: np.ndarray, rows: np.ndarray, targets: Points, part: Part, out: np.ndarray
 ) -> None:
     """out[k] = Σ_st w[s, t] field[i + s, columns[k] + t] at the points k of the rows first ≤ i < stop of one set.  The
     field is a vector (values, points) on another set, 0 elsewhere, and periodic along the rows; its points are listed
