@@ -126,8 +126,7 @@ class Relaxation:
             if not patience.take(estimate, state.error):
                 break
             # The next steps lower the estimate by some 100 each, down to the tolerance.
-            single_serves = rounding <= UNSEEN * max(tolerance, 0.01 * estimate) and patience.lost < STUCK
-            if precision is np.float32 and not single_serves:
+            if rounding > UNSEEN * max(tolerance, 0.01 * estimate) or patience.lost >= STUCK:
                 precision = np.float64
             wanted = self.next_cut(estimate, before, tolerance)
             before = estimate

@@ -24,8 +24,6 @@ from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
 
-Three = tuple[np.ndarray, np.ndarray, np.ndarray]
-
 
 def _full_contact(problem: ContactProblem) -> State | None:
     """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective."""
@@ -117,7 +115,7 @@ solve_hard_wall = ActiveSetIteration.contact
 
 
 @jit
-def start_rows(coarse: Three, heights: np.ndarray, compliance: float, fields: Fields) -> None:
+def start_rows(coarse: tuple[np.ndarray, ...], heights: np.ndarray, compliance: float, fields: Fields) -> None:
     """Fills pressure and gap that start a finer grid, from pressure, gap and heights of the coarse one interpolated.
     With new = h − coarse h, the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact:
     its pressure is max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere p = 0.
