@@ -21,6 +21,7 @@ LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
+START = 1.0  # seconds until a run has read its job
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 SEARCH_WORK = 4  # work until an area, gap or displacement is met, over that of a given pressure (2.5 … 8 on 128²)
@@ -60,7 +61,7 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
         memory=BASE_BYTES + rank,
         node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
         files=surfaces * field_count * points * itemsize,
-        seconds=-(-surfaces // groups) * work * points * SECONDS_PER_POINT / ranks,
+        seconds=START + -(-surfaces // groups) * work * points * SECONDS_PER_POINT / ranks,
     )
 
 
@@ -126,7 +127,7 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     """What each load costs to solve; memory of the fullest of so many slabs."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    return [solver_cost(method, area, slabs) for area in contact_areas(job)]
+    return [solver_cost(method, area, slabs, job.wall.effort) for area in contact_areas(job)]
 
 
 def measuring_costs(job: Job) -> list[Cost]:

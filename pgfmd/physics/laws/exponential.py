@@ -34,6 +34,7 @@ class ExponentialWall(ContactLaw):
     kind: ClassVar[str] = "exponential"
     methods: ClassVar[tuple[str, ...]] = ("newton", "gfmd")
     releases: ClassVar[bool] = False
+    effort: ClassVar[float] = 2.5
 
     zeta: float = key(
         POSITIVE, about="ζ, over which the pressure decays", unit="length", needed=True, example=0.25

@@ -35,6 +35,7 @@ class FormulaWall(ContactLaw):
     kind: ClassVar[str] = "formula"
     methods: ClassVar[tuple[str, ...]] = ("gfmd",)
     releases: ClassVar[bool] = False
+    effort: ClassVar[float] = 26.0
 
     pressure: str = key(
         formula.formula("gap"), about="p(gap), in the units of both", needed=True, example="0.1 * (0.5 / gap)**9"

@@ -45,6 +45,7 @@ class ContactLaw(Section):
 
     methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
     releases: whether the mean pressure may be 0; otherwise it must be positive.
+    effort: time of dynamics under this law over that under a hard wall, for `pgfmd check`.
 
     `respond`, `moments`, `excess` and `finish` are called on the law that `in_units` returns: p and g are then p̂ and ĝ.
     """
@@ -52,6 +53,7 @@ class ContactLaw(Section):
     where: ClassVar[str] = "wall"
     methods: ClassVar[tuple[str, ...]] = ()
     releases: ClassVar[bool] = True
+    effort: ClassVar[float] = 1.0
 
     @property
     def highest(self) -> float:
