@@ -186,7 +186,7 @@ def _plot(words: list[str]) -> str:
 def _run(options: argparse.Namespace) -> int:
     """Run a job; the exit code.  Collective."""
     atexit.register(gc.freeze)  # no garbage collection at exit: it takes a tenth of a second with numba loaded
-    gc.disable()  # nor during imports, of which it takes a tenth
+    gc.disable()  # nor during imports: it takes a tenth of their time
     comm = world()
     end_comm = comm.Dup()  # made now: a rank that has failed may never join a collective call on `comm`
     _log_on_root(comm.rank)

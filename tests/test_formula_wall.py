@@ -219,6 +219,16 @@ def test_a_comment_ends_a_formula():
     assert formula.function("2 / (1 + gap)  # )", "gap")(0.5) == pytest.approx(4 / 3, rel=1e-15, abs=0)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"), [("gap**-9", -9), ("gap**9", 9), ("gap**+(-(2))", 2), ("gap**1001", 1001.0)]
+)
+def test_whole_exponents_stay_whole(text, expected):
+    """Signed or not, as compiled code then multiplies; all other numbers are real."""
+    constants = [c for c in formula.function(f"2 * {text}", "gap").__code__.co_consts if isinstance(c, (int, float))]
+    assert [abs(c) for c in constants] == [2.0, abs(expected)]
+    assert [type(c) for c in constants] == [float, type(expected)]
+
+
 @pytest.mark.parametrize("gaps", [(1, 0), (1, 1), 2.0, None, (0, math.inf), (0, math.nan)])
 def test_gaps_are_two_numbers(gaps):
     """The smaller first, both finite."""

@@ -211,7 +211,8 @@ def test_a_tolerance_beyond_rounding_is_refused_by_its_name(rough, control):
 
 @pytest.mark.parametrize("control", ["displacement", "mean_gap"])
 def test_a_target_of_1e_300_is_no_division_by_zero(rough, control):
-    """A displacement that only a pressure below 1e-120 E' gives is refused; such a gap is one of 0, to rounding."""
+    """A displacement that needs a pressure below 1e-120 E' is refused; a mean gap of 1e-300 is 0 to rounding, which no
+    pressure reaches."""
     with pytest.raises((InputError, SolverError), match=r"must lie between|load\.mean_gap = 1e-300"):
         Counted(control, *rough).solution(1e-300)
 

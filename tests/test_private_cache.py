@@ -259,7 +259,7 @@ def test_a_loop_is_compiled_by_one_process(tmp_path, count):
 @pytest.mark.parametrize(("taken", "held"), [(fcntl.LOCK_EX, True), (fcntl.LOCK_SH, False)])
 def test_who_looks_for_a_lock_is_not_taken_for_its_holder(tmp_path, taken, held):
     """All ranks but the first of a node look, until the first has it, with a lock that others may share."""
-    with open(tmp_path / "lock", "w") as other, open(tmp_path / "lock", "w") as mine:
+    with open(tmp_path / "lock", "w+") as other, open(tmp_path / "lock", "w+") as mine:
         fcntl.flock(other, taken)
         assert private_cache.is_held(mine) == held
         fcntl.flock(other, fcntl.LOCK_UN)
@@ -267,10 +267,9 @@ def test_who_looks_for_a_lock_is_not_taken_for_its_holder(tmp_path, taken, held)
 
 
 def test_other_ranks_take_a_lock_that_the_first_leaves(tmp_path, monkeypatch):
-    """After HEAD_START."""
+    """After its head start."""
     monkeypatch.setenv("OMPI_COMM_WORLD_LOCAL_RANK", "1")
-    monkeypatch.setattr(private_cache, "HEAD_START", 0.02)
-    with private_cache.lock(tmp_path / "lock"), open(tmp_path / "lock") as other:
+    with private_cache.lock(tmp_path / "lock", 0.02), open(tmp_path / "lock", "w+") as other:
         assert private_cache.is_held(other)
 
 

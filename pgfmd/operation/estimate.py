@@ -21,7 +21,7 @@ LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
-START = 1.0  # seconds until a run has read its job
+START = 1.0  # seconds until a run has read its job, on 1 and 2 ranks of the same machine, loops compiled before
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 SEARCH_WORK = 4  # work until an area, gap or displacement is met, over that of a given pressure (2.5 … 8 on 128²)

@@ -18,7 +18,7 @@ _ALLOWED = (
     ast.Call, ast.Name, ast.Load, ast.Constant, ast.IfExp, ast.Compare, ast.Lt, ast.LtE, ast.Gt, ast.GtE,
 )  # fmt: skip
 LONGEST = 1000  # letters
-MOST_FACTORS = 1000  # whole exponents up to this are products in compiled code
+MOST_FACTORS = 1000  # whole exponents up to this stay integers: compiled code multiplies in place of calling pow
 
 
 def formula(variable: str) -> Rule:
@@ -58,19 +58,27 @@ def _code(written: str, variable: str) -> CodeType:
     except (SyntaxError, RecursionError, MemoryError):
         raise ValueError from None
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    powers = {id(node.right) for node in ast.walk(tree) if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)}
+    operations = [node for node in ast.walk(tree) if isinstance(node, ast.BinOp)]
+    exponents = {id(_unsigned(node.right)) for node in operations if isinstance(node.op, ast.Pow)}
     for node in ast.walk(tree):
         if len(written) > LONGEST or not _is_allowed(node, variable, id(node) in called):
             raise ValueError
         if isinstance(node, ast.Constant):
-            node.value = _number(node.value, id(node) in powers)
+            node.value = _number(node.value, id(node) in exponents)
     function = ast.parse(f"lambda {variable}: 0", mode="eval")
     function.body.body = tree.body  # type: ignore[attr-defined]
     return compile(function, "<formula>", "eval")
 
 
-def _number(constant: Any, is_exponent: bool) -> float:
-    """As a real number: powers of whole numbers have as many digits as the memory holds."""
+def _unsigned(node: ast.AST) -> ast.AST:
+    """What a sign stands before."""
+    return _unsigned(node.operand) if isinstance(node, ast.UnaryOp) else node
+
+
+def _number(constant: Any, is_exponent: bool) -> int | float:
+    """The constant as a float, so that powers overflow instead of growing without limit as Python's integers do; an
+    exponent that is a whole number up to `MOST_FACTORS` stays one.  Raises ValueError beyond the largest float.
+    """
     if is_exponent and isinstance(constant, int) and constant <= MOST_FACTORS:
         return constant
     try:

@@ -17,7 +17,7 @@ from numba.core import caching, event
 from numba.core.runtime.nrt import rtsys
 
 from pgfmd.options.text import counted
-from pgfmd.parallel.private_cache import lock, private_folder
+from pgfmd.parallel.private_cache import HEAD_START, lock, private_folder
 
 log = logging.getLogger("pgfmd")
 
@@ -59,7 +59,7 @@ class _SharedCache(caching.FunctionCache):
         rtsys.initialize(target_context)  # loaded code needs it
         found = self._load_overload(sig, target_context)
         if found is None:
-            self._lock = lock(Path(self.cache_path) / f"{self._impl.filename_base}.lock")
+            self._lock = lock(Path(self.cache_path) / f"{self._impl.filename_base}.lock", HEAD_START)
             found = self._load_overload(sig, target_context)
             if found is not None:
                 self.release()

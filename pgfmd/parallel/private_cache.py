@@ -25,9 +25,9 @@ from typing import IO
 
 from pgfmd.parallel.mpi import first_of_node
 
-HEAD_START, PAUSE = 2.0, 0.005
-"""Seconds for which the other ranks of a node let the first one take a lock, and between their looks at it.  The first
-loop of a process takes longest to compile, so that one rank should compile all."""
+HEAD_START, PAUSE = 2.0, 0.01
+"""Seconds that a rank which is not the first of its node waits at most for that one to take a lock, and between its
+looks.  The first loop of a process takes longest to compile, so that one rank should compile all."""
 
 
 @functools.cache
@@ -43,14 +43,16 @@ def private_folder() -> Path | None:
     return None
 
 
-def lock(path: Path) -> IO | None:
+def lock(path: Path, head_start: float = 0.0) -> IO | None:
     """Sleeps until no other process holds the lock of this file, and takes it; the lock ends when the returned file is
     closed or the process ends.  None where the file system has no locks.  After it, look again before making a file.
+
+    head_start: seconds that the first rank of this node gets to take it before this one does.
     """
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = open(path, "w")
-        until = time.monotonic() + (0 if first_of_node() else HEAD_START)
+        file = open(path, "w+")  # readable too: NFS shares a lock only then
+        until = time.monotonic() + (0 if first_of_node() else head_start)
         while time.monotonic() < until and not is_held(file):
             time.sleep(PAUSE)
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -59,7 +61,7 @@ def lock(path: Path) -> IO | None:
 
 
 def is_held(file: IO) -> bool:
-    """Whether another process holds the lock of the file."""
+    """Whether another process holds the lock of the file for itself."""
     try:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: others that look do not matter
     except BlockingIOError:

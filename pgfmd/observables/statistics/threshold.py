@@ -29,7 +29,7 @@ def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> floa
         below = _count_up_to(grid, bits, prefix, shift)
         digit = int(np.searchsorted(below, place, side="right"))
         place -= int(below[digit - 1]) if digit else 0
-        del below
+        del below  # half a megabyte, before the next is made
         prefix = prefix << DIGIT | digit
     found = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
     return float(np.array(found, np.uint64).view(np.float64))
@@ -47,7 +47,7 @@ def _count_up_to(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> n
         parts.append(counts)
 
     grid.threads.split(part, len(bits))
-    total = parts.pop()
+    total = parts.pop()  # every rank of a grid has rows
     while parts:
         total += parts.pop()
     grid.comm.Allreduce(MPI.IN_PLACE, total)

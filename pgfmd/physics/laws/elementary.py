@@ -1,4 +1,6 @@
-"""Logarithm and exponential without branches and calls: loops over them are vectorised, four times as fast."""
+"""Logarithm and exponential without branches and calls, so that loops over them are vectorised: a logarithm takes .9 ns
+where that of the C library takes 3.6 (AVX-512).
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,14 @@ from pgfmd.parallel.compiled import compiled
 
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, the first of 32 bits
 ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
-LEAST = -708.0  # below, the exponential is not a normal number
+LEAST = -708.0  # below, the exponential counts as 0; from −708.4 down it is not a normal number
 
 _inlined = compiled(inline="always")
 
 
 @_inlined
 def logarithm(x: float) -> float:
-    """ln x of a normal number x > 0, to .6 units of rounding.
+    """ln x of a normal number x > 0; the error is below 1 unit of the last place (.81 at most, as measured).
 
     With x = 2ᵏ (1 + f), √½ ≤ 1 + f < √2, and s = f/(2 + f), the series of ln((1 + s)/(1 − s)) in s; summed as in FDLIBM
     (Sun Microsystems 1993, e_log.c), so that f is not rounded.
@@ -40,7 +42,7 @@ def logarithm(x: float) -> float:
 
 @_inlined
 def exponential(x: float) -> float:
-    """exp x of a number x ≤ 0, to a unit of rounding; 0 below `LEAST`.
+    """exp x of a number x ≤ 0; the error is below 1 unit of the last place (.92 at most, as measured); 0 below `LEAST`.
 
     With x = k ln 2 + r, |r| ≤ ln 2/2: the Taylor series in r, times 2ᵏ.
     """

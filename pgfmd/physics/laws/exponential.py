@@ -81,9 +81,10 @@ class ExponentialWall(ContactLaw):
 
 @compiled(inline="always")
 def wright_omega(z: float) -> float:
-    """ω > 0 with ω + ln ω = z, to a few units of rounding; 0 below `elementary.LEAST`.
+    """ω with ω + ln ω = z, to a few units of the last place; 0 below `elementary.LEAST`.
 
-    Iteration of Fritsch, Shafer and Crowley 1973, doi:10.1145/361952.361970, without branches: 10 ns in a loop.
+    Iteration of Fritsch, Shafer and Crowley 1973, doi:10.1145/361952.361970, without branches, so that loops over it
+    are vectorised: 10 ns a point, where one with branches took 40 (AVX-512).
     """
     small, large = exponential(min(z, 0.0)), logarithm(max(z, 3.0))
     w = z - large + large / z if z >= 3 else 1 + (z - 1) / 2 + (z - 1) * (z - 1) / 16
