@@ -37,7 +37,7 @@ def sink(field: np.ndarray) -> RowAction:
 
 
 def scaling(factors: np.ndarray) -> ColumnAction:
-    """Multiplies the modes of a spectrum in single precision by factors (nky_local, nx) of that precision."""
+    """Multiplies the modes of a spectrum, complex64, by factors (nky_local, nx), float32."""
 
     def act(block: np.ndarray, first: int, stop: int) -> None:
         kernels.scale_modes(block.view(factors.dtype).reshape(*block.shape, 2), factors[first:stop])

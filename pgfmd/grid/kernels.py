@@ -15,7 +15,7 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}
 jit = compiled(fastmath=FAST)
 inlined = compiled(fastmath=FAST, inline="always")  # for what a loop calls in one place
 
-TAPS = 8  # points that make one of a coarser grid
+TAPS = 8  # fine points along each axis that make one coarse point: at most those within two coarse spacings
 
 u = np.uintp  # for indices: Numba tests signed ones for < 0, and does not vectorise loops with that test
 
@@ -112,7 +112,7 @@ def interpolate_rows(
 
 @jit
 def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
-    """out[i, j] = Σ_t weights[j, t] field[i, columns[j, t]] over t < `TAPS`"""
+    """out[i, j] = Σ_t weights[j, t] field[i, columns[j, t]] over t < `TAPS`; (ny_coarse, `TAPS`) weights"""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             total = 0.0

@@ -72,7 +72,9 @@ class Transform:
         self.cost = self.real.itemsize / 8  # of a transform pair, in double-precision equivalents
 
     def _plans(self, source: str, target: str, forward: bool) -> list[Callable[[], None]]:
-        """The plan of each thread from one of its blocks to another, made on first use: heights need two of four."""
+        """The plan of each thread from one of its blocks to another, made on first use: heights need two of the four
+        kinds.  Planning overwrites the blocks, which hold nothing between calls.
+        """
         if (key := (source, target, forward)) not in self._known:
             blocks = [(getattr(worker, source), getattr(worker, target)) for worker in self.workers]
             self._known[key] = [plan(*pair, forward) for pair in blocks]

@@ -126,8 +126,8 @@ class Elasticity:
 
 
 def _scale_by_q(grid: SlabGrid, dtype: DTypeLike, scale: float, divide: bool) -> ColumnAction:
-    """Column action by a kernel that takes squares of wave numbers.  They are multiplied by the square of the smaller
-    spacing, so that they fit into single precision whatever the unit of length is.
+    """Column action that multiplies by scale · |q|, or divides by |q|, in units of the smaller spacing: |q|² then fits
+    into single precision whatever the unit of length is.
     """
     real, step = np.dtype(dtype), min(grid.spacing)
     qx_squared, qy_squared = (((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0]))
@@ -145,7 +145,7 @@ def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], 
     real = np.dtype(dtype)
 
     def action(block: np.ndarray, first: int, stop: int) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):  # of iterations that diverge, which end at such numbers
+        with np.errstate(over="ignore", invalid="ignore"):  # an iteration that diverges ends at such numbers
             block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
 
     return action

@@ -5,7 +5,8 @@ points, one to four ranks).  Work: transforms of a solve to the default toleranc
 that would take as long.  Each number is the geometric mean of processor times at 512² on surfaces with λ_s = 4a and
 16a at contact areas of 0.06 and 0.54; single times are within a factor of 2 of it.  For an exponential wall, ζ was .03
 and .3 of the rms height; there they are within a factor of 4.  The `effort` of laws was measured likewise, with ζ of
-.1; the formula was that of an exponential wall.  Surfaces that are rough down to the grid take up to three times as long.
+.1; the formula was that of an exponential wall.  Surfaces that are rough down to the grid take up to three times as
+long.
 """
 
 from __future__ import annotations

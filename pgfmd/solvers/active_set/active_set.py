@@ -53,11 +53,10 @@ UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 class State:
     """Pressure and gap (nx_local, ny) on one grid.
 
-    level: λ, the gap Gp − h of points in contact.  clipped: false if `gap` is Gp − h; true if it is measured from λ, at
-    least 0, and 0 wherever the pressure lies between its bounds.  energy: ½⟨p, Gp⟩.  error: of the energy over
-    2 · energy, certified or estimated.  contact: number of points with p > 0; between: of those with 0 < p < σ_Y.
-    iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, set by a certificate.  estimated: true if `gap` is
-    interpolated from a coarser grid.
+    level: λ, the gap Gp − h of points in contact.  clipped: true if `gap` is measured from λ, at least 0, and 0 where
+    the pressure lies between its bounds.  estimated: true if it comes from a coarser grid.  Else it is Gp − h.  energy:
+    ½⟨p, Gp⟩.  error: of the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0;
+    between: of those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, certified.
     """
 
     pressure: np.ndarray
@@ -125,7 +124,7 @@ class Relaxation:
                 raise uncertifiable(rounding, tolerance)
             if not patience.take(estimate, state.error):
                 break
-            # The next steps lower the estimate by some 100 each, down to the tolerance.
+            # A step divides the estimate by about 100; before rounding would show in the next one, precision changes.
             if rounding > UNSEEN * max(tolerance, 0.01 * estimate) or patience.lost >= STUCK:
                 precision = np.float64
             wanted = self.next_cut(estimate, before, tolerance)
@@ -150,8 +149,8 @@ class Relaxation:
 
     @staticmethod
     def goal(estimate: float, tolerance: float) -> float:
-        """Tolerance for a coarse grid: `COARSE_PART` of the estimated error of its start, within limits.  That error
-        comes from interpolation, and interpolation to the next grid will make one of about the same size.
+        """Tolerance for a coarse grid: `COARSE_PART` of the estimated error of its start, at most `LOOSEST`, at least
+        `FINEST` and a quarter of the tolerance.  Interpolation to the next grid will make an error of about that size.
         """
         return max(min(COARSE_PART * estimate, LOOSEST), tolerance / 4, FINEST)
 
@@ -264,7 +263,7 @@ def contact_sums(
 @jit
 def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[int, int], out: np.ndarray) -> None:
     """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into
-    out[0 … 2], from a row and a column on; limits: level and highest pressure; place: that row and column.
+    out[0 … 2].  limits: level and highest pressure; place: row and column of `out` where the first point goes.
     """
     (pressure, gap), (level, highest), (at, margin) = fields, limits, place
     for i in range(gap.shape[0]):
@@ -279,7 +278,7 @@ def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[in
 @jit
 def average_between(field: np.ndarray, limits: np.ndarray, stride: int, margin: int, out: np.ndarray) -> None:
     """out = the mean of a field over the eight points one stride away, or the nearest value within limits (2, rows,
-    columns), but for rows and columns at the edge: one stride of rows, and the margin of columns.
+    columns).  Not set: `stride` rows at either end, and `margin` columns, which in `field` repeat the other side's.
     """
     for i in range(stride, field.shape[0] - stride):
         a, b, c = field[i - stride], field[i], field[i + stride]

@@ -39,17 +39,17 @@ class BlockWindow(RowWindow):
     """Sums over blocks of points of a grid.  The rank that has the first row of a block holds it; the window has all
     that have rows of this rank.  Collective to make.
 
-    Attributes: layout, of the rows of blocks.  start, of this rank's rows in the window, in rows of points.
+    Attributes: layout, of the rows of blocks; start, number of rows of points in the window before this rank's first.
     """
 
     def __init__(self, grid: SlabGrid, side: int, width: int, dtype: DTypeLike = np.float32) -> None:
-        """side: of a block, in points; width: sums of a row of blocks."""
+        """side: of a block, in points; width: number of sums in a row of blocks."""
         self.layout, self.threads, self.side = Layout(grid.comm, -(-grid.starts // side)), grid.threads, side
         super().__init__(self.layout, (grid.rows.start // side, -(-grid.rows.stop // side)), width, dtype)
         self.start = grid.rows.start - self.low * side
 
     def sum(self, sums: Sums) -> None:
-        """Sets each rank's own rows to the sums over its blocks.  Collective."""
+        """Sets `own` to the sums over the blocks that this rank holds.  Collective."""
 
         def part(first: int, stop: int) -> None:
             self.rows[first:stop] = 0
@@ -69,7 +69,7 @@ class Blocks:
 
     The map from residuals to loads is symmetric, positive, and accurate for waves of any length.
 
-    Attributes: transformed, points of the transforms in one application.
+    Attributes: window; loads (own rows, ny), of the answers; transformed, points of the transforms in one application.
     """
 
     _answers: Exchange
@@ -84,7 +84,7 @@ class Blocks:
         self.inverse_counts, self.loads = np.zeros_like(self.window.own), np.zeros_like(self.window.own)
         self._gather = RowPlan(layout, [(answering.rows.start, answering.rows.stop)])
         self._scatter = RowPlan(answering, [(layout.rows.start, layout.rows.stop)])
-        # together: who sums over a block answers for it, too, everywhere
+        # together: every rank holds rows of blocks, and the same ones in both layouts
         self.together = np.array_equal(layout.starts, answering.starts) and np.diff(layout.starts).all()
         self.residuals, self.counts, self.shares, self.weights = np.empty((4, *self.place.local_shape), np.float32)
         self.coarser: Blocks | None = None

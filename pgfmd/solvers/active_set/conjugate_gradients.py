@@ -17,7 +17,7 @@ MOST_ITERATIONS = 300
 
 Pair = tuple[float, float]
 Operator = Callable[[SetVector, np.ndarray], None]
-"""operator(values, out): out (count,) = A · values on a set, in single precision; sets the halo of `values`.
+"""operator(values, out): out (count,) = A · values on a set, in single precision; may overwrite the halo of `values`.
 Collective."""
 
 
@@ -25,7 +25,7 @@ class ConjugateGradients:
     """S A Sᵀ x = residual for an operator A; S restricts to a set.  If `neutral`, Σ x = 0, and the equation holds up to
     a constant.
 
-    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M; rms, of the first.
+    Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M; rms, the first one's.
     """
 
     def __init__(self, residual: SetVector, operator: Operator, preconditioner: Operator, neutral: bool = True) -> None:

@@ -29,7 +29,7 @@ LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is
 class GapSteps(Relaxation):
     """Relaxation that costs least where most points are in contact.
 
-    Attributes: mean, of h + g; scale, of the settled pressure to the load.
+    Attributes: mean, of h + g; scale, the factor that brings the sum of the pressure without tensions to the load.
     """
 
     mean, scale = 0.0, 1.0
@@ -41,7 +41,7 @@ class GapSteps(Relaxation):
         self.preconditioner = near_compliance(grid, solid.half_space_compliance)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """The pressure of the gap, settled; the system makes it vanish where there is a gap or tension.  Collective."""
+        """Settles the pressure of the gap; the system is to make vanish what that set to 0.  Collective."""
         if not state.clipped:
             if not state.estimated:
                 self.compute_gap(state, precision)
@@ -96,11 +96,11 @@ class GapSteps(Relaxation):
         self.mean = float(total) / self.grid.size
 
     def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
-        """Makes the gap Gp − h of the settled pressure, and certifies them as `Relaxation` does.  Collective."""
+        """As `Relaxation.certify`, with the gap of the settled pressure; before the system is solved.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(state.pressure[first:stop], 1 - 1 / self.scale, out=rows, casting="same_kind")
-            add_points(system.residual.own, system.points.lists, first, rows)  # −p where it was set to 0
+            add_points(system.residual.own, system.points.lists, first, rows)  # −p before settling, where that set 0
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             state.gap[first:stop] += rows

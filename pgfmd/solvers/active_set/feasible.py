@@ -88,11 +88,11 @@ def cut_in_blocks(
 
 
 def scale_to_load(problem: ContactProblem, fields: Fields) -> None:
-    """Multiplies pressures ≥ 0 that are below σ_Y, and limits them to that, to a sum of the load.  Collective.
+    """Multiplies pressures, all ≥ 0, by one factor and limits them to σ_Y, so that their sum is the load.  Collective.
 
-    If the points in contact cannot bear it, others join: p becomes p + stiffness · (level − gap), cut to 0 and σ_Y,
-    with the stiffness of a pixel, about, and the level that makes the sum the load up to the level's rounding, a
-    projected gradient step; then they are multiplied.
+    If the points in contact cannot bear the load, others join by a projected gradient step: p becomes p + k (level −
+    gap), limited to 0 … σ_Y, with k = E'/spacing, about the stiffness of a pixel, and the level that makes the sum the
+    load.  Then pressures are multiplied.
     """
     (pressure, gap), grid, load, highest = fields, problem.grid, problem.load, problem.law.highest
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load

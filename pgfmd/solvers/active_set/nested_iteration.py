@@ -29,7 +29,7 @@ def _full_contact(problem: ContactProblem) -> State | None:
     """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective."""
     grid, heights = problem.grid, problem.heights
     pressure = grid.new_field()
-    stiffness = multiply(grid, np.float64, lambda q: problem.solid.stiffness(q) / grid.size)  # no loop to compile
+    stiffness = multiply(grid, np.float64, lambda q: problem.solid.stiffness(q) / grid.size)  # no loop is compiled
     grid.convolve(source(heights), stiffness, sink(pressure))
     energy = grid.reduction.dot(pressure, heights) / 2  # without the mean pressure, which may be far larger
     squares = np.array([grid.reduction.dot(field, field) for field in (pressure, heights)])
@@ -69,7 +69,7 @@ class ActiveSetIteration(NestedIteration[State]):
     def prolong(self, coarse: Coarse, found: State, problem: ContactProblem) -> tuple[State, bool]:
         """Full contact and True, if both grids have it; else a start from the coarse state and False.
 
-        A point is then in contact if the interpolated pressure, acting on one coarse pixel, displaces it by more than
+        The start is in contact where the interpolated pressure, acting on one coarse pixel, displaces it by more than
         the gap to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
         (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
         """

@@ -12,7 +12,7 @@ from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, SetVector
 
 Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
-Vector = tuple[np.ndarray, Points]
+Vector = tuple[np.ndarray, Points]  # values (count,) on a set, and its points
 
 RADIUS = HALO  # pixels: thirteen points
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
@@ -61,11 +61,11 @@ def correlate(
     vector: Vector, weights: np.ndarray, rows: np.ndarray, targets: Points, part: Part, out: np.ndarray
 ) -> None:
     """out[k] = Σ_st w[s, t] field[i + s, columns[k] + t] at the points k of the rows first ≤ i < stop of one set.  The
-    field is a vector (values, points) on another set, 0 elsewhere, and periodic along the rows; its points are listed
-    from two rows before the first on.
+    field is a vector (values, points) on another set, 0 elsewhere, and periodic along the rows; row i of `targets` is
+    row i + 2 of the field's points.
 
-    weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are 0.  rows: room for some rows of
-    the field, and for two columns on either side.  Points next to each other are evaluated by a vectorised loop.
+    weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are 0.  rows (n + 4, ny + 4): work
+    space for n rows at a time.  Points next to each other are evaluated by a vectorised loop.
     """
     values, (sources, begins) = vector
     columns, offsets = targets

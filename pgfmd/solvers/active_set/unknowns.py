@@ -33,7 +33,7 @@ class Unknowns:
     (below `level` at 0, above it at `highest`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; lists and extended, `Points` without and with a halo of `HALO` rows; own,
-    where those of `lists` are in `extended`.
+    the slice of the columns of `extended` that are those of `lists`.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
