@@ -13,7 +13,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness, preconditioner
-from pgfmd.solvers.active_set.dual import near_compliance
+from pgfmd.solvers.active_set.dual import GapSteps, near_compliance
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse, inner_response
@@ -330,6 +330,7 @@ def test_a_mountain_in_one_slab(n):
 
 @pytest.mark.parametrize(("error", "goal"), [(np.inf, 2e-2), (0.8, 2e-2), (4e-3, 2e-4), (1e-14, 1e-8), (0.0, 1e-8)])
 def test_coarse_grids_aim_at_a_part_of_their_first_error(error, goal):
-    """A twentieth, within limits: also where a grid begins with no error at all there is something to reach."""
+    """A twentieth, a tenth of that with gaps as unknowns, within limits: also a start without error has one."""
     assert PressureSteps.goal(error, 1e-12) == pytest.approx(goal)
     assert PressureSteps.goal(error, 1e-3) == pytest.approx(max(goal, 2.5e-4))
+    assert GapSteps.goal(error, 1e-12) == pytest.approx(max(goal / 10, 1e-8))

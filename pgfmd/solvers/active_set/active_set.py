@@ -41,8 +41,7 @@ CUT_POWER = 0.7  # after a step with the factor f on the error, the next one tak
 MARGIN = 0.4  # the last step aims at this part of the tolerance
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 STUCK = 3  # steps without halving the least error, before double precision is taken
-COARSE_PART = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
-LOOSEST = 2e-2  # largest tolerance of a coarse grid
+WORST = 0.4  # largest error of a start that counts
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
 HUGE = np.finfo(np.float32).max
@@ -83,6 +82,7 @@ class Relaxation:
 
     precision: Precision = np.float32
     patience, most_steps = STEPS, 200
+    coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
@@ -147,12 +147,12 @@ class Relaxation:
         last = math.sqrt(MARGIN * tolerance / max(estimate, tolerance))
         return last if last >= WITHIN * changes else changes
 
-    @staticmethod
-    def goal(estimate: float, tolerance: float) -> float:
-        """Tolerance for a coarse grid: `COARSE_PART` of the estimated error of its start, at most `LOOSEST`, at least
-        `FINEST` and a quarter of the tolerance.  Interpolation to the next grid will make an error of about that size.
+    @classmethod
+    def goal(cls, estimate: float, tolerance: float) -> float:
+        """Tolerance for a coarse grid: a part of the estimated error of its start, at least `FINEST` and a quarter of
+        the tolerance.  Interpolation to the next grid will make an error of about the size of the start's.
         """
-        return max(min(COARSE_PART * estimate, LOOSEST), tolerance / 4, FINEST)
+        return max(cls.coarse_part * min(estimate, WORST), tolerance / 4, FINEST)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state, and chooses the unknowns.  Returns the system whose solution

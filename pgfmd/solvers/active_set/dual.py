@@ -32,7 +32,7 @@ class GapSteps(Relaxation):
     Attributes: mean, of h + g; scale, the factor that brings the sum of the pressure without tensions to the load.
     """
 
-    mean, scale = 0.0, 1.0
+    mean, scale, coarse_part = 0.0, 1.0, 0.005
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
