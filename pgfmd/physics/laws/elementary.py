@@ -4,6 +4,8 @@ where that of the C library takes 3.6 (AVX-512).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pgfmd.parallel.compiled import compiled
@@ -11,8 +13,20 @@ from pgfmd.parallel.compiled import compiled
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, the first of 32 bits
 ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
 LEAST = -708.0  # below, the exponential counts as 0; from −708.4 down it is not a normal number
+# Coefficients from the highest power down: 2/(2n + 1) for zⁿ⁻¹, and 1/n! for rⁿ⁻².
+LOGARITHM = tuple(2 / (2 * n + 1) for n in range(10, 0, -1))
+EXPONENTIAL = tuple(1 / math.factorial(n) for n in range(13, 1, -1))
 
 _inlined = compiled(inline="always")
+
+
+@_inlined
+def _polynomial(coefficients: tuple[float, ...], x: float) -> float:
+    """Σ c xᵏ by Horner's rule; the loop is unrolled."""
+    total = 0.0
+    for coefficient in coefficients:
+        total = total * x + coefficient
+    return total
 
 
 @_inlined
@@ -27,15 +41,7 @@ def logarithm(x: float) -> float:
     f = np.int64(bits - (k << 52)).view(np.float64) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    series = 2 / 21 * z + 2 / 19
-    series = series * z + 2 / 17
-    series = series * z + 2 / 15
-    series = series * z + 2 / 13
-    series = series * z + 2 / 11
-    series = series * z + 2 / 9
-    series = series * z + 2 / 7
-    series = series * z + 2 / 5
-    series = (series * z + 2 / 3) * z
+    series = _polynomial(LOGARITHM, z) * z
     half = 0.5 * f * f
     return k * LN2_HIGH - ((half - (s * (half + series) + k * LN2_LOW)) - f)
 
@@ -49,16 +55,6 @@ def exponential(x: float) -> float:
     within = max(x, LEAST)
     k = np.floor(within * (1 / (LN2_HIGH + LN2_LOW)) + 0.5)
     r = (within - k * LN2_HIGH) - k * LN2_LOW
-    series = r / 6227020800 + 1 / 479001600  # 1/13!, 1/12!
-    series = series * r + 1 / 39916800
-    series = series * r + 1 / 3628800
-    series = series * r + 1 / 362880
-    series = series * r + 1 / 40320
-    series = series * r + 1 / 5040
-    series = series * r + 1 / 720
-    series = series * r + 1 / 120
-    series = series * r + 1 / 24
-    series = series * r + 1 / 6
-    series = series * r + 1 / 2
+    series = _polynomial(EXPONENTIAL, r)
     power = np.int64((np.int64(k) + 1023) << 52).view(np.float64)
     return (1 + (r + r * r * series)) * power if x >= LEAST else 0.0
