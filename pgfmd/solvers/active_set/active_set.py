@@ -55,7 +55,7 @@ class State:
     level: λ, the gap Gp − h of points in contact.  clipped: true if `gap` is measured from λ, at least 0, and 0 where
     the pressure lies between its bounds.  estimated: true if it comes from a coarser grid.  Else it is Gp − h.  energy:
     ½⟨p, Gp⟩.  error: of the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0;
-    between: of those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖, certified.
+    between: of those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖ of a certificate.
     """
 
     pressure: np.ndarray
