@@ -182,12 +182,12 @@ def test_changed_pressures(fields, change):
 
 
 def test_sums_of_a_state(fields):
-    """Σ p g, Σ p and # between the bounds; Σ p (g + h), Σ p², Σ h² + (h − summit)² and # in contact."""
+    """Σ p g, Σ p and # between the bounds; Σ p (g + base + h), Σ p², Σ h² + (h − summit)² and # in contact."""
     p, gap, heights = fields
     on, free = p > 0, (p > 0) & (p < 1)
-    expected = (p * gap)[free].sum(), p[free].sum(), free.sum(), (p * (gap + heights))[on].sum()
+    expected = (p * gap)[free].sum(), p[free].sum(), free.sum(), (p * (gap + 0.7 + heights))[on].sum()
     expected += (p**2)[on].sum(), (heights**2 + (heights - 3) ** 2)[on].sum(), on.sum()
-    sums = active_set.contact_sums(p, gap, heights, (1.0, 3.0), 0, 9)
+    sums = active_set.contact_sums(p, gap, heights, (1.0, 3.0, 0.7), 0, 9)
     assert np.allclose(sums, expected, rtol=1e-12, atol=1e-12)
 
 
@@ -232,27 +232,34 @@ def test_start_rows(rng):
     a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
-    nested_iteration.start_rows((p, g, coarse), h, 0.3, (pressure, gap))
-    flattened, contact = nested_iteration.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
+    nested_iteration.start_rows((p, g, coarse), h, (0.3, 0.2, 1e-30), (pressure, gap))
+    flattened, contact = 0.2 * (h - coarse), 0.3 * p > g - (h - coarse)
     assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
-    assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-300), 0), rtol=1e-14, atol=0)
+    assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-30), 0), rtol=1e-14, atol=0)
 
 
-def test_interpolate_rows(rng):
-    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic."""
+@pytest.mark.parametrize("twice", [False, True])
+def test_interpolate_rows(rng, twice):
+    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic; twice: points and the middles between them."""
     coarse = rng.random((8, 6))
     index, weights = np.array([0, 3, 4]), rng.random((3, 4))
     first, column_weights = rng.integers(-1, 6, 4), rng.random((4, 4))
+    if twice:
+        first, column_weights = np.arange(12) // 2 - 1, np.tile([[0, 1, 0, 0], rng.random(4)], (6, 1))
     columns = (first[:, None] + np.arange(4)) % 6
-    out = np.empty((3, 4))
+    out = np.empty((3, len(first)))
     kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
     picked = coarse[(index[:, None] + np.arange(4))[:, :, None, None], columns[None, None]]
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13, atol=0)
 
 
-def test_combine_columns(rng):
-    """Σ_t w_t field[i, column t of j]."""
+@pytest.mark.parametrize("twice", [False, True])
+def test_combine_columns(rng, twice):
+    """Σ_t w_t field[i, column t of j]; twice: the same weights around every second column."""
     field, columns, weights, out = rng.random((3, 9)), rng.integers(0, 9, (4, 8)), rng.random((4, 8)), np.empty((3, 4))
+    if twice:
+        field, out, weights = rng.random((3, 14)), np.empty((3, 7)), np.tile(rng.random(8), (7, 1))
+        columns = (2 * np.arange(7)[:, None] - 3 + np.arange(8)) % 14
     kernels.combine_columns(field, columns, weights, out)
     picked = field[:, columns]
     assert np.allclose(out, np.einsum("jt,ijt->ij", weights, picked), rtol=1e-13, atol=0)

@@ -22,15 +22,28 @@ def aligned_bytes(count: int, begin: int = 0, unit: int = ALIGNMENT) -> np.ndarr
     return raw[(begin - raw.ctypes.data) % unit :][:count]
 
 
-def new_field(shape: tuple[int, int]) -> np.ndarray:
-    """A new array of float64 that begins at another place of a page than those made before.
+def new_field(shape: tuple[int, int], dtype: DTypeLike = np.float64) -> np.ndarray:
+    """A new array of float64, or of float32 in the second half of one, that begins at another place of a page than those made before.
 
     Large arrays lie as far apart as they are long, and a page.  At 4096² that is 2²⁷ + 2¹² bytes: the first cache of
     AMD's Zen then seems to take entries at like places of two arrays for the same (Lipp et al. 2020,
     doi:10.1145/3320269.3384746, section 3), and a loop over pressure and gap takes seven times as long.
     """
-    begin = next(_made) * STAGGER % PAGE
-    return aligned_bytes(math.prod(shape) * 8, begin, PAGE).view(np.float64).reshape(shape)
+    begin, size = next(_made) * STAGGER % PAGE, math.prod(shape)
+    return aligned_bytes(size * 8, begin, PAGE).view(dtype)[-size:].reshape(shape)
+
+
+def widened(field: np.ndarray, change: np.ufunc, number: float, rows: int) -> np.ndarray:
+    """change(field, number) in double precision, for a field of single precision from `new_field`, in its memory: the
+    field is lost.  rows: so many are changed at a time, in their order, since the result overtakes the field.
+    """
+    memory, before = field.base, field.ctypes.data - field.nbytes
+    assert memory is not None
+    out = np.ndarray(field.shape, np.float64, memory, before - memory.ctypes.data)
+    for first in range(0, len(field), rows):
+        part = slice(first, first + rows)
+        change(field[part], number, out=out[part], dtype=np.float64)
+    return out
 
 
 def row_stride(count: Count, itemsize: int) -> Count:

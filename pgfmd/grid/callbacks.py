@@ -6,6 +6,7 @@ threads at once, each time with another block; it must not communicate.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -23,6 +24,22 @@ def source(field: np.ndarray) -> RowAction:
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:
         rows[...] = field[first:stop]
+
+    return fill
+
+
+def in_chunks(make: Callable[[int, int], np.ndarray], count: int) -> RowAction:
+    """Rows that are made `count` at a time, by make(first, stop), which may give fewer: for rows that depend on many
+    around them, so that few at a time cost more.  Each thread keeps those it made last.
+    """
+    kept = threading.local()
+
+    def fill(first: int, stop: int, rows: np.ndarray) -> None:
+        for begin in range(first // count * count, stop, count):
+            if getattr(kept, "first", None) != begin:
+                kept.first, kept.rows = begin, make(begin, begin + count)
+            low, high = max(first, begin), min(stop, begin + count)
+            rows[low - first : high - first] = kept.rows[low - begin : high - begin]
 
     return fill
 

@@ -103,16 +103,37 @@ def interpolate_rows(
         line[0] = line[ny]
         for t in range(1, weights.shape[1]):  # not range(4): to unroll it takes long
             line[ny + t] = line[t]
-        for j in range(out.shape[1]):
-            start, total = first_column[j] + 1, 0.0
-            for t in range(4):
-                total += column_weights[j, t] * line[u(start + t)]
-            out[i, j] = total
+        if out.shape[1] == 2 * ny:  # in place of `first_column` and all weights: twelve times as fast
+            a, b, c, d = column_weights[1, 0], column_weights[1, 1], column_weights[1, 2], column_weights[1, 3]
+            for j in range(ny):
+                out[i, u(2 * j)] = line[u(j + 1)]
+                out[i, u(2 * j + 1)] = (a * line[u(j)] + d * line[u(j + 3)]) + (b * line[u(j + 1)] + c * line[u(j + 2)])
+        else:
+            for j in range(out.shape[1]):
+                start, weight = u(first_column[j] + 1), column_weights[j]
+                left = weight[0] * line[start] + weight[1] * line[start + u(1)]
+                out[i, j] = left + (weight[2] * line[start + u(2)] + weight[3] * line[start + u(3)])
 
 
 @jit
 def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
     """out[i, j] = Σ_t weights[j, t] field[i, columns[j, t]] over t < `TAPS`; (ny_coarse, `TAPS`) weights"""
+    ny = field.shape[1]
+    line, begin = np.empty(ny + 2 * TAPS, out.dtype), TAPS + columns[0, 0] - ny
+    if ny == 2 * out.shape[1]:  # all points have the same weights: four times as fast
+        a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
+        e, f, g, h = weights[0, 4], weights[0, 5], weights[0, 6], weights[0, 7]
+        for i in range(out.shape[0]):
+            for j in range(ny):
+                line[u(j + TAPS)] = field[i, u(j)]
+            for j in range(weights.shape[1]):
+                line[j], line[ny + TAPS + j] = line[ny + j], line[TAPS + j]
+            for j in range(out.shape[1]):
+                k = 2 * j + begin
+                left = (a * line[u(k)] + b * line[u(k + 1)]) + (c * line[u(k + 2)] + d * line[u(k + 3)])
+                right = (e * line[u(k + 4)] + f * line[u(k + 5)]) + (g * line[u(k + 6)] + h * line[u(k + 7)])
+                out[i, u(j)] = left + right
+        return
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             total = 0.0

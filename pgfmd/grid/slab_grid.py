@@ -101,9 +101,9 @@ class SlabGrid:
             self._planned[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
         return self._planned[dtype]
 
-    def new_field(self) -> np.ndarray:
-        """A new field (nx_local, ny), not yet set."""
-        return new_field(self.local_shape)
+    def new_field(self, dtype: DTypeLike = np.float64) -> np.ndarray:
+        """A new field (nx_local, ny), not yet set; of float32 it may be `widened`."""
+        return new_field(self.local_shape, dtype)
 
     def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Spectrum (nky_local, nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""

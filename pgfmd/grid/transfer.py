@@ -50,7 +50,7 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
     transforms: means of fine points, weighted by the transpose of `Interpolation`, in single precision.  Collective.
     """
     (first, weights), (left, across) = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
-    weights = weights.astype(np.float32)
+    weights, across = weights.astype(np.float32), across.astype(np.float32)
     columns = (np.add.outer(left, np.arange(TAPS)) % fine.shape[1]).astype(np.int32)
     start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
     low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
@@ -75,10 +75,11 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
 class Interpolation:
     """Local cubic interpolation of coarse fields to the rows of a fine grid.  Collective to make.
 
-    `rows` gives a few fine rows of a field at a time, so that no fine array is needed.
+    `rows` gives a few fine rows of a field at a time, in its precision, so that no fine array is needed.
     """
 
     def __init__(self, coarse: SubGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
+        """fields: (nx_coarse_local, ny_coarse), all in the same precision."""
         margin = 2
         positions = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
         low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
@@ -94,9 +95,10 @@ class Interpolation:
             exchange.fetch(plan, field, rows)
         exchange.carry_out()
         self._fields = [(field, rows, places) for field, rows in zip(fields, others, strict=True)]
-        self._x = _weights(positions - low)
-        self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]))
-        self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]))
+        real = fields[0].dtype
+        self._x = _weights(positions - low, real)
+        self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]), real)
+        self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]), real)
 
     def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
         """Rows first … stop−1 (local to the fine grid; at most its `band`) of field number `which`, shape
@@ -124,9 +126,9 @@ def _means(fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray]:
     return first, weights / weights.sum(axis=1, keepdims=True)
 
 
-def _weights(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weights(at: np.ndarray, real: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """First index and Lagrange weights (len(at), 4) of the four points around each position."""
     base = np.floor(at).astype(np.int64)
     t = (at - base)[:, None]
     a, b, c, d = t + 1, t, t - 1, t - 2
-    return base - 1, np.hstack([-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6])
+    return base - 1, np.hstack([-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6]).astype(real)

@@ -246,7 +246,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     def centre(_: int, first: int, stop: int) -> None:
         part = out[first:stop]
         part -= mean
-        part /= spread
+        part *= 1 / spread
 
     threads.share(centre, rows, grid.band)
     return Heights(out, -mean / spread, size * spread, rms, high, depth)

@@ -78,12 +78,13 @@ class Rounding:
     """
 
     def __init__(self, grid: SlabGrid, solid: Elasticity) -> None:
-        columns = grid.spectral_shape[0]
+        columns, nx = grid.spectral_shape
+        qx, counts = grid.qx[:, : nx // 2 + 1], np.full(nx // 2 + 1, 2.0)  # kx and −kx have the same symbols
+        counts[0] = counts[(nx + 1) // 2 :] = 1
 
         def part(first: int, stop: int) -> list[float]:
-            q = np.sqrt(grid.q_squared(first, stop))
-            weights = grid.hermitian_weight[first:stop]
-            return [float(np.sum(weights * symbol(q))) for symbol in (solid.compliance, solid.stiffness)]
+            q, weights = np.sqrt(qx**2 + grid.qy[first:stop] ** 2), grid.hermitian_weight[first:stop, 0]
+            return [float(weights @ (symbol(q) @ counts)) for symbol in (solid.compliance, solid.stiffness)]
 
         sums = np.sum(grid.threads.collect(part, columns, COLUMNS), axis=0) if columns else np.zeros(2)
         self.means = grid.reduction.sums(*sums) / grid.size

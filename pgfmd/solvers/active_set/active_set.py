@@ -25,12 +25,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgfmd.grid.callbacks import source
+from pgfmd.grid.aligned import widened
+from pgfmd.grid.callbacks import in_chunks, source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
-from pgfmd.solvers.active_set.unknowns import Fields
+from pgfmd.solvers.active_set.unknowns import PIECE, Fields
 from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
@@ -50,10 +51,12 @@ UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 
 @dataclass
 class State:
-    """Pressure and gap (nx_local, ny) on one grid.
+    """Pressure and gap (nx_local, ny) on one grid, under a hard wall in single precision while that suffices.
 
-    level: λ, the gap Gp − h of points in contact.  clipped: true if `gap` is measured from λ, at least 0, and 0 where
-    the pressure lies between its bounds.  estimated: true if it comes from a coarser grid.  Else it is Gp − h.  energy:
+    The gap is Gp − h − base; level: what it is for points in contact, so that λ = base + level.  The base is an earlier
+    λ: gaps of points in contact are then small, and lose no digits in single precision.  clipped: true if `gap` is
+    measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
+    coarser grid.  energy:
     ½⟨p, Gp⟩.  error: of the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0;
     between: of those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖ of a certificate.
     """
@@ -61,6 +64,7 @@ class State:
     pressure: np.ndarray
     gap: np.ndarray
     clipped: bool = False
+    base: float = 0.0
     level: float = 0.0
     energy: float = 0.0
     error: float = math.inf
@@ -105,6 +109,8 @@ class Relaxation:
         precision, patience = self.precision, Patience(self.patience)
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
+            if precision is np.float64:
+                self.widen(state)
             system = self.linearise(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
             estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
@@ -131,6 +137,18 @@ class Relaxation:
             before = estimate
             self.improve(state, system, wanted, MARGIN * tolerance / max(estimate, tolerance))
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
+
+    def widen(self, state: State) -> None:
+        """Brings a state to double precision and base 0, and if it was in single precision, the sum of the pressure to
+        the load.  Collective.
+        """
+        if state.pressure.dtype == np.float32:
+            factor, rows = self.load / self.grid.reduction.sum(state.pressure), self.grid.band
+            state.pressure = widened(state.pressure, np.multiply, factor, rows)
+            state.gap = widened(state.gap, np.add, state.base, rows)
+        elif state.base:
+            state.gap += state.base
+        state.level, state.base = state.level + state.base, 0.0
 
     @staticmethod
     def next_cut(estimate: float, before: float, tolerance: float) -> float:
@@ -171,8 +189,9 @@ class Relaxation:
         self.inner.free()
 
     def measure(self, state: State) -> None:
-        """Sets the state's level, energy and counts from a pressure and its gap Gp − h, and Σ p².  Collective."""
-        pressure, gap, heights, limits = state.pressure, state.gap, self.heights, (self.highest, self.summit)
+        """Sets the state's level, energy and counts from a pressure and its gap, and Σ p².  Collective."""
+        pressure, gap, heights = state.pressure, state.gap, self.heights
+        limits = self.highest, self.summit, state.base
         parts = self.grid.threads.collect(lambda a, b: contact_sums(pressure, gap, heights, limits, a, b), len(gap))
         totals = self.grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         work, load, between, energy, self.squares[0], self.heights_squared, count = totals
@@ -184,12 +203,16 @@ class Relaxation:
             state.level = (self.grid.reduction.max(full) + self.grid.reduction.min(free)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
-        """Sets the state's gap to Gp − h, which may have either sign.  Collective."""
+        """Sets the state's gap, which may have either sign, and its base to the last λ.  Collective."""
         squares: dict[int, tuple[float, ...]] = {}
+        state.base, state.level = state.base + state.level, 0.0
+        if state.gap.dtype == np.float64:
+            state.base = 0.0
+        base = state.base
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             squares[first] = (float(np.vdot(rows, rows)),)
-            np.subtract(rows, self.heights[first:stop], out=state.gap[first:stop])
+            np.subtract(rows, self.heights[first:stop] + base, out=state.gap[first:stop], casting="same_kind")
 
         self.grid.convolve(source(state.pressure), self.compliance[precision], drain, precision)
         (self.squares[1],) = self.grid.reduction.sums_of_blocks(squares, 1)
@@ -203,12 +226,14 @@ class Relaxation:
         margin, own = sum(STRIDES), (state.pressure, state.gap)
         p, g = self.grid.neighbours(own, margin)
         pieces = ((p[:margin], g[:margin]), 0), (own, margin), ((p[margin:], g[margin:]), margin + len(own[0]))
-        limits, wide, ny = (state.level, self.highest), STRIDES[0], self.grid.shape[1]
+        real, wide, ny = state.gap.dtype.type, STRIDES[0], self.grid.shape[1]
+        limits = real(state.level), real(self.highest)
         edges = np.r_[:wide, wide + ny : 2 * wide + ny]
         within = wide + (edges - wide) % ny
 
-        def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            work, at = np.empty((4, len(rows) + 2 * margin, ny + 2 * wide), np.float32), 0
+        def make(first: int, stop: int) -> np.ndarray:
+            stop, at = min(stop, len(own[0])), 0
+            work = np.empty((4, stop - first + 2 * margin, ny + 2 * wide), np.float32)
             for fields, begin in pieces:
                 part = slice(max(first - begin, 0), max(stop + 2 * margin - begin, 0))
                 piece = fields[0][part], fields[1][part]
@@ -218,9 +243,10 @@ class Relaxation:
                 field, means = work[2 + done % 2], work[3 - done % 2]
                 field[:, edges] = field[:, within]
                 average_between(field, work[:2], stride, wide, means)
-            rows[...] = means[margin:-margin, wide:-wide]
+            return means[margin:-margin, wide:-wide]
 
-        square, change = energy_of_residual(self.grid, fill, self.stiffness[np.float32])
+        rows = in_chunks(make, max(2 * self.grid.band, 2 * margin))
+        square, change = energy_of_residual(self.grid, rows, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
         return certified(square, self.rounding_bound(state, precision)) / (2 * state.energy)
 
@@ -233,30 +259,39 @@ class Relaxation:
 
 @jit
 def contact_sums(
-    pressure: np.ndarray, gap: np.ndarray, heights: np.ndarray, limits: tuple[float, float], first: int, stop: int
+    pressure: np.ndarray,
+    gap: np.ndarray,
+    heights: np.ndarray,
+    limits: tuple[float, float, float],
+    first: int,
+    stop: int,
 ) -> tuple[float, float, int, float, float, float, int]:
-    """(Σ p g, Σ p and number of points where 0 < p < highest; Σ p (g + h), Σ p², Σ h² + (h − summit)² and number of
-    points where p > 0) over rows first … stop−1.
+    """(Σ p g, Σ p and number of points where 0 < p < highest; Σ p (g + base + h), Σ p², Σ h² + (h − summit)² and number
+    of points where p > 0) over rows first … stop−1.
 
-    limits: the largest pressure `highest`, and the largest height `summit`
+    limits: the largest pressure `highest`, the largest height `summit`, and the `base` of gaps
     """
-    highest, summit = limits
+    highest, summit, base = limits
     work = load = energy = squares = heights_squared = 0.0
     between = count = 0
     for i in range(first, stop):
         row = pressure[i]
-        for j in range(row.size):
-            p = row[u(j)]
-            if p > 0:
-                g, h = gap[i, u(j)], heights[i, u(j)]
-                energy += p * (g + h)
-                squares += p * p
-                heights_squared += h * h + (h - summit) ** 2
-                count += 1
-                if p < highest:
-                    work += p * g
-                    load += p
-                    between += 1
+        for begin in range(0, row.size, PIECE):
+            end, some = min(begin + PIECE, row.size), row[u(0)] * 0
+            for j in range(begin, end):  # vectorised; the sum is 0 where no pressure is above 0
+                some += row[u(j)]
+            for j in range(begin, end if some != 0 else begin):
+                p = np.float64(row[u(j)])
+                if p > 0:
+                    g, h = np.float64(gap[i, u(j)]), heights[i, u(j)]
+                    energy += p * (g + base + h)
+                    squares += p * p
+                    heights_squared += h * h + (h - summit) ** 2
+                    count += 1
+                    if p < highest:
+                        work += p * g
+                        load += p
+                        between += 1
     return work, load, between, energy, squares, heights_squared, count
 
 
@@ -268,8 +303,8 @@ def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[in
     (pressure, gap), (level, highest), (at, margin) = fields, limits, place
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
-            rest, above, below = np.float32(gap[i, j] - level), pressure[i, j] > 0, pressure[i, j] < highest
-            k = u(j + margin)
+            p, rest, k = pressure[i, u(j)], np.float32(gap[i, u(j)] - level), u(j + margin)
+            above, below = p > 0, p < highest
             out[0, at + i, k] = rest if above else -HUGE
             out[1, at + i, k] = rest if below else HUGE
             out[2, at + i, k] = rest if above and below else np.float32(0)

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from pgfmd.grid.kernels import jit
+from pgfmd.grid.kernels import jit, u
 from pgfmd.parallel.collectives import Reduction
 from pgfmd.solvers.active_set.unknowns import SetVector
 
@@ -82,7 +82,7 @@ def dot_and_sums(a: np.ndarray, b: np.ndarray, first: int, stop: int) -> tuple[f
     """(Σ a b, Σ a, Σ b) over the entries first … stop−1, in double precision."""
     dot = sum_a = sum_b = 0.0
     for k in range(first, stop):
-        x, y = np.float64(a[k]), np.float64(b[k])
+        x, y = np.float64(a[u(k)]), np.float64(b[u(k)])
         dot += x * y
         sum_a += x
         sum_b += y
@@ -94,7 +94,7 @@ def next_direction(direction: np.ndarray, z: np.ndarray, turn: Pair, first: int,
     """direction = factor · direction + z − mean in the entries first … stop−1; turn: factor and mean."""
     factor, mean = turn
     for k in range(first, stop):
-        direction[k] = factor * direction[k] + (z[k] - mean)
+        direction[u(k)] = factor * direction[u(k)] + (z[u(k)] - mean)
 
 
 @jit
@@ -106,5 +106,5 @@ def advance(
     """
     (direction, product), (factor, mean) = along, step
     for k in range(first, stop):
-        x[k] += factor * direction[k]
-        residual[k] -= factor * (product[k] - mean)
+        x[u(k)] += factor * direction[u(k)]
+        residual[u(k)] -= factor * (product[u(k)] - mean)

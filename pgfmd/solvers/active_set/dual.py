@@ -55,7 +55,7 @@ class GapSteps(Relaxation):
             rows = state.pressure[first:stop]
             rows[...] = np.where(state.gap[first:stop] > 0, 0.0, np.maximum(rows, 0.0))
             products = (float(np.vdot(rows, other)) for other in (self.heights[first:stop], rows))
-            sums.append((first, float(rows.sum()), *products, np.count_nonzero(rows)))
+            sums.append((first, float(rows.sum(dtype=np.float64)), *products, np.count_nonzero(rows)))
 
         self.grid.threads.share(settle, len(state.gap), self.grid.band)
         total, work, self.squares[0], count = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
@@ -77,7 +77,7 @@ class GapSteps(Relaxation):
             gap[...] = np.where(state.pressure[first:stop] > 0, 0.0, np.maximum(gap - state.level, 0.0))
 
         self.grid.threads.share(part, len(state.gap), self.grid.band)
-        state.clipped, state.estimated = True, False
+        state.clipped, state.estimated, state.base = True, False, 0.0
 
     def compute_pressure(self, state: State, precision: Precision) -> None:
         """p = p̄ + K(h + g) for the state's gap, with either sign.  Collective."""
@@ -89,7 +89,7 @@ class GapSteps(Relaxation):
             sums.append((first, float(displacement.sum()), float(np.vdot(displacement, displacement))))
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            np.add(rows, mean, out=state.pressure[first:stop])
+            np.add(rows, mean, out=state.pressure[first:stop], casting="same_kind")
 
         self.grid.convolve(fill, self.stiffness[precision], drain, precision)
         total, self.squares[1] = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
@@ -104,9 +104,9 @@ class GapSteps(Relaxation):
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             state.gap[first:stop] += rows
-            state.gap[first:stop] -= self.mean
 
         self.grid.convolve(fill, self.compliance[np.float32], drain, np.float32)
+        state.base = -self.mean
         self.measure(state)
         state.clipped = False
         return super().certify(state, system, precision)

@@ -8,11 +8,11 @@ import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.callbacks import sink, source
-from pgfmd.grid.kernels import jit
+from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.elasticity import multiply
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import Relaxation, State
+from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
@@ -23,6 +23,14 @@ from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
+LEAST = 1e-30  # pressure of points in contact, over the mean, that a start gives where it would be in tension
+
+
+def kept(problem: ContactProblem) -> Precision:
+    """The precision in which a state is kept: single under a hard wall; a largest pressure has to be met to its last
+    digit.
+    """
+    return np.float32 if problem.law.highest == np.inf else np.float64
 
 
 def _full_contact(problem: ContactProblem) -> State | None:
@@ -50,7 +58,9 @@ class ActiveSetIteration(NestedIteration[State]):
         grid, highest = problem.grid, problem.law.highest
         if grid.reduction.min(start) > 0 and (full := _full_contact(problem)) is not None:
             return full
-        state = State(np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest), -problem.heights)
+        pressure = np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest)
+        state = State(grid.new_field(kept(problem)), grid.new_field(kept(problem)))
+        state.pressure[...], state.gap[...] = pressure, -problem.heights
         scale_to_load(problem, (state.pressure, state.gap))
         state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))
         return self.relax(problem, state)
@@ -63,8 +73,9 @@ class ActiveSetIteration(NestedIteration[State]):
         """From a uniform pressure."""
         if (state := _full_contact(problem)) is not None:
             return state
-        shape = problem.grid.local_shape
-        return self.relax(problem, State(np.full(shape, problem.mean_pressure), np.empty(shape)), exact)
+        pressure, gap = (problem.grid.new_field(kept(problem)) for _ in range(2))
+        pressure[...] = problem.mean_pressure
+        return self.relax(problem, State(pressure, gap), exact)
 
     def prolong(self, coarse: Coarse, found: State, problem: ContactProblem) -> tuple[State, bool]:
         """Full contact and True, if both grids have it; else a start from the coarse state and False.
@@ -75,21 +86,23 @@ class ActiveSetIteration(NestedIteration[State]):
         """
         if found.between == coarse.place.size and (full := _full_contact(problem)) is not None:
             return full, True
-        grid = problem.grid
+        grid, real = problem.grid, kept(problem)
         found.gap -= found.level
-        interpolation = Interpolation(coarse.place, grid, [found.pressure, found.gap, coarse.heights])
-        found.pressure = found.gap = coarse.place.no_rows()  # the interpolation has copies: one field of this grid less
+        fields = found.pressure, found.gap, coarse.heights
+        interpolation = Interpolation(coarse.place, grid, [field.astype(real, copy=False) for field in fields])
         compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
-        pressure, gap = grid.new_field(), grid.new_field()
+        factors = real(compliance), real(ROUGHER), real(LEAST)
+        pressure, gap = grid.new_field(real), grid.new_field(real)
 
         def part(thread: int, first: int, stop: int) -> None:
             rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
-            start_rows((read(0), read(1), read(2)), problem.heights[rows], compliance, (pressure[rows], gap[rows]))
+            heights = problem.heights[rows].astype(real)
+            start_rows((read(0), read(1), read(2)), heights, factors, (pressure[rows], gap[rows]))
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         scale_to_load(problem, (pressure, gap))
         between = round(found.between / coarse.place.size * grid.size)
-        return State(pressure, gap, estimated=True, between=between), False
+        return State(pressure, gap, base=found.base + found.level, estimated=True, between=between), False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
@@ -107,6 +120,8 @@ class ActiveSetIteration(NestedIteration[State]):
                 solver, state.clipped = Descent(problem, exact), False
             else:
                 solver.free()
+                if exact:
+                    solver.widen(state)
                 return state
 
 
@@ -115,17 +130,21 @@ solve_hard_wall = ActiveSetIteration.contact
 
 
 @jit
-def start_rows(coarse: tuple[np.ndarray, ...], heights: np.ndarray, compliance: float, fields: Fields) -> None:
+def start_rows(
+    coarse: tuple[np.ndarray, ...], heights: np.ndarray, factors: tuple[float, float, float], fields: Fields
+) -> None:
     """Fills pressure and gap that start a finer grid, from pressure, gap and heights of the coarse one interpolated.
     With new = h − coarse h, the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact:
-    its pressure is max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere p = 0.
+    its pressure is max(coarse p + rougher · new/compliance, least), its gap g + rougher · new.  Elsewhere p = 0.
+    factors: compliance, rougher, least.
     """
+    compliance, rougher, least = factors
     (coarse_pressure, coarse_gap, coarse_heights), (pressure, gap) = coarse, fields
     for i in range(pressure.shape[0]):
         for j in range(pressure.shape[1]):
-            p, new = coarse_pressure[i, j], heights[i, j] - coarse_heights[i, j]
-            g = coarse_gap[i, j] - new
+            p, new = coarse_pressure[i, u(j)], heights[i, u(j)] - coarse_heights[i, u(j)]
+            g = coarse_gap[i, u(j)] - new
             closed = compliance * p > g
-            gap[i, j] = g + ROUGHER * new if closed else g
-            p += ROUGHER / compliance * new
-            pressure[i, j] = (p if p > 1e-300 else 1e-300) if closed else 0.0
+            gap[i, u(j)] = g + rougher * new if closed else g
+            p += rougher / compliance * new
+            pressure[i, u(j)] = (p if p > least else least) if closed else 0

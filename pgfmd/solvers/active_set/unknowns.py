@@ -42,9 +42,12 @@ class Unknowns:
         self.grid, rows = grid, grid.local_shape[0]
         self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO)
 
+        real = fields[1].dtype.type  # of the limits too, since loops that convert are slower
+
         def choose(pressure: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             counts, columns = np.empty(len(gap), np.int64), np.empty(gap.size, np.int32)
-            return counts, columns[: choose_points((pressure, gap), level, highest, counts, columns)].copy()
+            found = choose_points((pressure, gap), real(level), real(highest), counts, columns)
+            return counts, columns[:found].copy()
 
         parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows, grid.band)
         before, after = (choose(*(field[part] for field in around)) for part in (slice(HALO), slice(HALO, None)))
@@ -95,9 +98,9 @@ def choose_points(fields: Fields, level: float, highest: float, counts: np.ndarr
     for i in range(counts.size):
         before, p, g = count, fields[0][i], fields[1][i]
         for first in range(0, p.size, PIECE):
-            stop, some = min(first + PIECE, p.size), 0
+            stop, some = min(first + PIECE, p.size), False
             for j in range(first, stop):
-                some += ((p[u(j)] > 0) | (g[u(j)] < level)) & ((p[u(j)] < highest) | (g[u(j)] > level))
+                some |= ((p[u(j)] > 0) | (g[u(j)] < level)) & ((p[u(j)] < highest) | (g[u(j)] > level))
             for j in range(first, stop if some else first):
                 columns[u(count)] = j
                 count += ((p[u(j)] > 0) | (g[u(j)] < level)) & ((p[u(j)] < highest) | (g[u(j)] > level))
