@@ -213,7 +213,7 @@ class _Steps:
         """Write a checkpoint of the pressure, converted from the solver's units to the job's.  Collective."""
         pressure = found.pressure
         unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
-        self.checkpoints.save(self.index, unit * pressure)
+        self.checkpoints.save(self.index, np.multiply(pressure, unit, dtype=np.float64))
 
 
 def _report(progress: Progress, row: dict, errors: Mapping | None) -> None:

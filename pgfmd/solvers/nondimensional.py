@@ -243,13 +243,15 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
         size = depth
         mean, spread = rescale(size)
 
+    inverse = 1 / spread
+
     def centre(_: int, first: int, stop: int) -> None:
         part = out[first:stop]
         part -= mean
-        part *= 1 / spread
+        part *= inverse
 
     threads.share(centre, rows, grid.band)
-    return Heights(out, -mean / spread, size * spread, rms, high, depth)
+    return Heights(out, -mean * inverse, size * spread, rms, high, depth)
 
 
 def _rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray) -> tuple[float, float]:

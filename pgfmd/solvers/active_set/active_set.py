@@ -254,7 +254,10 @@ class Relaxation:
         """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in a precision; 0 if not `exact`."""
         if self.rounding is None:
             return 0.0
-        return self.rounding.bound(self.squares, self.heights_squared, 2 * state.energy, precision)
+        squares = self.squares.copy()
+        if state.gap.dtype == np.float32:  # which rounds gaps of points in contact, about `level`, once more
+            squares[1] += state.contact * state.level**2
+        return self.rounding.bound(squares, self.heights_squared, 2 * state.energy, precision)
 
 
 @jit
