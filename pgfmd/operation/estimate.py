@@ -11,7 +11,7 @@ from pgfmd.grid.holders import largest_shares
 from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
 from pgfmd.options.text import counted
-from pgfmd.solvers.cost import GAPS_FROM
+from pgfmd.solvers.cost import FINEST, GAPS_FROM
 from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
@@ -127,7 +127,9 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     """What each load costs to solve; memory of the fullest of so many slabs."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    return [solver_cost(method, area, slabs, job.wall.effort) for area in contact_areas(job)]
+    scaled = job.wall.range > 0 or not job.surface.centred
+    single = job.wall.highest == math.inf and job.solver.tolerance >= FINEST
+    return [solver_cost(method, area, slabs, job.wall.effort, scaled, single) for area in contact_areas(job)]
 
 
 def measuring_costs(job: Job) -> list[Cost]:

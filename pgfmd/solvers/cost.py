@@ -16,6 +16,8 @@ import math
 from pgfmd.grid.cost import Cost
 
 SCALED = 8.0  # heights about their mean, over their rms value
+SINGLE = 8.0  # less: a hard wall's pressure and gap in single precision
+FINEST = 1e-8  # smallest error of the active set that single precision reaches on any grid
 # Per unknown of the active set, which is the pressure of a point in contact or, where these are the majority, the gap
 # of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
 # for pressures the residual without means of blocks, columns near the contact and the change there, with halos (15).
@@ -31,19 +33,23 @@ GAPS_FROM = 0.55  # contact area above which the active set's unknowns are the g
 
 
 
-def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0) -> Cost:
+def cost(
+    method: str, area: float, slabs: int = 1, effort: float = 1.0, scaled: bool = True, single: bool = False
+) -> Cost:
     """One contact of that relative area by that method; memory of the fullest of so many slabs.
 
-    effort: time of dynamics under the law over that under a hard wall.
+    effort: time of dynamics under the law over that under a hard wall.  scaled: whether heights are scaled in an array
+    of their own.  single: whether the active set can keep pressure and gap in single precision.
     """
+    heights = SCALED * scaled
     if method == "newton":
-        return Cost(70, SCALED + NEWTON)
+        return Cost(70, heights + NEWTON)
     if method == "gfmd":
-        return Cost(110 * effort, SCALED + DYNAMICS)
+        return Cost(110 * effort, heights + DYNAMICS)
     by_pressures = area <= GAPS_FROM
     most = fullest(area if by_pressures else 1 - area, slabs)
     unknowns = most * (PER_PRESSURE if by_pressures else PER_GAP)
-    return Cost(18, SCALED + MESH + unknowns)
+    return Cost(18, heights + MESH + unknowns - SINGLE * single)
 
 
 def fullest(area: float, slabs: int) -> float:

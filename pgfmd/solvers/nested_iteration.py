@@ -30,12 +30,12 @@ class Coarse(NamedTuple):
 
 
 class NestedIteration(Generic[StateType]):
-    """Solves problems to a tolerance, each grid from the next coarser one.  `contact` takes physical problems, all else
+    """Solves problems with heights of an rms value to a tolerance, each grid from the next coarser one.  `contact` takes physical problems, all else
     dimensionless ones.
     """
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:
-        self.tolerance, self.monitor = tolerance, monitor
+        self.tolerance, self.monitor, self.rms = tolerance, monitor, 1.0
 
     @classmethod
     def contact(
@@ -56,6 +56,7 @@ class NestedIteration(Generic[StateType]):
         scaled = Dimensionless(problem, overwrite_heights)
         if scaled.uniform is not None:
             return scaled.uniform
+        nested.rms = scaled.rms
         if start is None:
             state, transforms = nested.solve(scaled.problem)
         else:
@@ -106,7 +107,7 @@ class NestedIteration(Generic[StateType]):
             return None
         place = SubGrid.coarse(problem.grid)
         heights = restrict_locally(problem.grid, place, problem.heights)
-        flat = problem.grid.reduction.dot(heights, heights) < FLAT**2 * place.size
+        flat = problem.grid.reduction.dot(heights, heights) < (FLAT * self.rms) ** 2 * place.size
         return None if flat else Coarse(place, heights)
 
     def resume(self, problem: ContactProblem, start: np.ndarray) -> StateType:

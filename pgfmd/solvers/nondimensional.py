@@ -21,15 +21,17 @@ UNIFORM = 1e15  # range of a law over the rms height above which a pressure in d
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
 SUMS = 1e-12  # relative error of the sums in a certified error
 BEYOND = 1.01  # safety factor on the depth that can touch
+MODERATE, CENTRED = 1e6, 1e-13  # most of rms heights and of their inverse, of |mean|/rms, that need no change
 UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
 
 
 class Dimensionless:
     """A contact problem with heights about their mean and over their rms value, pressures over their mean.  Collective
-    to make.
+    to make.  If the law has no length of its own, heights of mean 0 and moderate size stay as they are.
 
     uniform: the solution if no solver is needed (no load or no roughness), else None.  problem: the dimensionless
-    problem, set only if `uniform` is None.  Wave numbers, and so lengths in the plane, keep their unit.
+    problem, and rms: the rms value of its heights, set only if `uniform` is None.  Wave numbers, and so lengths in the
+    plane, keep their unit.
 
     Under a light load, points far below the highest one cannot touch, and how far below does not matter.  They are
     raised to just below the depth that can touch: heights are then of the size of the indentation, and lose no digits.
@@ -62,7 +64,8 @@ class Dimensionless:
         self.problem = ContactProblem(
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0
         )
-        if elastic_energy_is_lost(self.problem):
+        self.rms = 1.0 if made.depth < math.inf else made.rms / made.unit
+        if elastic_energy_is_lost(self.problem, self.rms):
             raise Uncertifiable(f"mean pressure = {mean:g}: the elastic energy is lost in the pressure's last digits")
 
     def _uniform(self, heights: np.ndarray) -> ContactSolution:
@@ -150,14 +153,14 @@ class Dimensionless:
         return lowered, work
 
 
-def elastic_energy_is_lost(problem: ContactProblem) -> bool:
+def elastic_energy_is_lost(problem: ContactProblem, rms: float) -> bool:
     """Whether errors in the last digits of the pressure have more energy than any elastic energy of the problem.  With
-    heights h of rms 1 and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance
+    heights h of that rms value and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance
     times ⟨p²⟩, which is at most the number of points.
     """
     grid, solid = problem.grid, problem.solid
     shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
-    most = min(float(solid.stiffness(np.array(shortest))), grid.size * float(solid.compliance(np.array(longest))))
+    most = min(rms**2 * float(solid.stiffness(np.array(shortest))), grid.size * float(solid.compliance(np.array(longest))))
     return last_digits(problem, 1.0) > most
 
 
@@ -185,10 +188,11 @@ def deepest(problem: ContactProblem, height: float) -> float:
 
 
 class Heights(NamedTuple):
-    """Dimensionless heights (nx_local, ny) of mean 0 and rms 1, and how they were made.
+    """Dimensionless heights (nx_local, ny) of mean 0, and how they were made.
 
-    top: the largest dimensionless height.  unit: unit of heights, 0 for a plane.  rms, high: rms and largest value of
-    the physical heights.  depth: points more than this below `high` were raised to that depth; inf if none was.
+    top: the largest dimensionless height.  unit: unit of heights, 0 for a plane, 1 if they stay as they are.  rms, high:
+    rms and largest value of the physical heights.  depth: points more than this below `high` were raised to that depth;
+    inf if none was.
     """
 
     field: np.ndarray
@@ -200,8 +204,8 @@ class Heights(NamedTuple):
 
 
 def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> Heights:
-    """Dimensionless heights, in a new array or, if `overwrite` and no point is raised, in that of the physical ones.
-    Collective.
+    """Dimensionless heights, in a new array or, if `overwrite` and no point is raised, in that of the physical ones; or
+    the physical ones themselves.  Collective.
 
     Raises InputError if the range of heights, the mean pressure or a slab's stiffness exceeds `LARGEST` or `STIFFEST`.
     """
@@ -212,7 +216,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
         return heights[first:stop].min(), heights[first:stop].max()
 
     lows, highs = zip(*threads.collect(measure, rows, grid.band), strict=True)
-    low, high = reduce.min(lows), reduce.max(highs)
+    low, high = float(reduce.min(lows)), float(reduce.max(highs))
     solid, across = problem.solid, 2 * math.pi / max(grid.lengths) * problem.solid.thickness
     stiffer = float(solid.slab_factor(np.array(across))) if math.isfinite(across) else 1.0
     stiffer = stiffer or math.ulp(0.0)  # where it underflows, it is refused
@@ -227,6 +231,10 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     if low == high:
         return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
+    if problem.law.range == 0 and depth == math.inf and problem.mean_pressure > 0 and max(abs(low), high) < MODERATE**2:
+        mean, rms = _spread(grid, threads.collect(lambda a, b: _sums(heights[a:b]), rows, grid.band))
+        if 1 / MODERATE <= rms <= MODERATE and abs(mean) <= CENTRED * rms:
+            return Heights(heights, high, 1.0, rms, high, math.inf)
     out = heights if overwrite and depth == math.inf else grid.new_field()
 
     def rescale(size: float) -> tuple[float, float]:
@@ -259,7 +267,12 @@ def _rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray
     np.subtract(heights, high, out=out)
     np.divide(out, size, out=out)
     np.maximum(out, -1.0, out=out)
-    return float(out.sum()), float(np.vdot(out, out))
+    return _sums(out)
+
+
+def _sums(field: np.ndarray) -> tuple[float, float]:
+    """The sum of a field and that of its squares."""
+    return float(field.sum()), float(np.vdot(field, field))
 
 
 def _spread(grid: SlabGrid, parts: list[tuple[float, float]]) -> tuple[float, float]:

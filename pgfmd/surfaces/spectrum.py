@@ -32,6 +32,7 @@ class FromSpectrum(Surface):
     """
 
     kind = "spectrum"
+    centred = True
     path: str = path_key(
         "text of two columns, or .npy (m, 2): q (radians per length), increasing, and C (length⁴), all > 0",
         "spectrum.csv",

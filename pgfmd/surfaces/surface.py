@@ -40,6 +40,7 @@ class Surface(Section):
     """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface]."""
 
     where = "surface"
+    centred = False  # whether the mean height is 0
 
     def known_slope(self) -> float | None:
         """√⟨|∇h|²⟩ if the options tell it, for estimates before the run."""

@@ -32,6 +32,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
+from pgfmd.solvers.cost import FINEST
 from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
@@ -43,7 +44,6 @@ MARGIN = 0.4  # the last step aims at this part of the tolerance
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
-FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
 HUGE = np.finfo(np.float32).max
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected

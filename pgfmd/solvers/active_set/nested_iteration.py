@@ -62,6 +62,7 @@ class ActiveSetIteration(NestedIteration[State]):
         state = State(grid.new_field(kept(problem)), grid.new_field(kept(problem)))
         state.pressure[...], state.gap[...] = pressure, -problem.heights
         scale_to_load(problem, (state.pressure, state.gap))
+        state.base = -grid.reduction.dot(state.pressure, problem.heights) / problem.load  # λ less the mean ⟨p u⟩/p̄
         state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))
         return self.relax(problem, state)
 
