@@ -187,7 +187,7 @@ def test_sums_of_a_state(fields):
     on, free = p > 0, (p > 0) & (p < 1)
     expected = (p * gap)[free].sum(), p[free].sum(), free.sum(), (p * (gap + 0.7 + heights))[on].sum()
     expected += (p**2)[on].sum(), (heights**2 + (heights - 3) ** 2)[on].sum(), on.sum()
-    sums = active_set.contact_sums(p, gap, heights, (1.0, 3.0, 0.7), 0, 9)
+    sums = active_set.contact_sums((p, gap, heights), (1.0, 3.0, 0.7), 0, 9)
     assert np.allclose(sums, expected, rtol=1e-12, atol=1e-12)
 
 
@@ -232,15 +232,15 @@ def test_start_rows(rng):
     a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
-    nested_iteration.start_rows((p, g, coarse), h, (0.3, 0.2, 1e-30), (pressure, gap))
-    flattened, contact = 0.2 * (h - coarse), 0.3 * p > g - (h - coarse)
+    nested_iteration.start_rows((p, g, coarse), h, 0.3, (pressure, gap))
+    flattened, contact = nested_iteration.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
     assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
     assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-30), 0), rtol=1e-14, atol=0)
 
 
 @pytest.mark.parametrize("twice", [False, True])
 def test_interpolate_rows(rng, twice):
-    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic; twice: points and the middles between them."""
+    """Σ_s Σ_t w_s v_t coarse[i + s, j + t], columns from −1 on, periodic; twice: points and the middles between."""
     coarse = rng.random((8, 6))
     index, weights = np.array([0, 3, 4]), rng.random((3, 4))
     first, column_weights = rng.integers(-1, 6, 4), rng.random((4, 4))

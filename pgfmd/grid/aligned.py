@@ -23,7 +23,8 @@ def aligned_bytes(count: int, begin: int = 0, unit: int = ALIGNMENT) -> np.ndarr
 
 
 def new_field(shape: tuple[int, int], dtype: DTypeLike = np.float64) -> np.ndarray:
-    """A new array of float64, or of float32 in the second half of one, that begins at another place of a page than those made before.
+    """A new array of float64, or of float32 in the second half of the memory of one (`widened`).  Each begins at
+    another place of a page than those made before.
 
     Large arrays lie as far apart as they are long, and a page.  At 4096² that is 2²⁷ + 2¹² bytes: the first cache of
     AMD's Zen then seems to take entries at like places of two arrays for the same (Lipp et al. 2020,

@@ -30,8 +30,8 @@ class Coarse(NamedTuple):
 
 
 class NestedIteration(Generic[StateType]):
-    """Solves problems with heights of an rms value to a tolerance, each grid from the next coarser one.  `contact` takes physical problems, all else
-    dimensionless ones.
+    """Solves problems to a tolerance, each grid from the next coarser one.  `contact` takes physical problems, all else
+    dimensionless ones; rms: of the heights of the finest.
     """
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:

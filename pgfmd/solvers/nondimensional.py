@@ -155,13 +155,13 @@ class Dimensionless:
 
 def elastic_energy_is_lost(problem: ContactProblem, rms: float) -> bool:
     """Whether errors in the last digits of the pressure have more energy than any elastic energy of the problem.  With
-    heights h of that rms value and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest compliance
-    times ⟨p²⟩, which is at most the number of points.
+    heights h of that rms value and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest
+    compliance times ⟨p²⟩, which is at most the number of points.
     """
     grid, solid = problem.grid, problem.solid
     shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
-    most = min(rms**2 * float(solid.stiffness(np.array(shortest))), grid.size * float(solid.compliance(np.array(longest))))
-    return last_digits(problem, 1.0) > most
+    stiffness, compliance = float(solid.stiffness(np.array(shortest))), float(solid.compliance(np.array(longest)))
+    return last_digits(problem, 1.0) > min(rms**2 * stiffness, grid.size * compliance)
 
 
 def deepest(problem: ContactProblem, height: float) -> float:
@@ -190,9 +190,9 @@ def deepest(problem: ContactProblem, height: float) -> float:
 class Heights(NamedTuple):
     """Dimensionless heights (nx_local, ny) of mean 0, and how they were made.
 
-    top: the largest dimensionless height.  unit: unit of heights, 0 for a plane, 1 if they stay as they are.  rms, high:
-    rms and largest value of the physical heights.  depth: points more than this below `high` were raised to that depth;
-    inf if none was.
+    top: the largest dimensionless height.  unit: unit of heights, 0 for a plane, 1 if they stay as they are.
+    rms, high: rms and largest value of the physical heights.  depth: points more than this below `high` were raised to
+    that depth; inf if none was.
     """
 
     field: np.ndarray

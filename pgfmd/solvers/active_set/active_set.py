@@ -14,7 +14,7 @@ The stop is a certificate, ½⟨ρ, Kρ⟩, of second order in the error of the 
 (proof in NUMERICS.md).  Where p is at a bound, ρ may be chosen; smooth fields give the lowest bound.  So ρ is continued
 from the unknowns by means over neighbours, far ones first (`STRIDES`), each time cut to what is allowed.
 
-Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights over their rms value.
+Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights in a unit of moderate size.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 class State:
     """Pressure and gap (nx_local, ny) on one grid, under a hard wall in single precision while that suffices.
 
-    The gap is Gp − h − base; level: what it is for points in contact, so that λ = base + level.  The base is an earlier
-    λ: gaps of points in contact are then small, and lose no digits in single precision.  clipped: true if `gap` is
+    The gap is Gp − h − base; level: that of points in contact, so that λ = base + level.  The base is an earlier λ, so
+    that gaps of points in contact are small, and lose no digits in single precision.  clipped: true if `gap` is
     measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
     coarser grid.  energy:
     ½⟨p, Gp⟩.  error: of the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0;
@@ -139,9 +139,7 @@ class Relaxation:
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
 
     def widen(self, state: State) -> None:
-        """Brings a state to double precision and base 0, and if it was in single precision, the sum of the pressure to
-        the load.  Collective.
-        """
+        """Brings a state to double precision and base 0, and its load to the last digit.  Collective."""
         if state.pressure.dtype == np.float32:
             factor, rows = self.load / self.grid.reduction.sum(state.pressure), self.grid.band
             state.pressure = widened(state.pressure, np.multiply, factor, rows)
@@ -152,10 +150,8 @@ class Relaxation:
 
     @staticmethod
     def next_cut(estimate: float, before: float, tolerance: float) -> float:
-        """Factor by which the next step multiplies the residual of its system.
-
-        A smaller factor is wasted if the change of the set of unknowns, which the last two errors predict, leaves a
-        larger error, or if the tolerance is met before.
+        """Factor by which the next step multiplies the residual of its system.  A smaller one is wasted if the change
+        of the set, which the last two errors predict, leaves more, or if the tolerance is met before.
         """
         if not estimate < math.inf:
             return LEAST_CUT
@@ -167,8 +163,8 @@ class Relaxation:
 
     @classmethod
     def goal(cls, estimate: float, tolerance: float) -> float:
-        """Tolerance for a coarse grid: a part of the estimated error of its start, at least `FINEST` and a quarter of
-        the tolerance.  Interpolation to the next grid will make an error of about the size of the start's.
+        """Tolerance for a coarse grid: a part of the estimated error of its start, since interpolation to the next grid
+        will make such an error again; at least `FINEST` and a quarter of the tolerance.
         """
         return max(cls.coarse_part * min(estimate, WORST), tolerance / 4, FINEST)
 
@@ -190,29 +186,25 @@ class Relaxation:
 
     def measure(self, state: State) -> None:
         """Sets the state's level, energy and counts from a pressure and its gap, and Σ p².  Collective."""
-        pressure, gap, heights = state.pressure, state.gap, self.heights
-        limits = self.highest, self.summit, state.base
-        parts = self.grid.threads.collect(lambda a, b: contact_sums(pressure, gap, heights, limits, a, b), len(gap))
+        fields, limits = (state.pressure, state.gap, self.heights), (self.highest, self.summit, state.base)
+        parts = self.grid.threads.collect(lambda a, b: contact_sums(fields, limits, a, b), len(self.heights))
         totals = self.grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         work, load, between, energy, self.squares[0], self.heights_squared, count = totals
         state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
         if between:
             state.level = float(work / load)
         else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 is right
-            full, free = gap[pressure > 0], gap[pressure == 0]
+            full, free = state.gap[state.pressure > 0], state.gap[state.pressure == 0]
             state.level = (self.grid.reduction.max(full) + self.grid.reduction.min(free)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap, which may have either sign, and its base to the last λ.  Collective."""
         squares: dict[int, tuple[float, ...]] = {}
-        state.base, state.level = state.base + state.level, 0.0
-        if state.gap.dtype == np.float64:
-            state.base = 0.0
-        base = state.base
+        state.base = base = state.base + state.level if state.gap.dtype == np.float32 else 0.0
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             squares[first] = (float(np.vdot(rows, rows)),)
-            np.subtract(rows, self.heights[first:stop] + base, out=state.gap[first:stop], casting="same_kind")
+            np.subtract(rows, self.heights[first:stop] + base, out=state.gap[first:stop])
 
         self.grid.convolve(source(state.pressure), self.compliance[precision], drain, precision)
         (self.squares[1],) = self.grid.reduction.sums_of_blocks(squares, 1)
@@ -262,19 +254,12 @@ class Relaxation:
 
 @jit
 def contact_sums(
-    pressure: np.ndarray,
-    gap: np.ndarray,
-    heights: np.ndarray,
-    limits: tuple[float, float, float],
-    first: int,
-    stop: int,
+    fields: tuple[np.ndarray, np.ndarray, np.ndarray], limits: tuple[float, float, float], first: int, stop: int
 ) -> tuple[float, float, int, float, float, float, int]:
     """(Σ p g, Σ p and number of points where 0 < p < highest; Σ p (g + base + h), Σ p², Σ h² + (h − summit)² and number
-    of points where p > 0) over rows first … stop−1.
-
-    limits: the largest pressure `highest`, the largest height `summit`, and the `base` of gaps
+    of points where p > 0) over rows first … stop−1.  fields: p, g, h; limits: highest, summit, base.
     """
-    highest, summit, base = limits
+    (pressure, gap, heights), (highest, summit, base) = fields, limits
     work = load = energy = squares = heights_squared = 0.0
     between = count = 0
     for i in range(first, stop):
@@ -315,8 +300,8 @@ def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[in
 
 @jit
 def average_between(field: np.ndarray, limits: np.ndarray, stride: int, margin: int, out: np.ndarray) -> None:
-    """out = the mean of a field over the eight points one stride away, or the nearest value within limits (2, rows,
-    columns).  Not set: `stride` rows at either end, and `margin` columns, which in `field` repeat the other side's.
+    """out = the mean of a field over the eight points one stride away, cut at limits (2, rows, columns).  Not set:
+    `stride` rows at either end, and `margin` columns, which in `field` repeat the other side's.
     """
     for i in range(stride, field.shape[0] - stride):
         a, b, c = field[i - stride], field[i], field[i + stride]

@@ -64,10 +64,7 @@ class Blocks:
 
     A residual is split: its means over blocks are answered by the stiffness between blocks, the rest by the caller.
     Then the sum of the caller's answer over each block is replaced by the load of the block.  Both times `window`
-    receives what the caller is to subtract from each point: an entry for each block that has points of this rank.  The
-    ranks that hold the grid of blocks answer.
-
-    The map from residuals to loads is symmetric, positive, and accurate for waves of any length.
+    receives what the caller is to subtract from each point: an entry for each block that has points of this rank.
 
     Attributes: window; loads (own rows, ny), of the answers; transformed, points of the transforms in one application.
     """
@@ -109,8 +106,8 @@ class Blocks:
             self.coarser.prepare(_sums_of(self.counts))
 
     def split(self, residuals: Sums, exchange: Exchange) -> None:
-        """Sets the window to the means of the residuals, and adds to the exchange what `respond` needs.  Until that is
-        called, the loads for `join` are 0.  Collective.
+        """Sets the window to the means of the residuals, and the loads for `join` to 0; adds to the exchange what
+        `respond` needs.  Collective.
         """
         self.window.sum(residuals)
         self._answers, self.loads[...] = Exchange(self.window.plan.comm), 0

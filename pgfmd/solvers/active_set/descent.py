@@ -1,12 +1,11 @@
 """The active-set step that lowers the energy each time, for contacts on which larger steps go round in circles.
 
-Steps that move all points at once between the sets (`primal`, `dual`) converge where a pressure lowers its surroundings
-less the farther they are.  On oblong pixels, or under a thin slab, which bends like a plate, they may cycle: points
-that are released together push each other back.  Here a step releases the points that their gap drives away from a
-bound, and solves for them and for those between the bounds.  Where the solution drives released points beyond their
-bound, these stay at it, and the rest is solved again, until there are no such points.  Along the direction to that
-solution the energy falls at least up to where the first point meets a bound.  So no set comes twice, and the iteration
-ends (Nocedal and Wright 2006, section 16.5, with blocks of points for single ones).
+Steps that move all points at once between the sets may cycle on oblong pixels, or under a thin slab, which bends like a
+plate: points that are released together push each other back.  Here a step releases the points that their gap drives
+away from a bound, and solves for them and for those between the bounds.  Released points that the solution drives
+beyond their bound stay at it, and the rest is solved again.  In the direction of that solution the energy falls at
+least up to where the first point meets a bound.  So no set comes twice, and the iteration ends (Nocedal and Wright
+2006, section 16.5, with blocks of points for single ones).
 """
 
 from __future__ import annotations
@@ -26,10 +25,7 @@ TRIALS = 4  # lengths that are tried before a step ends where the first point me
 
 
 class Descent(PressureSteps):
-    """Relaxation in double precision by steps none of which raises the energy.
-
-    It takes more transforms than the others, and several more fields (nx_local, ny).
-    """
+    """Relaxation in double precision by steps none of which raises the energy: with more transforms and fields."""
 
     precision = np.float64
     patience, most_steps = 60, 2000

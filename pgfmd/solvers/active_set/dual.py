@@ -1,12 +1,11 @@
 """The active-set step whose unknowns are the gaps of the points that are not in contact, under a hard wall: minimise
 ½⟨g, Kg⟩ + ⟨p̄ + Kh, g⟩ over g ≥ 0.
 
-This is the dual programme; its gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the
-open points.  Since the stiffness K falls off as r⁻³, a few iterations suffice where few points are open.  Then gaps
-below 0 are cut, and points in tension become unknowns.
+The gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the open points, in a few
+iterations, since the stiffness K falls off as r⁻³.  Then gaps below 0 are cut, and points in tension become unknowns.
 
-The certificate needs a feasible pressure.  So p = p̄ + K(h + g) is settled: set to 0 where there is a gap or tension,
-and scaled to the load.  If settling changes p by c, the gap becomes g + Gc.
+The certificate needs a feasible pressure.  So p is settled: set to 0 where there is a gap or tension, and scaled to the
+load.  If settling changes p by c, the gap becomes g + Gc.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ class GapSteps(Relaxation):
             sums.append((first, float(displacement.sum()), float(np.vdot(displacement, displacement))))
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            np.add(rows, mean, out=state.pressure[first:stop], casting="same_kind")
+            np.add(rows, mean, out=state.pressure[first:stop])
 
         self.grid.convolve(fill, self.stiffness[precision], drain, precision)
         total, self.squares[1] = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
@@ -123,9 +122,7 @@ class GapSteps(Relaxation):
 
 
 def near_compliance(grid: SlabGrid, half_space: Symbol) -> Stencil:
-    """An approximate inverse of the stiffness on a set: half_space(|q|), the compliance of a half-space, screened at
-    long waves and truncated to two pixels.
-    """
+    """An approximate inverse of the stiffness on a set: half_space(|q|), the compliance, screened and truncated."""
     screen = SCREENING / np.sqrt(grid.pixel_area)
     kernel = lattice_kernel(grid, lambda q: half_space(np.hypot(q, screen)))
     waves = np.fft.fft2(np.roll(np.pad(kernel, (0, 64 - len(kernel))), (-RADIUS, -RADIUS), (0, 1))).real

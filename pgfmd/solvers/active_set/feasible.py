@@ -1,8 +1,7 @@
 """Brings pressures between their bounds while each block of pixels keeps its load.
 
 If the set of unknowns is too large, conjugate gradients leave tensions (p < 0) near its edges.  Setting them to 0 adds
-load.  If the excess were subtracted evenly from all points, load would move over long distances, and an active set
-corrects long waves last.  So it is subtracted within the same block: the remaining error is short-ranged.
+load.  The excess is subtracted within the same block: if it were from all points, the error would have long waves.
 """
 
 from __future__ import annotations
@@ -33,10 +32,8 @@ class Feasible:
         self.window = BlockWindow(problem.grid, 1 << SHIFT, 2 * self.width, np.float64)
 
     def make(self, points: Unknowns, fields: Fields) -> None:
-        """Brings the pressure on the set between its bounds, and its sum over all points to the load.  Collective.
-
-        The sum over each block of pixels is kept if possible, up to a common change that brings the total to the load
-        (`scale_to_load`).
+        """Brings the pressure on the set between its bounds, and its sum to the load; if possible the sum over each
+        block of pixels is kept, up to a common change (`scale_to_load`).  Collective.
         """
         grid, load, highest = self.problem.grid, self.problem.load, self.problem.law.highest
         pressure, window, lists = fields[0], self.window, points.lists

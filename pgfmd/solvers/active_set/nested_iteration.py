@@ -12,7 +12,7 @@ from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.physics.elasticity import multiply
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
@@ -23,14 +23,12 @@ from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
-LEAST = 1e-30  # pressure of points in contact, over the mean, that a start gives where it would be in tension
 
 
-def kept(problem: ContactProblem) -> Precision:
-    """The precision in which a state is kept: single under a hard wall; a largest pressure has to be met to its last
-    digit.
-    """
-    return np.float32 if problem.law.highest == np.inf else np.float64
+def _new_state(problem: ContactProblem) -> State:
+    """Fields not yet set, in single precision unless there is a largest pressure, which is met to its last digit."""
+    real = np.float32 if problem.law.highest == np.inf else np.float64
+    return State(problem.grid.new_field(real), problem.grid.new_field(real))
 
 
 def _full_contact(problem: ContactProblem) -> State | None:
@@ -55,12 +53,11 @@ class ActiveSetIteration(NestedIteration[State]):
 
     def resume(self, problem: ContactProblem, start: np.ndarray) -> State:
         """Full contact, if it starts there and stays, or else from the pressure made feasible."""
-        grid, highest = problem.grid, problem.law.highest
+        grid, highest, state = problem.grid, problem.law.highest, _new_state(problem)
         if grid.reduction.min(start) > 0 and (full := _full_contact(problem)) is not None:
             return full
-        pressure = np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest)
-        state = State(grid.new_field(kept(problem)), grid.new_field(kept(problem)))
-        state.pressure[...], state.gap[...] = pressure, -problem.heights
+        np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest, out=state.pressure)
+        np.negative(problem.heights, out=state.gap)
         scale_to_load(problem, (state.pressure, state.gap))
         state.base = -grid.reduction.dot(state.pressure, problem.heights) / problem.load  # λ less the mean ⟨p u⟩/p̄
         state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))
@@ -72,38 +69,36 @@ class ActiveSetIteration(NestedIteration[State]):
 
     def coarsest(self, problem: ContactProblem, exact: bool) -> State:
         """From a uniform pressure."""
-        if (state := _full_contact(problem)) is not None:
-            return state
-        pressure, gap = (problem.grid.new_field(kept(problem)) for _ in range(2))
-        pressure[...] = problem.mean_pressure
-        return self.relax(problem, State(pressure, gap), exact)
+        if (full := _full_contact(problem)) is not None:
+            return full
+        state = _new_state(problem)
+        state.pressure[...] = problem.mean_pressure
+        return self.relax(problem, state, exact)
 
     def prolong(self, coarse: Coarse, found: State, problem: ContactProblem) -> tuple[State, bool]:
-        """Full contact and True, if both grids have it; else a start from the coarse state and False.
-
-        The start is in contact where the interpolated pressure, acting on one coarse pixel, displaces it by more than
-        the gap to the fine heights.  In contact, roughness that only the finer grid resolves adds to the pressure
-        (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
+        """Full contact and True, if both grids have it; else a start from the coarse state and False.  The start is in
+        contact where the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap to the
+        fine heights (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
         """
         if found.between == coarse.place.size and (full := _full_contact(problem)) is not None:
             return full, True
-        grid, real = problem.grid, kept(problem)
+        grid, state = problem.grid, _new_state(problem)
+        fields, real = (state.pressure, state.gap), state.pressure.dtype
         found.gap -= found.level
-        fields = found.pressure, found.gap, coarse.heights
-        interpolation = Interpolation(coarse.place, grid, [field.astype(real, copy=False) for field in fields])
-        compliance = max(coarse.place.spacing) / problem.solid.contact_modulus
-        factors = real(compliance), real(ROUGHER), real(LEAST)
-        pressure, gap = grid.new_field(real), grid.new_field(real)
+        given = [field.astype(real, copy=False) for field in (found.pressure, found.gap, coarse.heights)]
+        interpolation = Interpolation(coarse.place, grid, given)
+        compliance = real.type(max(coarse.place.spacing) / problem.solid.contact_modulus)
 
         def part(thread: int, first: int, stop: int) -> None:
             rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)
-            heights = problem.heights[rows].astype(real)
-            start_rows((read(0), read(1), read(2)), heights, factors, (pressure[rows], gap[rows]))
+            heights, own = problem.heights[rows].astype(real), (state.pressure[rows], state.gap[rows])
+            start_rows((read(0), read(1), read(2)), heights, compliance, own)
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
-        scale_to_load(problem, (pressure, gap))
-        between = round(found.between / coarse.place.size * grid.size)
-        return State(pressure, gap, base=found.base + found.level, estimated=True, between=between), False
+        scale_to_load(problem, fields)
+        state.between = round(found.between / coarse.place.size * grid.size)
+        state.base, state.estimated = found.base + found.level, True
+        return state, False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
@@ -131,21 +126,17 @@ solve_hard_wall = ActiveSetIteration.contact
 
 
 @jit
-def start_rows(
-    coarse: tuple[np.ndarray, ...], heights: np.ndarray, factors: tuple[float, float, float], fields: Fields
-) -> None:
+def start_rows(coarse: tuple[np.ndarray, ...], heights: np.ndarray, compliance: float, fields: Fields) -> None:
     """Fills pressure and gap that start a finer grid, from pressure, gap and heights of the coarse one interpolated.
     With new = h − coarse h, the gap is g = coarse g − new.  Where compliance · coarse p > g the point is in contact:
-    its pressure is max(coarse p + rougher · new/compliance, least), its gap g + rougher · new.  Elsewhere p = 0.
-    factors: compliance, rougher, least.
+    its pressure is max(coarse p + ROUGHER · new/compliance, tiny), its gap g + ROUGHER · new.  Elsewhere p = 0.
     """
-    compliance, rougher, least = factors
     (coarse_pressure, coarse_gap, coarse_heights), (pressure, gap) = coarse, fields
     for i in range(pressure.shape[0]):
         for j in range(pressure.shape[1]):
             p, new = coarse_pressure[i, u(j)], heights[i, u(j)] - coarse_heights[i, u(j)]
             g = coarse_gap[i, u(j)] - new
             closed = compliance * p > g
-            gap[i, u(j)] = g + rougher * new if closed else g
-            p += rougher / compliance * new
-            pressure[i, u(j)] = (p if p > least else least) if closed else 0
+            gap[i, u(j)] = g + ROUGHER * new if closed else g
+            p += ROUGHER / compliance * new
+            pressure[i, u(j)] = (p if p > 1e-30 else 1e-30) if closed else 0.0

@@ -7,8 +7,8 @@ the rest is smooth on the scale of two pixels, and acts on a mesh with half as m
 to the mesh by cubic B-splines, transformed, multiplied by the influence function that is best for these splines
 (Hockney and Eastwood, Computer Simulation Using Particles, 1988, section 8), and interpolated back by the same splines.
 
-Both parts are symmetric.  Their sum differs from the compliance by about one per cent, from the stiffness by a few per
-cent.  That suffices for inner iterations, for the residuals of the outer ones are computed by full transforms.
+Their sum differs from the compliance by about one per cent, from the stiffness by a few per cent: enough for inner
+iterations, since the residuals of the outer ones are computed by full transforms.
 """
 
 from __future__ import annotations
@@ -36,9 +36,7 @@ Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class MeshResponse:
-    """S A Sᵀ v, approximately: S restricts to a set of points, A is the compliance of the solid or its stiffness.
-    `stencil` is the near part.
-    """
+    """About S A Sᵀ v: S restricts to a set, A is the solid's compliance or stiffness; stencil: the near part."""
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol) -> None:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
@@ -132,9 +130,7 @@ def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _spline_response(x: np.ndarray) -> np.ndarray:
-    """Ŵ²/(Σ Ŵ²)² at the frequency x in cycles per node, with the sum over the aliases of x; Ŵ = sinc⁴ is the transform
-    of the cubic B-spline.
-    """
+    """Ŵ²/(Σ Ŵ²)², the sum over aliases, at x cycles per node; Ŵ = sinc⁴, the transform of the cubic B-spline."""
     s = np.sin(np.pi * x) ** 2
     return np.sinc(x) ** 8 / (1 - 4 / 3 * s + 2 / 5 * s**2 - 4 / 315 * s**3) ** 2
 
@@ -165,8 +161,8 @@ class FullResponse:
 def inner_response(
     grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction
 ) -> MeshResponse | FullResponse:
-    """A `MeshResponse` where that pays and is accurate: the grid is large, its pixels are nearly square, and the solid
-    responds like a half-space to short waves.  Else a `FullResponse`: `action` multiplies modes by A.  Collective.
+    """A `MeshResponse` on large grids of nearly square pixels, if the solid responds like a half-space to short waves;
+    else a `FullResponse`: `action` multiplies modes by A.  Collective.
     """
     if min(grid.shape) >= SMALLEST and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
         q = np.array(0.25 * np.pi / max(grid.spacing))

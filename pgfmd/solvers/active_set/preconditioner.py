@@ -1,13 +1,11 @@
 """An approximate inverse of the compliance on a contact set: the stiffness, on two or more scales.
 
-Near part: the stiffness kernel truncated to two pixels, in real space.  The stiffness E'q/2 decays as −E'/(4π r³), so
-that a disc of radius 2 pixels holds most of it; summed over contact points alone it costs a few per cent of a
-transform.  The truncated kernel has positive row sums, which makes it positive definite, but far too stiff to long
-waves.  So most of the row sum is subtracted from the diagonal.
+Near part: the stiffness kernel, which decays as −E'/(4π r³), truncated to two pixels, in real space.  Summed over
+contact points alone it costs a few per cent of a transform.  The truncated kernel has positive row sums, which makes it
+positive definite, but far too stiff to long waves.  So most of the row sum is subtracted from the diagonal.
 
-Far part: the mean of the residual over each block of 4 × 4 pixels, which is what the near part can bridge, is removed
-before and after the near part, and the stiffness between blocks is applied to it instead (`block_stiffness`).  Both
-parts are symmetric and positive, and so is their sum.
+Far part: the mean of the residual over each block of 4 × 4 pixels is removed before and after the near part, and the
+stiffness between blocks is applied to it instead (`block_stiffness`).  Both parts are symmetric and positive.
 """
 
 from __future__ import annotations
@@ -26,9 +24,7 @@ NEUTRAL = 0.9  # part of the near part's row sum subtracted from its diagonal: b
 
 
 class MultilevelStiffness:
-    """z = (1 − Q) S K_cut Sᵀ (1 − Q) r + B K_blocks Bᵀ r: S restricts to a contact set, Q = B Bᵀ takes means over
-    blocks.
-    """
+    """z = (1 − Q) S K_cut Sᵀ (1 − Q) r + B K_blocks Bᵀ r: S restricts to a set, Q = B Bᵀ takes means over blocks."""
 
     _rest: SetVector | None = None  # of the set for which the blocks are prepared
 
@@ -41,8 +37,7 @@ class MultilevelStiffness:
         self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing)) if large else None
 
     def apply(self, residual: SetVector, out: np.ndarray, near_only: bool = False) -> None:
-        """out = M · residual on the set; if `near_only`, without the second term: blocks keep their loads.  Collective.
-        """
+        """out = M · residual; if `near_only`, without the second term: blocks keep their loads.  Collective."""
         points, blocks, rest = residual.points, self.blocks, self._rest
         if blocks is None:
             self.near.apply(residual, out)

@@ -41,8 +41,7 @@ class PressureSteps(Relaxation):
 
     def _begin(self, state: State) -> None:
         """Adapts the start to roughness that only this grid resolves: one iteration with the near part of the response.
-        Blocks of pixels keep their loads, since the coarser grid has long waves right.  At λ_s = a this leaves a fifth
-        of the error.  Collective.
+        Blocks of pixels keep their loads, since the coarser grid has long waves right.  Collective.
         """
         state.estimated = False
         if isinstance(self.inner, MeshResponse):

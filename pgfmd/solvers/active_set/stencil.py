@@ -19,9 +19,8 @@ ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay 
 
 
 def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
-    """Real-space values of `symbol(|q|)` on the pixel lattice, (5, 5), zero beyond the radius of 2 pixels.
-
-    They are computed on a grid of 64 × 64 with the same spacing: a short-ranged kernel does not depend on the cell.
+    """Real-space values of `symbol(|q|)` on the pixel lattice, (5, 5), zero beyond the radius of 2 pixels; computed on
+    a grid of 64 × 64 with the same spacing, since a short-ranged kernel does not depend on the cell.
     """
     n = 64
     ax, ay = grid.spacing

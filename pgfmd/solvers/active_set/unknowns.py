@@ -1,7 +1,4 @@
-"""The points of a slab that are unknowns, listed row by row (compressed rows), and vectors on them.
-
-In the primal steps these are points in contact, in the dual ones the others.
-"""
+"""The points of a slab that are unknowns, listed row by row (compressed rows), and vectors on them."""
 
 from __future__ import annotations
 
@@ -69,9 +66,7 @@ class Unknowns:
 
 
 class SetVector:
-    """A vector (count,) on a set, `own`, within an array `all` of the values of the rows before, its own, and the rows
-    after, in the order of `Unknowns.extended`.
-    """
+    """A vector (count,) on a set, `own`, within an array `all` in the order of `Unknowns.extended`."""
 
     def __init__(self, points: Unknowns) -> None:
         self.points, self.all = points, np.empty(len(points.extended[0]), np.float32)
@@ -90,9 +85,8 @@ class SetVector:
 
 @jit
 def choose_points(fields: Fields, level: float, highest: float, counts: np.ndarray, columns: np.ndarray) -> int:
-    """Lists the columns of the unknowns among some rows, and how many each row has; returns how many there are.
-
-    A vectorised loop finds the pieces of rows in which there are any.
+    """Lists the columns of the unknowns among some rows, and how many each row has; returns how many there are.  A
+    vectorised loop finds the pieces of rows in which there are any.
     """
     count = 0
     for i in range(counts.size):
