@@ -76,8 +76,7 @@ class State:
 
 
 class Relaxation:
-    """Relaxation of a dimensionless problem.  exact: whether errors are certified; on coarse grids, whose solution only
-    starts the next finer one, they are estimated.
+    """Relaxation of a dimensionless problem.  exact: whether errors are certified; on coarse grids they are estimated.
 
     Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
@@ -169,14 +168,12 @@ class Relaxation:
         return max(cls.coarse_part * min(estimate, WORST), tolerance / 4, FINEST)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """Computes the response to a feasible state, and chooses the unknowns.  Returns the system whose solution
-        improves them.  Collective.
-        """
+        """Computes the response to a feasible state.  Returns the system for the unknowns it chooses.  Collective."""
         raise NotImplementedError
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible.  May take further
-        steps that need no full transforms, until `system.square` has fallen by the factor `enough`.  Collective.
+        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible; also in further steps
+        without full transforms, until `system.square` has fallen by the factor `enough`.  Collective.
         """
         raise NotImplementedError
 

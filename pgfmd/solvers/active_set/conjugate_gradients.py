@@ -23,7 +23,7 @@ Collective."""
 
 class ConjugateGradients:
     """S A Sᵀ x = residual for an operator A; S restricts to a set.  If `neutral`, Σ x = 0, and the equation holds up to
-    a constant.  Attributes: square, ⟨residual, M residual⟩ of the present residual, with the preconditioner M; rms, the first one's.
+    a constant.  square: ⟨residual, M residual⟩ now, with the preconditioner M; rms: of the first residual.
     """
 
     def __init__(self, residual: SetVector, operator: Operator, preconditioner: Operator, neutral: bool = True) -> None:

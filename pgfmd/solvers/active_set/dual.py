@@ -26,9 +26,8 @@ LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is
 
 
 class GapSteps(Relaxation):
-    """Relaxation that costs least where most points are in contact.
-
-    Attributes: mean, of h + g; scale, the factor that brings the sum of the pressure without tensions to the load.
+    """Relaxation that costs least where most points are in contact.  mean: of h + g; scale: the factor that brings the
+    sum of the pressure without tensions to the load.
     """
 
     mean, scale, coarse_part = 0.0, 1.0, 0.005
