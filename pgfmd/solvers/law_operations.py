@@ -85,7 +85,9 @@ class LawOperations:
         self.grid.threads.split(lambda a, b: function(*(field[a:b] for field in fields)), self.grid.local_shape[0])
 
     def certify(self, state: LawState) -> None:
-        """Level, contact and certified error of a feasible state, whose gap was computed last.  Collective."""
+        """Level, contact and certified error of a state whose gap was computed last; the error is infinite if a pressure
+        is above the highest, as where the level's last digit decides on the load of whole points.  Collective.
+        """
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
         threshold = law.contact_above(1.0, self.squares[0] / grid.size)
         potential, load, contact = self.total(partial(law.moments, threshold=threshold), *fields)
@@ -109,6 +111,8 @@ class LawOperations:
         bound = certified(square, rounding) + grid.reduction.sum([excess[first] for first in sorted(excess)])
         rounding += grid.size * last_digits(self.problem, self.squares[0] / grid.size)
         state.error, state.rounding = (bound / work, rounding / work) if work > 0 else (math.inf, math.inf)
+        if law.highest < math.inf and grid.reduction.max(state.pressure) > law.highest * (1 + ROUNDED):
+            state.error = math.inf
         state.pressure_error = math.sqrt(change / self.squares[0])
 
     @staticmethod
