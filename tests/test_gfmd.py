@@ -169,8 +169,8 @@ def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
 def test_the_load_is_carried_or_the_solution_refused(comm):
     """On a slab so thin that the level's last digit decides whether whole points bear the largest pressure."""
     grid = SlabGrid(comm, (5, 5), (7.479277841815866e-4, 2.330929325047919e-3))
-    heights = self_affine(grid, 0.671698837368172, 2.0, 1.677382189446017e-3, 3095406701644047298)
-    wall, solid = Hardness(hardness=0.37931632744573454), Elasticity(0.7899250609630882, thickness=2.727331932315564e-9)
+    heights = self_affine(grid, 0.671698837368172, 2 * grid.spacing[0], 1.677382189446017e-3, 3095406701644047298)
+    wall, solid = Hardness(hardness=0.37931632744573454), Elasticity(0.7899250609630882, 2.727331932315564e-9, poisson=0.0)
     try:
         found = solve_gfmd(ContactProblem(grid, heights, solid, wall, 0.35581285111697364), 1e-8, max_steps=400)
     except SolverError:
