@@ -18,6 +18,7 @@ from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.law_operations import LawOperations, LawState
 from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -166,13 +167,14 @@ def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
         solve_contact(problem, Solver(method="active-set"))
 
 
-def test_the_load_is_carried_or_the_solution_refused(comm):
-    """On a slab so thin that the level's last digit decides whether whole points bear the largest pressure."""
-    grid = SlabGrid(comm, (5, 5), (7.479277841815866e-4, 2.330929325047919e-3))
-    heights = self_affine(grid, 0.671698837368172, 2 * grid.spacing[0], 1.677382189446017e-3, 3095406701644047298)
-    wall, solid = Hardness(hardness=0.37931632744573454), Elasticity(0.7899250609630882, 2.727331932315564e-9, poisson=0.0)
-    try:
-        found = solve_gfmd(ContactProblem(grid, heights, solid, wall, 0.35581285111697364), 1e-8, max_steps=400)
-    except SolverError:
-        return
-    assert grid.reduction.sum(found.pressure) / grid.size == pytest.approx(found.mean_pressure, rel=1e-12, abs=0)
+def test_a_pressure_above_the_largest_is_not_certified(comm):
+    """Points bear 3 p̄ or nothing, and 2 p̄ is the largest pressure: such a state carries the load, but not lawfully."""
+    grid = SlabGrid(comm, (12, 9))
+    heights = sinusoid(grid, 1.0, (1, 0))
+    operations = LawOperations(ContactProblem(grid, heights, SOLID, Hardness(hardness=2.0), 1.0))
+    bearing = np.zeros((12, 9))
+    bearing[:4] = 3.0
+    state = LawState(bearing[grid.rows], grid.new_field())
+    operations.compute_gap(state)
+    operations.certify(state)
+    assert state.error == math.inf

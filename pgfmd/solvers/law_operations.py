@@ -85,8 +85,8 @@ class LawOperations:
         self.grid.threads.split(lambda a, b: function(*(field[a:b] for field in fields)), self.grid.local_shape[0])
 
     def certify(self, state: LawState) -> None:
-        """Level, contact and certified error of a state whose gap was computed last; the error is infinite if a pressure
-        is above the highest, as where the level's last digit decides on the load of whole points.  Collective.
+        """Level, contact and certified error of a state whose gap was computed last.  The error is infinite if a
+        pressure is above the highest, as where the level's last digit decides on the load of whole points.  Collective.
         """
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
         threshold = law.contact_above(1.0, self.squares[0] / grid.size)
