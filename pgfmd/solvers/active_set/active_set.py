@@ -172,8 +172,8 @@ class Relaxation:
         raise NotImplementedError
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible; further steps without
-        full transforms may follow, until `system.square` has fallen by the factor `enough`.  Collective.
+        """Reduces the residual of the system by the factor `wanted`, and makes the state feasible.  Steps without full
+        transforms may follow, until `system.square` has fallen by the factor `enough`.  Collective.
         """
         raise NotImplementedError
 
