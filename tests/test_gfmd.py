@@ -168,7 +168,7 @@ def test_dynamics_step_in_where_the_active_set_fails(comm, monkeypatch):
 
 
 def test_a_pressure_above_the_largest_is_not_certified(comm):
-    """Points bear 3 p̄ or nothing, and 2 p̄ is the largest pressure: such a state carries the load, but not lawfully."""
+    """Points bear 3 p̄ or nothing, and 2 p̄ is the largest pressure: it carries the load, but breaks the law."""
     grid = SlabGrid(comm, (12, 9))
     heights = sinusoid(grid, 1.0, (1, 0))
     operations = LawOperations(ContactProblem(grid, heights, SOLID, Hardness(hardness=2.0), 1.0))

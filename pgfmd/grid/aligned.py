@@ -23,8 +23,8 @@ def aligned_bytes(count: int, begin: int = 0, unit: int = ALIGNMENT) -> np.ndarr
 
 
 def new_field(shape: tuple[int, int], dtype: DTypeLike = np.float64) -> np.ndarray:
-    """A new array of float64, or of float32 in the second half of the memory of one (`widened`).  Each begins at
-    another place of a page than those made before.
+    """A new array of float64, or of float32 in the second half of as much memory (`widened`), which begins at another
+    place of a page than those made before.
 
     Large arrays lie as far apart as they are long, and a page.  At 4096² that is 2²⁷ + 2¹² bytes: the first cache of
     AMD's Zen then seems to take entries at like places of two arrays for the same (Lipp et al. 2020,
@@ -36,7 +36,7 @@ def new_field(shape: tuple[int, int], dtype: DTypeLike = np.float64) -> np.ndarr
 
 def widened(field: np.ndarray, change: np.ufunc, number: float, rows: int) -> np.ndarray:
     """change(field, number) in double precision, for a field of single precision from `new_field`, in its memory: the
-    field is lost.  rows: so many are changed at a time, in their order, since the result overtakes the field.
+    field is lost.  rows: so many are changed at a time, in their order, since the result catches up with the field.
     """
     memory, before = field.base, field.ctypes.data - field.nbytes
     assert memory is not None

@@ -6,7 +6,6 @@ threads at once, each time with another block; it must not communicate.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
 import numpy as np
@@ -28,20 +27,23 @@ def source(field: np.ndarray) -> RowAction:
     return fill
 
 
-def in_chunks(make: Callable[[int, int], np.ndarray], count: int) -> RowAction:
-    """Rows that are made `count` at a time, by make(first, stop), which may give fewer: for rows that depend on many
-    around them, so that few at a time cost more.  Each thread keeps those it made last.
+def in_chunks(make: Callable[[int, int], np.ndarray], count: int, threads: int) -> RowAction:
+    """Rows that are made `count` at a time, by make(first, stop), which may give fewer at the end: for rows that depend
+    on many around them, so that few at a time cost more.  Several threads, which take rows in turn, make just these.
     """
-    kept = threading.local()
+    last: list[tuple[int, np.ndarray]] = [(-1, np.empty((0, 0)))]
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:
         for begin in range(first // count * count, stop, count):
-            if getattr(kept, "first", None) != begin:
-                kept.first, kept.rows = begin, make(begin, begin + count)
+            if last[0][0] != begin:
+                last[0] = begin, make(begin, begin + count)
             low, high = max(first, begin), min(stop, begin + count)
-            rows[low - first : high - first] = kept.rows[low - begin : high - begin]
+            rows[low - first : high - first] = last[0][1][low - begin : high - begin]
 
-    return fill
+    def fill_alone(first: int, stop: int, rows: np.ndarray) -> None:
+        rows[...] = make(first, stop)
+
+    return fill if threads == 1 else fill_alone
 
 
 def sink(field: np.ndarray) -> RowAction:

@@ -103,7 +103,7 @@ def interpolate_rows(
         line[0] = line[ny]
         for t in range(1, weights.shape[1]):  # not range(4): to unroll it takes long
             line[ny + t] = line[t]
-        if out.shape[1] == 2 * ny:  # in place of `first_column` and all weights: twelve times as fast
+        if out.shape[1] == 2 * ny:  # column 2j is point j, column 2j + 1 a middle: six times as fast
             a, b, c, d = column_weights[1, 0], column_weights[1, 1], column_weights[1, 2], column_weights[1, 3]
             for j in range(ny):
                 out[i, u(2 * j)] = line[u(j + 1)]
@@ -119,8 +119,8 @@ def interpolate_rows(
 def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
     """out[i, j] = Σ_t weights[j, t] field[i, columns[j, t]] over t < `TAPS`; (ny_coarse, `TAPS`) weights"""
     ny = field.shape[1]
-    line, begin = np.empty(ny + 2 * TAPS, out.dtype), TAPS + columns[0, 0] - ny
-    if ny == 2 * out.shape[1]:  # all points have the same weights: four times as fast
+    line, begin = np.empty(ny + 2 * TAPS, out.dtype), (columns[0, 0] + TAPS) % ny
+    if ny == 2 * out.shape[1] and ny >= TAPS:  # the same weights at every second column: four times as fast
         a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
         e, f, g, h = weights[0, 4], weights[0, 5], weights[0, 6], weights[0, 7]
         for i in range(out.shape[0]):

@@ -11,11 +11,11 @@ from pgfmd.grid.holders import largest_shares
 from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
 from pgfmd.options.text import counted
-from pgfmd.solvers.cost import FINEST, GAPS_FROM
+from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
 from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
-WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, as given and scaled, and strips
+WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, perhaps scaled too, and strips
 BASE_BYTES = 1.95e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
@@ -127,8 +127,11 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     """What each load costs to solve; memory of the fullest of so many slabs."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    scaled = job.wall.range > 0 or not job.surface.centred
-    single = job.wall.highest == math.inf and job.solver.tolerance >= FINEST
+    slope, cell = job.surface.known_slope() or 0.0, job.grid
+    # rms slope times spacing and length bound the rms height of what has mean 0
+    moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
+    scaled = job.wall.range > 0 or not (job.surface.centred and moderate)
+    single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
     return [solver_cost(method, area, slabs, job.wall.effort, scaled, single) for area in contact_areas(job)]
 
 

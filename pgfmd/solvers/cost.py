@@ -16,8 +16,9 @@ import math
 from pgfmd.grid.cost import Cost
 
 SCALED = 8.0  # heights about their mean, over their rms value
-SINGLE = 8.0  # less: a hard wall's pressure and gap in single precision
-FINEST = 1e-8  # smallest error of the active set that single precision reaches on any grid
+SINGLE = 8.0  # saved by a hard wall's pressure and gap in single precision
+MODERATE = 1e6  # largest rms height, and inverse of the smallest, that is solved without a scaled copy
+SINGLE_TO = 2e-12  # tolerance over the side of the grid in points down to which rounding in single precision is unseen
 # Per unknown of the active set, which is the pressure of a point in contact or, where these are the majority, the gap
 # of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
 # for pressures the residual without means of blocks, columns near the contact and the change there, with halos (15).

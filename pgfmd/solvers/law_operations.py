@@ -86,7 +86,7 @@ class LawOperations:
 
     def certify(self, state: LawState) -> None:
         """Level, contact and certified error of a state whose gap was computed last.  The error is infinite if a
-        pressure is above the highest, as where the level's last digit decides on the load of whole points.  Collective.
+        pressure is above the highest, as `_carry` may leave it.  Collective.
         """
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
         threshold = law.contact_above(1.0, self.squares[0] / grid.size)

@@ -12,6 +12,7 @@ from pgfmd.errors import InputError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.cost import MODERATE
 from pgfmd.solvers.second_order import last_digits
 from pgfmd.solvers.solution import ContactSolution, SolverState
 
@@ -21,7 +22,7 @@ UNIFORM = 1e15  # range of a law over the rms height above which a pressure in d
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
 SUMS = 1e-12  # relative error of the sums in a certified error
 BEYOND = 1.01  # safety factor on the depth that can touch
-MODERATE, CENTRED = 1e6, 1e-13  # most of rms heights and of their inverse, of |mean|/rms, that need no change
+CENTRED = 1e-13  # heights stay as they are if |mean|/rms is at most this, and rms and 1/rms at most `MODERATE`
 UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
 
 
@@ -205,7 +206,7 @@ class Heights(NamedTuple):
 
 def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> Heights:
     """Dimensionless heights, in a new array or, if `overwrite` and no point is raised, in that of the physical ones; or
-    the physical ones themselves.  Collective.
+    these, if they need no change.  Collective.
 
     Raises InputError if the range of heights, the mean pressure or a slab's stiffness exceeds `LARGEST` or `STIFFEST`.
     """
@@ -278,4 +279,4 @@ def _sums(field: np.ndarray) -> tuple[float, float]:
 def _spread(grid: SlabGrid, parts: list[tuple[float, float]]) -> tuple[float, float]:
     """Mean and standard deviation from sums of values and of their squares over some rows.  Collective."""
     mean, square = grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True))) / grid.size
-    return mean, math.sqrt(square - mean**2)
+    return mean, math.sqrt(max(square - mean**2, 0.0))  # 0 where the mean is far larger

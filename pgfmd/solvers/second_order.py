@@ -96,8 +96,8 @@ class Rounding:
     ) -> float:
         """A bound of ½‖e‖²_K for the error e of a gap computed in that precision.
 
-        squares: its Σ p² and Σ u²; heights_squared: Σ h² + (h − max h)², as heights are first measured from the highest
-        point, then from their mean; work: Σ p u.
+        squares: its Σ p² and Σ u²; heights_squared: Σ h² + (h − max h)², as heights may be measured first from the
+        highest point, then from their mean; work: Σ p u.
         """
         digit, last = float(np.finfo(precision).eps), float(np.finfo(np.float64).eps)
         unit, compliance, stiffness = self.factor * digit / 2, float(self.means[0]), float(self.means[1])

@@ -14,7 +14,7 @@ The stop is a certificate, ½⟨ρ, Kρ⟩, of second order in the error of the 
 (proof in NUMERICS.md).  Where p is at a bound, ρ may be chosen; smooth fields give the lowest bound.  So ρ is continued
 from the unknowns by means over neighbours, far ones first (`STRIDES`), each time cut to what is allowed.
 
-Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights in a unit of moderate size.
+Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights in a unit of about their size.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
-from pgfmd.solvers.cost import FINEST
 from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
@@ -40,10 +39,12 @@ Precision = type[np.float32] | type[np.float64]
 
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
-MARGIN = 0.4  # the last step aims at this part of the tolerance
+# Part of the tolerance at which the last step aims: less in double precision, where one more costs twice as much.
+MARGIN: dict[Precision, float] = {np.float32: 0.4, np.float64: 0.15}
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
+FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
 HUGE = np.finfo(np.float32).max
 UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
@@ -53,8 +54,8 @@ UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
 class State:
     """Pressure and gap (nx_local, ny) on one grid, under a hard wall in single precision while that suffices.
 
-    The gap is Gp − h − base; level: that of points in contact, so that λ = base + level.  The base is an earlier λ, so
-    that gaps of points in contact are small, and lose no digits in single precision.  clipped: true if `gap` is
+    Unless `clipped`, the gap is Gp − h − base, and λ = base + level, the level that of points in contact.  The base is
+    an earlier λ, so that gaps in contact are small, and lose no digits in single precision.  clipped: true if `gap` is
     measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
     coarser grid.  energy:
     ½⟨p, Gp⟩.  error: of the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0;
@@ -120,7 +121,7 @@ class Relaxation:
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, system, precision)
-                raised *= max(1.0, state.error / max(estimate, MARGIN * tolerance))
+                raised *= max(1.0, state.error / max(estimate, MARGIN[precision] * tolerance))
             if monitor is not None:
                 monitor(state)
             if negligible and state.error <= tolerance:
@@ -132,13 +133,13 @@ class Relaxation:
             # A step divides the estimate by about 100; before rounding would show in the next one, precision changes.
             if rounding > UNSEEN * max(tolerance, 0.01 * estimate) or patience.lost >= STUCK:
                 precision = np.float64
-            wanted = self.next_cut(estimate, before, tolerance)
-            before = estimate
-            self.improve(state, system, wanted, MARGIN * tolerance / max(estimate, tolerance))
+            enough = MARGIN[precision] * tolerance / max(estimate, tolerance)
+            wanted, before = self.next_cut(estimate, before, math.sqrt(enough)), estimate
+            self.improve(state, system, wanted, enough)
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
 
     def widen(self, state: State) -> None:
-        """Brings a state to double precision and base 0, and its load to the last digit.  Collective."""
+        """Brings a state to double precision and base 0, the load of a single one to the last digit.  Collective."""
         if state.pressure.dtype == np.float32:
             factor, rows = self.load / self.grid.reduction.sum(state.pressure), self.grid.band
             state.pressure = widened(state.pressure, np.multiply, factor, rows)
@@ -148,16 +149,15 @@ class Relaxation:
         state.level, state.base = state.level + state.base, 0.0
 
     @staticmethod
-    def next_cut(estimate: float, before: float, tolerance: float) -> float:
+    def next_cut(estimate: float, before: float, last: float) -> float:
         """Factor by which the next step multiplies the residual of its system.  A smaller one is wasted if the change
-        of the set, which the last two errors predict, leaves more, or if the tolerance is met before.
+        of the set, which the last two errors predict, leaves a larger error; with `last` the tolerance is met.
         """
         if not estimate < math.inf:
             return LEAST_CUT
         changes = min(LEAST_CUT, max(MOST_CUT, math.sqrt(estimate)))
         if 0 < before < math.inf:
             changes = min(changes, (estimate / before) ** CUT_POWER)
-        last = math.sqrt(MARGIN * tolerance / max(estimate, tolerance))
         return last if last >= WITHIN * changes else changes
 
     @classmethod
@@ -195,7 +195,7 @@ class Relaxation:
             state.level = (self.grid.reduction.max(full) + self.grid.reduction.min(free)) / 2
 
     def compute_gap(self, state: State, precision: Precision) -> None:
-        """Sets the state's gap, which may have either sign, and its base to the last λ.  Collective."""
+        """Sets the state's gap, of either sign; its base: the last λ, or 0 in double precision.  Collective."""
         squares: dict[int, tuple[float, ...]] = {}
         state.base = base = state.base + state.level if state.gap.dtype == np.float32 else 0.0
 
@@ -234,7 +234,7 @@ class Relaxation:
                 average_between(field, work[:2], stride, wide, means)
             return means[margin:-margin, wide:-wide]
 
-        rows = in_chunks(make, max(2 * self.grid.band, 2 * margin))
+        rows = in_chunks(make, max(2 * self.grid.band, 2 * margin), self.grid.threads.count)
         square, change = energy_of_residual(self.grid, rows, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
         return certified(square, self.rounding_bound(state, precision)) / (2 * state.energy)
@@ -244,7 +244,7 @@ class Relaxation:
         if self.rounding is None:
             return 0.0
         squares = self.squares.copy()
-        if state.gap.dtype == np.float32:  # which rounds gaps of points in contact, about `level`, once more
+        if state.gap.dtype == np.float32:  # rounds gaps in contact, near `level`, once more
             squares[1] += state.contact * state.level**2
         return self.rounding.bound(squares, self.heights_squared, 2 * state.energy, precision)
 
@@ -297,7 +297,7 @@ def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[in
 
 @jit
 def average_between(field: np.ndarray, limits: np.ndarray, stride: int, margin: int, out: np.ndarray) -> None:
-    """out = the mean of a field over the eight points one stride away, cut at limits (2, rows, columns).  Not set:
+    """out = the mean of a field over the eight points one stride away, cut to limits (2, rows, columns).  Not set:
     `stride` rows at either end, and `margin` columns, which in `field` repeat the other side's.
     """
     for i in range(stride, field.shape[0] - stride):

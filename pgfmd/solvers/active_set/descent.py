@@ -25,7 +25,7 @@ TRIALS = 4  # lengths that are tried before a step ends where the first point me
 
 
 class Descent(PressureSteps):
-    """Relaxation in double precision by steps none of which raises the energy: with more transforms and fields."""
+    """Relaxation in double precision by steps none of which raises the energy; takes more fields."""
 
     precision = np.float64
     patience, most_steps = 60, 2000

@@ -1,8 +1,8 @@
 """The active-set step whose unknowns are the gaps of the points that are not in contact, under a hard wall: minimise
 ½⟨g, Kg⟩ + ⟨p̄ + Kh, g⟩ over g ≥ 0.
 
-The gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the open points, in a few
-iterations, since the stiffness K falls off as r⁻³.  Then gaps below 0 are cut, and points in tension become unknowns.
+The gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the open points, if few are open
+in a few iterations, as K falls off as r⁻³.  Then gaps below 0 are cut, and points in tension become unknowns.
 
 The certificate needs a feasible pressure.  So p is settled: set to 0 where there is a gap or tension, and scaled to the
 load.  If settling changes p by c, the gap becomes g + Gc.
@@ -68,7 +68,7 @@ class GapSteps(Relaxation):
         return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, False)
 
     def clip_gap(self, state: State) -> None:
-        """Clips the gap Gp − h (`State.clipped`)."""
+        """Clips the gap (`State.clipped`)."""
 
         def part(_: int, first: int, stop: int) -> None:
             gap = state.gap[first:stop]
@@ -104,7 +104,7 @@ class GapSteps(Relaxation):
             state.gap[first:stop] += rows
 
         self.grid.convolve(fill, self.compliance[np.float32], drain, np.float32)
-        state.base = -self.mean
+        state.base = -self.mean  # Gp = h + g − mean + Gc
         self.measure(state)
         state.clipped = False
         return super().certify(state, system, precision)

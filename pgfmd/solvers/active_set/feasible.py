@@ -1,7 +1,7 @@
 """Brings pressures between their bounds while each block of pixels keeps its load.
 
 If the set of unknowns is too large, conjugate gradients leave tensions (p < 0) near its edges.  Setting them to 0 adds
-load.  The excess is subtracted within the same block: if it were from all points, the error would have long waves.
+load.  The excess is taken off within the same block: taken off all points, it would leave long waves.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ class ActiveSetIteration(NestedIteration[State]):
         np.clip(start * (problem.load / grid.reduction.sum(start)), 0.0, highest, out=state.pressure)
         np.negative(problem.heights, out=state.gap)
         scale_to_load(problem, (state.pressure, state.gap))
-        state.base = -grid.reduction.dot(state.pressure, problem.heights) / problem.load  # λ less the mean ⟨p u⟩/p̄
+        state.base = -grid.reduction.dot(state.pressure, problem.heights) / problem.load  # λ without ⟨p u⟩/p̄
         state.between = int(grid.reduction.sum((state.pressure > 0) & (state.pressure < highest)))
         return self.relax(problem, state)
 

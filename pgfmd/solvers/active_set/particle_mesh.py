@@ -36,7 +36,7 @@ Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 class MeshResponse:
-    """About S A Sᵀ v: S restricts to a set, A is the solid's compliance or stiffness; stencil: the near part."""
+    """S A Sᵀ v, nearly: S restricts to a set, A is the solid's compliance or stiffness; stencil: the near part."""
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol) -> None:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
