@@ -374,6 +374,12 @@ def test_offset_of_the_heights_does_not_matter(comm, rough):
     assert np.abs(before - after).max() < 1e-8 * before.max()
 
 
+def test_heights_far_from_zero(comm, rough):
+    """An offset of 1e10 roughnesses leaves six digits of the heights; the pressure follows."""
+    before, after = solved(comm, rough, 0.1)[0], solved(comm, rough + 1e10 * np.std(rough), 0.1)[0]
+    assert np.abs(before - after).max() < 1e-3 * before.max()
+
+
 def test_a_warm_start_gives_the_same_answer(comm, rough):
     """Starting from a neighbouring load's pressure or from the cascade ends at the same contact."""
     cold, _ = solved(comm, rough, 0.1)
