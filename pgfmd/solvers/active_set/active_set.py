@@ -121,7 +121,7 @@ class Relaxation:
             state.error = max(estimate, rounding)
             if self.exact and negligible and estimate <= tolerance:
                 state.error = self.certify(state, system, precision)
-                raised *= max(1.0, state.error / max(estimate, MARGIN[precision] * tolerance))
+                raised *= max(1.0, state.error / (max(estimate, MARGIN[precision] * tolerance) or tolerance))
             if monitor is not None:
                 monitor(state)
             if negligible and state.error <= tolerance:
