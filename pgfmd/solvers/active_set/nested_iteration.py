@@ -79,12 +79,21 @@ class ActiveSetIteration(NestedIteration[State]):
         """Full contact and True, if both grids have it; else a start from the coarse state and False.  The start is in
         contact where the interpolated pressure, acting on one coarse pixel, displaces it by more than the gap to the
         fine heights (`start_rows`).  So the edge of a patch is right to a fraction of a coarse pixel.
+
+        In coarse contact the gap is taken as 0: what the coarse grid left there is mostly long waves, and a pixel's
+        compliance would answer them with far too large pressures.
         """
         if found.between == coarse.place.size and (full := _full_contact(problem)) is not None:
             return full, True
-        grid, state = problem.grid, _new_state(problem)
+        grid, state, highest = problem.grid, _new_state(problem), problem.law.highest
         fields, real = (state.pressure, state.gap), state.pressure.dtype
-        found.gap -= found.level
+
+        def close(first: int, stop: int) -> None:
+            gap, p = found.gap[first:stop], found.pressure[first:stop]
+            gap -= found.level
+            gap[(p > 0) & (p < highest)] = 0
+
+        grid.threads.deal(close, len(found.gap), grid.band)
         given = [field.astype(real, copy=False) for field in (found.pressure, found.gap, coarse.heights)]
         interpolation = Interpolation(coarse.place, grid, given)
         compliance = real.type(max(coarse.place.spacing) / problem.solid.contact_modulus)
