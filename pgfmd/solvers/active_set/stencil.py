@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -14,29 +14,37 @@ Symbol = Callable[[np.ndarray], np.ndarray]
 """Of an operator: its factor on a mode of wave number |q|, for an array of |q|."""
 Vector = tuple[np.ndarray, Points]  # values (count,) on a set, and its points
 
-RADIUS = HALO  # pixels: thirteen points
+RADIUS = HALO  # pixels along the axes
+OFFSETS = tuple((i, j) for i in range(RADIUS + 1) for j in range(RADIUS + 1) if i * i + j * j <= RADIUS**2 + 1)
+"""Of the 37 points within √10 pixels, those to the right of and below the centre."""
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
 
 
 def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
-    """Real-space values of `symbol(|q|)` on the pixel lattice, (5, 5), zero beyond the radius of 2 pixels; computed on
-    a grid of 64 × 64 with the same spacing, since a short-ranged kernel does not depend on the cell.
+    """Real-space values of `symbol(|q|)` on the pixel lattice, (7, 7), zero beyond √10 pixels.
+
+    They are computed on a grid of 64 × 64 with the same spacing: a short-ranged kernel does not depend on the cell.
     """
     n = 64
     ax, ay = grid.spacing
     q = np.hypot(2 * np.pi * np.fft.fftfreq(n, ax)[:, None], 2 * np.pi * np.fft.rfftfreq(n, ay)[None, :])
     kernel = np.fft.irfft2(symbol(q), s=(n, n))
-    offsets = np.arange(-RADIUS, RADIUS + 1)
-    inside = offsets[:, None] ** 2 + offsets[None, :] ** 2 <= RADIUS**2
-    return np.where(inside, kernel[np.ix_(offsets, offsets)], 0.0)
+    return symmetric_kernel([kernel[offset] for offset in OFFSETS])
+
+
+def symmetric_kernel(values: Sequence[float]) -> np.ndarray:
+    """The kernel (7, 7), even in both directions, with these values at `OFFSETS`."""
+    kernel = np.zeros((2 * RADIUS + 1, 2 * RADIUS + 1))
+    for (i, j), value in zip(OFFSETS, values, strict=True):
+        kernel[np.ix_([RADIUS - i, RADIUS + i], [RADIUS - j, RADIUS + j])] = value
+    return kernel
 
 
 class Stencil:
     """z = S K Sᵀ r: S restricts to a set of points, K is a `lattice_kernel`."""
 
     def __init__(self, kernel: np.ndarray) -> None:
-        corner = kernel[RADIUS:, RADIUS:]
-        self.weights = corner[(0, 0, 0, 1, 1, 2), (0, 1, 2, 0, 1, 0)].astype(np.float32)
+        self.weights = kernel[RADIUS:, RADIUS:].astype(np.float32)
 
     def apply(self, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the kernel applied to `values`.  Collective."""
@@ -61,28 +69,28 @@ def correlate(
 ) -> None:
     """out[k] = Σ_st w[s, t] field[i + s, columns[k] + t] at the points k of the rows first ≤ i < stop of one set.  The
     field is a vector (values, points) on another set, 0 elsewhere, and periodic along the rows; row i of `targets` is
-    row i + 2 of the field's points.
+    row i + 3 of the field's points.
 
-    weights: w[0, 0], w[0, ±1], w[0, ±2], w[±1, 0], w[±1, ±1], w[±2, 0]; the others are 0.  rows (n + 4, ny + 4): work
-    space for n rows at a time.  Points next to each other are evaluated by a vectorised loop.
+    weights: w[|s|, |t|], those of `OFFSETS`; the others are 0.  rows (n + 6, ny + 6): work space for n rows at a time.
+    Points next to each other are evaluated by a vectorised loop.
     """
     values, (sources, begins) = vector
     columns, offsets = targets
-    a, b, c, d, e, f = weights[0], weights[1], weights[2], weights[3], weights[4], weights[5]
-    ny, batch = rows.shape[1] - 4, rows.shape[0] - 4
+    a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
+    e, f, g, h = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
+    k20, k21, k22, k30, k31 = weights[2, 0], weights[2, 1], weights[2, 2], weights[3, 0], weights[3, 1]
+    ny, batch = rows.shape[1] - 6, rows.shape[0] - 6
     for low in range(part[0], part[1], batch):
         count = min(batch, part[1] - low)
-        for i in range(count + 4):
+        for i in range(count + 6):
             row = rows[i]
             row[:] = 0
             for k in range(begins[low + i], begins[low + i + 1]):
-                row[u(sources[k] + 2)] = values[k]
-            row[1] = row[ny + 1]
-            row[0] = row[ny]
-            row[ny + 2] = row[2]
-            row[ny + 3] = row[3]
+                row[u(sources[k] + 3)] = values[k]
+            for j in range(3):
+                row[2 - j], row[ny + 3 + j] = row[ny + 2 - j], row[3 + j]
         for i in range(count):
-            p, q, r, s, t = rows[i], rows[i + 1], rows[i + 2], rows[i + 3], rows[i + 4]
+            n, o, p, q, r, s, t = rows[i], rows[i + 1], rows[i + 2], rows[i + 3], rows[i + 4], rows[i + 5], rows[i + 6]
             k, end = offsets[low + i], offsets[low + i + 1]
             while k < end:
                 stop, shift = k + 1, columns[k] - k
@@ -90,8 +98,11 @@ def correlate(
                     stop += 1
                 for m in range(k, stop):
                     j = shift + m
-                    centre = a * r[u(j + 2)] + b * (r[u(j + 1)] + r[u(j + 3)]) + c * (r[u(j)] + r[u(j + 4)])
-                    corners = (q[u(j + 1)] + q[u(j + 3)]) + (s[u(j + 1)] + s[u(j + 3)])
-                    across = d * (q[u(j + 2)] + s[u(j + 2)]) + f * (p[u(j + 2)] + t[u(j + 2)])
-                    out[u(m)] = centre + e * corners + across
+                    j0, j1, j2, j3, j4, j5, j6 = u(j), u(j + 1), u(j + 2), u(j + 3), u(j + 4), u(j + 5), u(j + 6)
+                    total = a * q[j3] + b * (q[j2] + q[j4]) + c * (q[j1] + q[j5]) + d * (q[j0] + q[j6])
+                    total += e * (p[j3] + r[j3]) + f * ((p[j2] + p[j4]) + (r[j2] + r[j4]))
+                    total += g * ((p[j1] + p[j5]) + (r[j1] + r[j5])) + h * ((p[j0] + p[j6]) + (r[j0] + r[j6]))
+                    total += k20 * (o[j3] + s[j3]) + k21 * ((o[j2] + o[j4]) + (s[j2] + s[j4]))
+                    total += k22 * ((o[j1] + o[j5]) + (s[j1] + s[j5]))
+                    out[u(m)] = total + k30 * (n[j3] + t[j3]) + k31 * ((n[j2] + n[j4]) + (t[j2] + t[j4]))
                 k = stop

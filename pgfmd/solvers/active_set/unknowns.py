@@ -10,7 +10,7 @@ from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Exchange
 
-HALO = 2  # rows of neighbouring ranks on either side: the radius of a stencil
+HALO = 3  # rows of neighbouring ranks on either side: the radius of a stencil
 PIECE = 64  # points of a row; where few are unknowns, most pieces have none
 LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
 
@@ -58,6 +58,12 @@ class Unknowns:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
         out, line = SetVector(self), (level, -1.0)
         self.grid.threads.deal(lambda a, b: take_points(field[a:b], self.lists, a, line, out.own), len(field))
+        return out
+
+    def values(self, field: np.ndarray) -> np.ndarray:
+        """A field (nx_local, ny) on the set, in its precision, at most `LARGEST`."""
+        out = np.empty(self.count, field.dtype)
+        self.grid.threads.deal(lambda a, b: take_points(field[a:b], self.lists, a, (0.0, 1.0), out), len(field))
         return out
 
     def add(self, field: np.ndarray, values: np.ndarray) -> None:
