@@ -47,7 +47,7 @@ WORST = 0.4  # largest error of a start that counts
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
 HUGE = np.finfo(np.float32).max
-UNSEEN = 0.01  # rounding below this part of the tolerance is neglected
+UNSEEN = 0.05  # rounding below this part of the tolerance is neglected
 
 
 @dataclass
@@ -81,13 +81,15 @@ class Relaxation:
 
     Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
-    without halving the least error, and most_steps, before giving up.  inner: the response between unknowns.
+    without halving the least error, and most_steps, before giving up.  inner: the response between unknowns.  hidden:
+    twice the energy error of the last state that the residual of its system does not show.
     """
 
     precision: Precision = np.float32
     patience, most_steps = STEPS, 200
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
+    hidden = 0.0
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
@@ -113,7 +115,8 @@ class Relaxation:
                 self.widen(state)
             system = self.linearise(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            estimate = raised * system.square / (2 * state.energy) if state.energy > 0 else math.inf
+            square = max(system.square, self.hidden)
+            estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0

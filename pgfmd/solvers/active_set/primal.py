@@ -1,8 +1,8 @@
 """The active-set step whose unknowns are the pressures between their bounds.
 
 Conjugate gradients make the gap constant on these points.  Then pressures beyond a bound are cut, and points that their
-gap drives away from a bound become unknowns.  Under a hard wall this is done two or three times with the response of
-the mesh to the changes, before the gap is computed by full transforms.
+gap drives away from a bound become unknowns.  Under a hard wall this is repeated with the gap that the mesh computes
+for the change so far, before the gap is computed by full transforms.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import Unknowns
 
-CLOSE = 1e-4  # least part of the energy error that steps by the mesh alone leave: its response is right to one per cent
+CLOSE = 5e-5  # least part of the energy error that a step aims at: what the mesh's response leaves (`near_kernel`)
+SURE = 0.005  # of a reduction of the energy error to this part or more, the effect on the set is not checked
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
+LEAST_GAIN = 0.5  # factor on the last reduction of the residual in one step before the gap is updated
+NEAR_CUT = 0.5  # factor on the residual in the iteration that adapts a start
 
 
 class PressureSteps(Relaxation):
@@ -47,45 +50,51 @@ class PressureSteps(Relaxation):
         if isinstance(self.inner, MeshResponse):
             points = Unknowns(self.grid, (state.pressure, state.gap), 0.0, self.highest)
             near = self.inner.stencil.apply, partial(self.preconditioner.apply, near_only=True)
-            self._solve(state, ConjugateGradients(points.below(0.0, state.gap), *near), 0.5)
+            self._solve(state, ConjugateGradients(points.below(0.0, state.gap), *near), NEAR_CUT)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """Computes the gap.  The system makes it constant on the unknowns.  Collective."""
-        if state.estimated:
+        """Computes the gap.  The system makes it constant on the unknowns.  Collective.
+
+        After a start only loaded points are unknowns: where the gap is short of λ, it is mostly by long waves, which
+        the first step removes.
+        """
+        if started := state.estimated:
             self._begin(state)
         self.compute_gap(state, precision)
-        return self._system(state)
+        return self._system(state, started and self.highest == math.inf)
 
-    def _system(self, state: State) -> ConjugateGradients:
+    def _system(self, state: State, loaded_only: bool = False) -> ConjugateGradients:
         """The system for a gap that is known.  Collective."""
         self.measure(state)
-        points = Unknowns(self.grid, (state.pressure, state.gap), state.level, self.highest)
+        level = -math.inf if loaded_only else state.level
+        points = Unknowns(self.grid, (state.pressure, state.gap), level, self.highest)
         return ConjugateGradients(points.below(state.level, state.gap), self.inner.apply, self.preconditioner.apply)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Makes the gap constant on the unknowns, solving for them anew as they change: the mesh tells the response to
-        the change so far.  Collective.
+        """Makes the gap constant on the unknowns; with a mesh solves for them anew as they change.  Collective.
 
-        Full transforms follow once `system.square` has probably fallen to the part `enough`; if that is less than
-        `CLOSE`, in equal steps.
+        Full transforms follow once `system.square` has probably fallen to the part `enough`, or to `CLOSE`.
         """
-        part = enough ** (1 / math.ceil(math.log(max(enough, CLOSE**9), CLOSE)))
-        goal = part * system.square
-        meshed = isinstance(self.inner, MeshResponse) and self.highest == math.inf
-        wanted = max(wanted, math.sqrt(part)) if meshed else wanted
-        while meshed and wanted**2 * system.square > 1.1 * goal:
-            near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
-            square, change = system.square, near.below(0.0, state.pressure)
+        if not isinstance(self.inner, MeshResponse) or self.highest < math.inf:
             self._solve(state, system, wanted)
+            return
+        goal, failures = max(enough, CLOSE) * system.square, 0
+        while failures < 2:
+            square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
+            near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
+            change = near.below(0.0, state.pressure)
+            self._solve(state, system, wanted)
+            if goal > SURE * square and wanted**2 * square < 1.1 * goal:
+                return
             change.own -= near.below(0.0, state.pressure).own
             response = np.empty(near.count, np.float32)
             self.inner.apply(change, response)
             near.add(state.gap, response)
             system = self._system(state)
-            if not goal < system.square < square / 2:
+            if system.square < 1.1 * goal:
                 return
-            wanted = max(math.sqrt(goal / system.square), (system.square / square) ** CUT_POWER)
-        self._solve(state, system, wanted)
+            failures += system.square > square / 2
+            wanted = min(LEAST_GAIN, (system.square / square) ** CUT_POWER)
 
     def _solve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
         """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
