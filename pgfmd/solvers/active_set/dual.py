@@ -4,67 +4,64 @@
 The gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the open points, if few are open
 in a few iterations, as K falls off as r⁻³.  Then gaps below 0 are cut, and points in tension become unknowns.
 
-The certificate needs a feasible pressure.  So p is settled: set to 0 where there is a gap or tension, and scaled to the
-load.  If settling changes p by c, the gap becomes g + Gc.
+The certificate needs a feasible pressure.  `Settling` makes one, p + c.  Its gap is g + Gc.  So the energy ½⟨c, Gc⟩
+counts as error too, and most of it lies in waves that the residual on the open points does not show.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
+from pgfmd.solvers.active_set.settling import Settling
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
 from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
+DEEPER = 0.15  # factor on the cut of pressures as unknowns: an iteration costs less here, and a step as much
 
 
 class GapSteps(Relaxation):
-    """Relaxation that costs least where most points are in contact.  mean: of h + g; scale: the factor that brings the
-    sum of the pressure without tensions to the load.
-    """
+    """Relaxation that costs least where most points are in contact.  mean: of h + g."""
 
-    mean, scale, coarse_part = 0.0, 1.0, 0.005
+    mean, coarse_part = 0.0, 0.005
+    _gap_before: np.ndarray  # of the unknowns, before the last certificate
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
         self.inner = inner_response(grid, solid.half_space_stiffness, solid.stiffness, self.stiffness[np.float32])
         self.preconditioner = near_compliance(grid, solid.half_space_compliance)
+        self.settling = Settling(problem)
+
+    def free(self) -> None:
+        """Frees the transforms of the inner solver and of the settling.  Collective."""
+        super().free()
+        self.settling.free()
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
-        """Settles the pressure of the gap; the system is to make vanish what that set to 0.  Collective."""
+        """Computes the pressure of the gap and settles it.  The system makes the pressure vanish on the unknowns.
+        Collective.
+        """
         if not state.clipped:
             if not state.estimated:
                 self.compute_gap(state, precision)
                 self.measure(state)
             self.clip_gap(state)
         self.compute_pressure(state, precision)
-        points, sums = Unknowns(self.grid, (state.gap, state.pressure)), []
+        points = Unknowns(self.grid, (state.gap, state.pressure))
         residual = points.below(0.0, state.pressure)
-
-        def settle(_: int, first: int, stop: int) -> None:
-            rows = state.pressure[first:stop]
-            rows[...] = np.where(state.gap[first:stop] > 0, 0.0, np.maximum(rows, 0.0))
-            products = (float(np.vdot(rows, other)) for other in (self.heights[first:stop], rows))
-            sums.append((first, float(rows.sum(dtype=np.float64)), *products, np.count_nonzero(rows)))
-
-        self.grid.threads.share(settle, len(state.gap), self.grid.band)
-        total, work, self.squares[0], count = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
-        if total == 0:
-            state.pressure[...] = self.load / self.grid.size
-            raise SolverError("hard wall: all points without a gap are in tension; allow a larger tolerance")
-        self.scale = self.load / total
-        self.grid.threads.scale(state.pressure, self.scale)
-        state.energy = (self.scale * work - self.mean * self.load) / 2
-        state.contact = state.between = int(count)
-        state.level = 0.0
+        work, self.squares[0], count = self.settling.settle(state.pressure, state.gap)
+        state.energy = (work - self.mean * self.load) / 2
+        state.contact = state.between = count
+        state.level, self.hidden = 0.0, self.settling.energy()
         return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, False)
 
     def clip_gap(self, state: State) -> None:
@@ -95,9 +92,10 @@ class GapSteps(Relaxation):
 
     def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
         """As `Relaxation.certify`, with the gap of the settled pressure; before the system is solved.  Collective."""
+        self._gap_before = system.points.values(state.gap)
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            np.multiply(state.pressure[first:stop], 1 - 1 / self.scale, out=rows, casting="same_kind")
+            self.settling.fill_change(state.pressure, first, stop, rows)
             add_points(system.residual.own, system.points.lists, first, rows)  # −p before settling, where that set 0
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
@@ -110,11 +108,14 @@ class GapSteps(Relaxation):
         return super().certify(state, system, precision)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
-        """Reduce the pressure on the open set by the factor `wanted`, and make the gap feasible.  Collective."""
-        if not state.clipped:  # a certificate has settled the pressure: the system is out of date
-            self.clip_gap(state)
-            return
-        change, steps = system.solve(wanted)
+        """Reduces the pressure on the open set by a part of the factor `wanted`, and makes the gap feasible.
+        Collective.
+        """
+        if not state.clipped:  # a certificate failed: the gap before it belongs to the system
+            state.gap[...] = 0.0
+            system.points.add(state.gap, self._gap_before)
+            state.clipped, state.base, state.level = True, 0.0, 0.0
+        change, steps = system.solve(max(math.sqrt(enough), DEEPER * wanted))
         system.points.add(state.gap, change)
         state.iterations += steps
         self.grid.threads.deal(lambda a, b: np.maximum(state.gap[a:b], 0.0, out=state.gap[a:b]), len(state.gap))
