@@ -21,17 +21,18 @@ from pgfmd.io.results import Results
 from pgfmd.job.job import Job, load, parse, tables_as_toml
 from pgfmd.observables.contact import Contact
 from pgfmd.operation.progress import Progress, is_notebook
-from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
+from pgfmd.options.rules import Rule, integer, number, pair
 from pgfmd.options.section import build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import ALONE, MPI, launched
-from pgfmd.physics.elasticity import BASES, Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.solid import POISSON
 from pgfmd.simulate import run_job
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
@@ -152,15 +153,12 @@ def solve(
         name, targets, single = _targets(imposed)
         spacings = _checked("spacing", spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
-        thickness = _checked("thickness", thickness, number(above=0, infinite=True))
-        base = None if base is None else _checked("base", base, choice(*BASES))
-        if math.isinf(thickness) and base is not None:
-            raise InputError(f"base = {show(base)}: needs a thickness; a half-space has no base")
-        modulus, poisson = (
-            _checked("contact_modulus", contact_modulus, POSITIVE),
-            _checked("poisson", poisson, number()),
+        solid = Homogeneous(
+            contact_modulus=contact_modulus,
+            thickness=thickness,
+            base="bonded" if base is None else base,
+            poisson=_checked("poisson", poisson, POISSON),
         )
-        solid = Elasticity(modulus, thickness, base or "bonded", poisson)
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}

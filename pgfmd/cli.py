@@ -137,7 +137,6 @@ def _check(options: argparse.Namespace) -> str:
     from pgfmd.operation import estimate
     from pgfmd.operation.memory import largest_memory, readable
     from pgfmd.operation.reachability import doubts
-    from pgfmd.simulate import make_elasticity
 
     job = load(options.job, options.set)
     nx, surfaces = job.grid.n[0], max(1, len(job.surface.seeds))
@@ -148,7 +147,7 @@ def _check(options: argparse.Namespace) -> str:
     size = estimate.estimate(job, options.ranks, here / options.ranks, options.ranks_per_node).node
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
     report = estimate.report(job, options.ranks, options.ranks_per_node)  # opens the files of the surface
-    against = "".join(f"\n{line}" for line in doubts(job, make_elasticity(job)))
+    against = "".join(f"\n{line}" for line in doubts(job))
     return f"{options.job}: valid{limit}{against}\n{report}"
 
 

@@ -33,7 +33,6 @@ from pgfmd.operation.stop import Interruptions
 from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
@@ -98,8 +97,9 @@ def simulate(
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = job.surface.heights(grid, job.output.length_unit)
+            job.solid.prepare(grid)
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
-        problem = ContactProblem(grid, heights, make_elasticity(job), job.wall)
+        problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         observer = Observer(problem, job.output.asked, cutoff)
         control = LoadControl(job.load, problem, job.solver.tolerance)
@@ -156,13 +156,6 @@ def simulate(
 def of_first_load(job: Job) -> str:
     """The part of a job that a checkpoint must agree with, as TOML: all but [run] and the loads after the first."""
     return as_toml(dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1])))
-
-
-def make_elasticity(job: Job) -> Elasticity:
-    """The job's solid."""
-    solid = job.solid
-    poisson = 0.0 if solid.poisson is None else solid.poisson  # None only where the response does not depend on it
-    return Elasticity(solid.contact_modulus, solid.thickness, solid.base, poisson)
 
 
 def solve(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from solids import elastic
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics.threshold import threshold_for_count
 from pgfmd.observables.table import OBSERVABLES
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution
@@ -65,7 +65,7 @@ def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spe
     pressure[index < pixels] = 1.0
     solution = ContactSolution(pressure, pressure, fraction, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
     cutoff = 2 * np.pi / lambda_s if lambda_s > 1 else None
-    problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall())
+    problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
     observer = Observer(problem, [OBSERVABLES[name]() for name in names], cutoff)
     return grid, heights, observer.groups(observer.contact(solution))
 
@@ -100,7 +100,7 @@ def test_autocorrelation_of_a_gaussian_surface(comm):
     heights = self_affine(grid, 0.5, 8, 0.031, 2, lambda_l=16)
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))
     solution = ContactSolution(pressure, pressure, 0.25, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
-    problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall())
+    problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
     observer = Observer(problem, [OBSERVABLES[name]() for name in ("bearing", "acf")])
     groups = observer.groups(observer.contact(solution))
     rho = groups["height_acf"]["value"] / groups["height_acf"]["value"][0]

@@ -72,23 +72,23 @@ def test_cell_from_length_or_spacing():
 )
 def test_elastic_moduli_from_each_pair(given):
     """λ = μ = 1 is E = 5/2, ν = 1/4, E' = 8/3, from whichever pair it is given (rounding only: 1e-15 relative)."""
-    solid = config.Solid(**given)
+    solid = config.Homogeneous(**given)
     found = [solid.lame_lambda, solid.lame_mu, solid.young, solid.poisson, solid.contact_modulus]
     assert found == pytest.approx([1, 1, 2.5, 0.25, 8 / 3], rel=4e-15, abs=0)
 
 
 def test_contact_modulus_alone_leaves_the_rest_unknown():
     """E' does not fix Poisson's ratio; a bonded slab needs it, a half-space does not."""
-    assert config.Solid(contact_modulus=2.0).poisson is None
+    assert config.Homogeneous(contact_modulus=2.0).poisson is None
     with pytest.raises(InputError, match="needs poisson"):
-        config.Solid(contact_modulus=2.0, thickness=3.0)
+        config.Homogeneous(contact_modulus=2.0, thickness=3.0)
 
 
 def test_contradicting_moduli_are_refused():
     """Redundant moduli are accepted only if they agree."""
-    config.Solid(lame_lambda=1.0, lame_mu=1.0, contact_modulus=8 / 3)
+    config.Homogeneous(lame_lambda=1.0, lame_mu=1.0, contact_modulus=8 / 3)
     with pytest.raises(InputError, match=r"solid.contact_modulus = 2.0: the other moduli give 2.66667"):
-        config.Solid(lame_lambda=1.0, lame_mu=1.0, contact_modulus=2.0)
+        config.Homogeneous(lame_lambda=1.0, lame_mu=1.0, contact_modulus=2.0)
 
 
 @pytest.mark.parametrize(

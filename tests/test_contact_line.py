@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from conftest import SIZE
 from mpi4py import MPI
+from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_line.line import LARGEST_RATIO, SMOOTH, contact_line, line_of
 from pgfmd.observables.contact_line.pairs import Tables, locate
 from pgfmd.observables.contact_line.table import edge_table
 from pgfmd.observables.patches.labelling import label_patches
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
@@ -27,7 +27,7 @@ pytestmark = pytest.mark.mpi
 
 def solve(grid, heights, load, modulus=1.0, tolerance=1e-12):
     """Pressure and gap of a hard contact."""
-    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(modulus), HardWall(), load), tolerance)
+    found = solve_hard_wall(ContactProblem(grid, heights, elastic(modulus), HardWall(), load), tolerance)
     return found.pressure, found.gap
 
 
@@ -243,7 +243,7 @@ def test_pressures_and_gaps_that_vanish():
 def test_no_line_where_roughness_goes_down_to_the_pixel(comm):
     """Up to SMOOTH points to the shortest wave there is none."""
     grid = SlabGrid(comm, (8, 8))
-    problem = ContactProblem(grid, np.zeros(grid.local_shape), Elasticity(1.0), HardWall(), 1.0)
+    problem = ContactProblem(grid, np.zeros(grid.local_shape), elastic(1.0), HardWall(), 1.0)
     found = solve_hard_wall(problem, 1e-6)
     assert line_of(problem, found, 2 * math.pi / 2.0) is None
     assert line_of(problem, found, 2 * math.pi / (1.01 * SMOOTH)) is not None

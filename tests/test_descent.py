@@ -6,11 +6,11 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from reference import Contact, Solid
+from solids import elastic
 
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid import transpose
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
@@ -44,7 +44,7 @@ def awkward(seed: int):
         thickness = max(shape) * 10 ** random.uniform(-2.5, -1)
     heights, solid = random.standard_normal(shape), Solid(1.0, thickness, "free" if seed % 2 == 0 else "bonded")
     contact = Contact(heights, steps, solid)
-    return heights, steps, Elasticity(1.0, thickness, solid.base), contact.full_stress * 10 ** random.uniform(-3, -0.3)
+    return heights, steps, elastic(1.0, thickness, solid.base), contact.full_stress * 10 ** random.uniform(-3, -0.3)
 
 
 @pytest.mark.parametrize("seed", range(24))
@@ -113,7 +113,7 @@ def test_a_solver_that_fails_gives_its_memory_back(comm, monkeypatch):
 
     for law in (HardWall(), ExponentialWall(zeta=0.1)):
         for failing in (256, 128, None):
-            problem = ContactProblem(grid, heights, Elasticity(1.0), law, 0.005)
+            problem = ContactProblem(grid, heights, elastic(1.0), law, 0.005)
             with pytest.raises(SolverError, match="as the test asks") if failing else nullcontext():
                 solve_contact(problem, Solver(tolerance=1e-3, method=law.methods[0]), monitor=fail)
             assert len(alive) == 1

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
@@ -15,7 +16,6 @@ from pgfmd.job.job import parse
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics.grid_error import MODES, change_at_equal_load, long_waves
 from pgfmd.observables.table import OBSERVABLES
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -30,7 +30,7 @@ NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_e
 
 def measured(grid, heights, load, cutoff):
     """The row of a load, and its error bars on every rank."""
-    problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), load)
+    problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), load)
     observer = Observer(problem, [OBSERVABLES["discretisation"]()], cutoff)
     contact = observer.contact(solve_hard_wall(problem, 1e-9))
     return observer.row(contact), grid.comm.bcast(observer.groups(contact)["discretisation"]), contact
@@ -137,7 +137,7 @@ def test_gap_errs_by_what_the_energy_lacks(comm, law):
 
     def numbers(n, seed):
         grid = SlabGrid(comm, (n, n), (1.0, 1.0))
-        problem = ContactProblem(grid, self_affine(grid, 0.5, 1 / 8, 1.0, seed), Elasticity(1.0), law, 0.05)
+        problem = ContactProblem(grid, self_affine(grid, 0.5, 1 / 8, 1.0, seed), elastic(1.0), law, 0.05)
         solution = solve_hard_wall(problem, 1e-10)
         return np.array([solution.mean_gap, long_waves(problem, solution, None)["mean_gap"][0].real])
 
@@ -153,7 +153,7 @@ def test_long_waves_of_the_gap_are_as_uncertain_as_its_mean(comm):
     """
 
     def waves(grid, heights):
-        problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), 0.01)
+        problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), 0.01)
         return long_waves(problem, solve_hard_wall(problem, 1e-9), None)
 
     grid = SlabGrid(comm, (128, 128), (1.0, 1.0))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from conftest import SIZE
 from reference import Contact, Solid
+from solids import elastic
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.elementary import exponential, logarithm
 from pgfmd.physics.laws.exponential import ExponentialWall, wright_omega
 from pgfmd.physics.laws.hard import HardWall
@@ -28,7 +28,7 @@ from pgfmd.theory.exponential import response
 
 pytestmark = pytest.mark.mpi
 
-SOLID = Elasticity(8 / 3)
+SOLID = elastic(8 / 3)
 
 
 def solve(grid, heights, load, zeta, sigma_ref=None, **keywords):
@@ -152,7 +152,7 @@ def test_units_do_not_matter(rough):
     small = SlabGrid(grid.comm, grid.shape, tuple(1e-9 * length for length in grid.lengths))
     one = solve(grid, heights, 0.01, 0.1, 1.0, tolerance=1e-10)
     law = ExponentialWall(zeta=1e-10, sigma_ref=1e11)
-    two = solve_exponential_wall(ContactProblem(small, heights * 1e-9, Elasticity(8e11 / 3), law, 1e9), 1e-10)
+    two = solve_exponential_wall(ContactProblem(small, heights * 1e-9, elastic(8e11 / 3), law, 1e9), 1e-10)
     assert norm(grid, two.pressure / 1e11 - one.pressure) < 1e-5 * norm(grid, one.pressure)
     assert two.mean_gap * 1e9 == pytest.approx(one.mean_gap, rel=1e-6, abs=0)
 
@@ -271,7 +271,7 @@ def test_pressure_on_points_that_cannot_touch_counts(comm, seed, zeta):
     """Points far below the highest are raised while a light load is solved; pressure that an iteration leaves on them
     does work on the way down again.  That is in the certified error, and that is within the tolerance."""
     heights = np.random.default_rng(seed).standard_normal((20, 3))
-    grid, solid = SlabGrid(comm, heights.shape, (93.0, 3.0)), Elasticity(1.0, 0.03, "sliding")
+    grid, solid = SlabGrid(comm, heights.shape, (93.0, 3.0)), elastic(1.0, 0.03, "sliding")
     problem = ContactProblem(grid, heights[grid.rows].copy(), solid, ExponentialWall(zeta=zeta), 1e-14)
     assert solve_exponential_wall(problem, 1e-8).certified_error > 1e-8  # what the class is about
     assert solve_contact(problem, Solver(tolerance=1e-8)).certified_error <= 1e-8
@@ -284,7 +284,7 @@ def test_an_energy_that_rounding_hides_is_refused_at_once(comm, monkeypatch):
     grid = SlabGrid(comm, heights.shape)
     monkeypatch.setattr(dispatch, "solve_gfmd", lambda *_, **__: pytest.fail("dynamics were tried"))
     for load, zeta in ((1e-100, 0.1), (1e-70, 1.0), (1e-40, 0.3), (1e20, 0.1), (1e60, 0.1), (1e100, 1.0)):
-        problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), ExponentialWall(zeta=zeta), load)
+        problem = ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), ExponentialWall(zeta=zeta), load)
         with pytest.raises(Uncertifiable, match="rounding in double precision|last digits"):
             solve_contact(problem, Solver(tolerance=1e-8))
 
@@ -298,7 +298,7 @@ def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
     grid, heights = SlabGrid(comm, (8, 7)), np.random.default_rng(1).standard_normal((8, 7))
     for power in (4, 8, 10, 12, 14):
         law, steps = ExponentialWall(zeta=zeta), []
-        problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), law, 10.0**power)
+        problem = ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), law, 10.0**power)
         if power > 10:
             with pytest.raises(Uncertifiable, match="rounding in double precision"):
                 solve_contact(problem, Solver(method=method), monitor=lambda _, state, steps=steps: steps.append(state))
@@ -321,7 +321,7 @@ def test_newton_under_thin_plates(comm, seed):
     contact = Contact(heights, (1.0, 1.0), Solid(1.0, thickness, "free"))
     load = float(contact.full_stress) * 10 ** random.uniform(-4, 1)
     zeta = float(np.std(heights) * 10 ** random.uniform(-4, 1))
-    grid, solid = SlabGrid(comm, shape), Elasticity(1.0, thickness, "free")
+    grid, solid = SlabGrid(comm, shape), elastic(1.0, thickness, "free")
     problem = ContactProblem(grid, heights[grid.rows].copy(), solid, ExponentialWall(zeta=zeta), load)
     found = solve_contact(problem, Solver(method="newton"))
     error = contact.exponential(load, zeta).error_of(grid.fetch(found.pressure, 0, shape[0]))
@@ -333,7 +333,7 @@ def test_a_start_whose_residual_vanishes_in_single_precision(comm):
     the answer is that of any other start, to 1e-5."""
     heights = np.random.default_rng(1).standard_normal((8, 8))
     grid = SlabGrid(comm, heights.shape)
-    problem = ContactProblem(grid, heights[grid.rows].copy(), Elasticity(1.0), ExponentialWall(zeta=0.01), 0.05)
+    problem = ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), ExponentialWall(zeta=0.01), 0.05)
     start = np.full(heights.shape, 1e-150)
     start[3, 4] = 1.0
     plain = solve_exponential_wall(problem, 1e-12)

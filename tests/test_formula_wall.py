@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 from reference import Contact, Real
+from solids import elastic
 
 import pgfmd
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options import formula
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.graph import tabulate
@@ -31,7 +31,7 @@ DIGITS = 1e-13  # of a point that is found to the last digits of pressure and ga
 
 def solved(grid, heights, law, load, tolerance=1e-12, method="auto"):
     """The contact with a solid of modulus 1."""
-    problem = ContactProblem(grid, heights, Elasticity(1.0), law, load)
+    problem = ContactProblem(grid, heights, elastic(1.0), law, load)
     return solve_contact(problem, Solver(tolerance=tolerance, method=method))
 
 
@@ -146,7 +146,7 @@ def test_loads_and_gaps_of_a_formula(comm):
     heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
     law = FormulaWall(pressure="0.1 * (0.5 / gap)**9", gaps=(0.05, 20))
     found = solved(grid, heights, law, 0.05, 1e-10)
-    problem = ContactProblem(grid, heights, Elasticity(1.0), law)
+    problem = ContactProblem(grid, heights, elastic(1.0), law)
     again = LoadControl(Load(mean_gap=(found.mean_gap,)), problem).solution(found.mean_gap)
     assert again.mean_gap == pytest.approx(found.mean_gap, rel=1e-3, abs=0)
     assert again.mean_pressure == pytest.approx(0.05, rel=1e-2, abs=0)

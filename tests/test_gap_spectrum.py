@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from job_texts import rough_job
+from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.results import Results
 from pgfmd.job import job
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import OBSERVABLES
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.simulate import simulate
@@ -32,7 +32,7 @@ def measure(comm, gap, **options):
     grid = SlabGrid(comm, gap.shape)
     local = gap[grid.rows].copy()
     solution = ContactSolution(local, local, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
-    problem = ContactProblem(grid, local, Elasticity(1.0), HardWall())
+    problem = ContactProblem(grid, local, elastic(1.0), HardWall())
     observer = Observer(problem, [OBSERVABLES["gap_spectrum"](**options)], 1.5)
     return observer.groups(observer.contact(solution))["gap_spectrum"]
 

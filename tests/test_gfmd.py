@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from solids import elastic
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
@@ -25,7 +25,7 @@ from pgfmd.surfaces.sinusoid import sinusoid
 
 pytestmark = pytest.mark.mpi
 
-SOLID = Elasticity(8 / 3)
+SOLID = elastic(8 / 3)
 
 
 def apart(grid, one, two) -> float:
@@ -93,7 +93,7 @@ def test_slabs_agree_with_the_hard_wall(comm, base):
     """A slab of 8 pixels, ν = 0.4: pressures to 1e-5 with each base.  The two are named: "auto" could answer both by
     dynamics."""
     grid = SlabGrid(comm, (64, 64))
-    heights, solid = self_affine(grid, 0.8, 8.0, 0.1, 2), Elasticity(1.0, 8.0, base, 0.4)
+    heights, solid = self_affine(grid, 0.8, 8.0, 0.1, 2), elastic(1.0, 8.0, base, 0.4)
     one = solve_gfmd(ContactProblem(grid, heights, solid, HardWall(), 0.01), tolerance=1e-13)
     two = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-13)
     assert apart(grid, one, two) < 1e-5
@@ -104,7 +104,7 @@ def test_limited_hardness_agrees_with_the_active_set(comm, hardness):
     """σ_Y reached by half of the points, and by a few: pressures to 1e-5 by two methods that share the law alone."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.8, 4.0, 0.1, 1)
-    problem = ContactProblem(grid, heights, Elasticity(1.0), Hardness(hardness=hardness), 0.01)
+    problem = ContactProblem(grid, heights, elastic(1.0), Hardness(hardness=hardness), 0.01)
     one, two = (solve_contact(problem, Solver(method=name, tolerance=1e-12)) for name in ("gfmd", "active-set"))
     assert apart(grid, one, two) < 1e-5
     assert grid.reduction.max(one.pressure) <= hardness

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from reference import Contact, Real, Solid, Unable
+from solids import elastic
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observer import Observer
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -28,7 +28,7 @@ MODULUS = 8 / 3
 def solved(grid, heights, load, hardness, tolerance=1e-20, solid=None, method="auto"):
     """The contact of this rank's heights; a hard wall if the hardness is infinite."""
     law = Hardness(hardness=hardness) if hardness < math.inf else HardWall()
-    problem = ContactProblem(grid, heights, solid or Elasticity(MODULUS), law, load)
+    problem = ContactProblem(grid, heights, solid or elastic(MODULUS), law, load)
     return solve_contact(problem, Solver(tolerance=tolerance, method=method))
 
 
@@ -63,7 +63,7 @@ def test_random_contacts_by_brute_force(comm, batch):
             exact = contact.hard(load, hardness)
         except Unable:
             continue
-        grid, solid = SlabGrid(comm, heights.shape), Elasticity(1.0, thickness)
+        grid, solid = SlabGrid(comm, heights.shape), elastic(1.0, thickness)
         found = solved(grid, heights[grid.rows].copy(), load, hardness, solid=solid)
         expected, unit = exact.x.astype(float).reshape(heights.shape) * load, load * float(contact.pixel)
         assert found.certified_error <= 1e-20
@@ -101,7 +101,7 @@ def test_light_loads_are_carried(comm, load, share):
     """
     heights = np.random.default_rng(1).standard_normal((12, 16))
     grid = SlabGrid(comm, heights.shape)
-    found = solved(grid, heights[grid.rows], load, share * load, 1e-8, Elasticity(1.0))
+    found = solved(grid, heights[grid.rows], load, share * load, 1e-8, elastic(1.0))
     assert grid.reduction.sum(found.pressure) == pytest.approx(load * grid.size, rel=1e-12, abs=0)
     assert grid.reduction.max(found.pressure) <= share * load
     exact = Contact(heights).hard(load, share * load)
@@ -183,7 +183,7 @@ def test_imposed_gaps_are_met_to_their_bound(comm, seed):
     grid = SlabGrid(comm, (32, 32))
     heights = self_affine(grid, 0.8, 4.0, 0.1, seed)
     load = 0.01 * 3**seed
-    problem = ContactProblem(grid, heights, Elasticity(1.0), Hardness(hardness=3 * load), load)
+    problem = ContactProblem(grid, heights, elastic(1.0), Hardness(hardness=3 * load), load)
     control = MeanGap(problem, Load(mean_gap=(1.0,), gap_tolerance=1e-6))
     exact = solve_contact(problem, Solver(tolerance=1e-20))
     for tolerance in (1e-3, 1e-6, 1e-9):
@@ -198,7 +198,7 @@ def test_imposed_areas_and_gaps_are_found_below_the_hardness(comm, part):
     search begins, is ten times what the wall bears: no load on the way is above that."""
     grid = SlabGrid(comm, (32, 32))
     law, heights = Hardness(hardness=0.05), self_affine(grid, 0.8, 8.0, 0.5, 1)
-    problem = ContactProblem(grid, heights, Elasticity(MODULUS), law, part * law.hardness)
+    problem = ContactProblem(grid, heights, elastic(MODULUS), law, part * law.hardness)
     found = solve_contact(problem, Solver(tolerance=1e-10))
     area = grid.reduction.sum(found.pressure > 0) / grid.size
     again = LoadControl(Load(contact_area=(area,)), problem).solution(area)
@@ -217,7 +217,7 @@ def test_no_area_bears_more_than_the_hardness(comm, part):
     """
     grid = SlabGrid(comm, (64, 64))
     heights, law = self_affine(grid, 0.8, 8.0, 0.1, 3), Hardness(hardness=0.01)
-    problem = ContactProblem(grid, heights, Elasticity(1.0), law, part * law.hardness)
+    problem = ContactProblem(grid, heights, elastic(1.0), law, part * law.hardness)
     observer = Observer(problem, [ContactPatches()])
     contact = observer.contact(solve_contact(problem))
     assert contact.line is not None

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from mpi4py import MPI
+from solids import elastic
 
 from pgfmd.grid import holders
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel import layout
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -142,7 +142,7 @@ def test_rows_travel_together(monkeypatch, joined):
 @pytest.mark.parametrize("density", [0.05, 0.5, 1.0])
 def test_mesh_compliance(shape, density):
     """Within two per cent of the response by full transforms, on any number of ranks."""
-    grid, elasticity = SlabGrid(comm, shape), Elasticity(1.3)
+    grid, elasticity = SlabGrid(comm, shape), elastic(1.3)
     mesh = MeshResponse(grid, lambda q: 2 / (1.3 * q), elasticity.compliance)
     off, exact = deviation(grid, density, mesh, elasticity.apply_compliance(grid, np.float32, 1 / grid.size))
     assert np.linalg.norm(off - off.mean()) < 0.02 * np.linalg.norm(exact - exact.mean())
@@ -152,7 +152,7 @@ def test_mesh_compliance(shape, density):
 @pytest.mark.parametrize("density", [0.05, 0.5, 1.0])
 def test_mesh_stiffness(shape, density):
     """Within five per cent of the response by full transforms, on any number of ranks."""
-    grid, elasticity = SlabGrid(comm, shape), Elasticity(1.3)
+    grid, elasticity = SlabGrid(comm, shape), elastic(1.3)
     mesh = MeshResponse(grid, elasticity.stiffness, elasticity.stiffness)
     off, exact = deviation(grid, density, mesh, elasticity.apply_stiffness(grid, np.float32, 1 / grid.size))
     assert np.linalg.norm(off) < 0.05 * np.linalg.norm(exact)
@@ -161,7 +161,7 @@ def test_mesh_stiffness(shape, density):
 @pytest.mark.parametrize("wave", [(1, 0), (2, 3), (5, 5)])
 def test_mesh_is_exact_for_long_waves(wave):
     """To two per cent of the response itself, compliance and stiffness: what they get wrong there never converges."""
-    grid, elasticity = SlabGrid(comm, (128, 128)), Elasticity(1.3)
+    grid, elasticity = SlabGrid(comm, (128, 128)), elastic(1.3)
     everything = Unknowns(grid, (np.ones(grid.local_shape), np.ones(grid.local_shape)), -np.inf)
     at = 2 * np.pi / 128 * (wave[0] * np.arange(128)[grid.rows, None] + wave[1] * np.arange(128))
     values, found = np.cos(at).ravel().astype(np.float32), np.empty(at.size, np.float32)
@@ -188,7 +188,7 @@ def test_mesh_is_where_it_serves():
     grid = SlabGrid(comm, (256, 256))
 
     def serves(grid, thickness=np.inf):
-        solid = Elasticity(1.0, thickness)
+        solid = elastic(1.0, thickness)
         action = solid.apply_compliance(grid, np.float32, 1 / grid.size)
         found = inner_response(grid, lambda q: 2 / q, solid.compliance, action)
         found.free()
@@ -254,7 +254,7 @@ def test_tensions_are_cut_where_they_are(shape):
     old = np.where(mask, np.random.default_rng(4).standard_normal(shape) + 0.8, 0)
     pressure = old[grid.rows].copy()
     load = 1.1 * old.sum()
-    problem = ContactProblem(grid, np.zeros_like(pressure), Elasticity(1.0), HardWall(), load / grid.size)
+    problem = ContactProblem(grid, np.zeros_like(pressure), elastic(1.0), HardWall(), load / grid.size)
     Feasible(problem).make(points, (pressure, np.zeros_like(pressure)))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() == 0 and new.sum() == pytest.approx(load, rel=1e-12, abs=0)
@@ -272,7 +272,7 @@ def test_pressures_between_two_bounds_carry_the_load(load):
     points, mask, _ = random_set(grid, 0.4)
     old = np.where(mask, np.random.default_rng(4).standard_normal(grid.shape) + 0.8, 0)
     pressure, gap = old[grid.rows].copy(), np.random.default_rng(5).standard_normal(grid.shape)[grid.rows].copy()
-    problem = ContactProblem(grid, np.zeros_like(pressure), Elasticity(2.0), Hardness(hardness=1.0), load)
+    problem = ContactProblem(grid, np.zeros_like(pressure), elastic(2.0), Hardness(hardness=1.0), load)
     Feasible(problem).make(points, (pressure, gap))
     new = np.concatenate(comm.allgather(pressure))
     assert new.min() >= 0 and new.max() <= 1 + 1e-14
@@ -315,14 +315,14 @@ def test_a_mountain_in_one_slab(n):
             seen.append(np.concatenate(comm.allgather(state.pressure)))
 
     mine = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows], Elasticity(1.0), HardWall(), 1e-3), 1e-9, monitor=monitor
+        ContactProblem(grid, heights[grid.rows], elastic(1.0), HardWall(), 1e-3), 1e-9, monitor=monitor
     )
-    alone = solve_hard_wall(ContactProblem(one, heights, Elasticity(1.0), HardWall(), 1e-3), 1e-9)
+    alone = solve_hard_wall(ContactProblem(one, heights, elastic(1.0), HardWall(), 1e-3), 1e-9)
     found = np.concatenate(comm.allgather(mine.pressure))
     assert np.abs(found - alone.pressure).max() < 1e-3 * alone.pressure.max()
     assert np.array_equal(seen[-1] > 0, found > 0)
     again = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows], Elasticity(1.0), HardWall(), 1e-3), 1e-9, start=mine.pressure
+        ContactProblem(grid, heights[grid.rows], elastic(1.0), HardWall(), 1e-3), 1e-9, start=mine.pressure
     )
     again = np.concatenate(comm.allgather(again.pressure))
     assert np.abs(again - alone.pressure).max() < 1e-3 * alone.pressure.max()

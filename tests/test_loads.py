@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from solids import elastic
 
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -21,7 +21,7 @@ from pgfmd.surfaces.sinusoid import sinusoid
 
 pytestmark = pytest.mark.mpi
 
-SOLID = Elasticity(8 / 3)
+SOLID = elastic(8 / 3)
 
 
 class Counted:
@@ -122,7 +122,7 @@ def test_the_far_side_of_a_slab_moves_by_its_own_compression_too(rough):
     """On a bonded slab the displacement is h_max − ⟨u⟩ + p̄ d/(λ + 2μ); beyond full contact it goes on."""
     grid, heights = rough
     thickness = 50.0
-    slab = Elasticity(8 / 3, thickness, "bonded", 0.25)  # λ = μ = 1
+    slab = elastic(8 / 3, thickness, "bonded", 0.25)  # λ = μ = 1
     summit = grid.reduction.max(heights)
     for target in (0.5 * summit, 3 * summit):
         found = Counted("displacement", grid, heights, slab).solution(target)
@@ -274,7 +274,7 @@ def test_heights_far_from_zero_keep_their_mean_gap(comm):
     heights = (np.random.default_rng(4).standard_normal(grid.shape) + 7.3e9)[grid.rows]
     found = []
     for surface in (heights, heights - 7.3e9):
-        problem = ContactProblem(grid, surface, Elasticity(1.0), HardWall())
+        problem = ContactProblem(grid, surface, elastic(1.0), HardWall())
         control = LoadControl(Load(mean_gap=(0.3,), gap_tolerance=1e-7), problem, 1e-14)
         found.append(control.solution(0.3))
         assert found[-1].mean_gap == pytest.approx(0.3, rel=1e-7, abs=0)
@@ -285,7 +285,7 @@ def test_a_flat_surface_is_flat_whatever_its_height(comm):
     """Heights of 1.689… everywhere, whose mean rounds to another number, are no roughness of 2e-16."""
     grid = SlabGrid(comm, (4, 3))
     problem = ContactProblem(
-        grid, np.full(grid.local_shape, 1.6893293747974671), Elasticity(1.0), ExponentialWall(zeta=1.0)
+        grid, np.full(grid.local_shape, 1.6893293747974671), elastic(1.0), ExponentialWall(zeta=1.0)
     )
     with pytest.raises(InputError, match="flat"):
         LoadControl(Load(displacement=(1.0,)), problem).check_targets([1.0])

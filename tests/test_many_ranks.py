@@ -63,14 +63,15 @@ import sys
 import numpy as np
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import world
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 n, path = int(sys.argv[1]), sys.argv[2]
 grid = SlabGrid(world(), (n, n))
-problem = ContactProblem(grid, self_affine(grid, 0.8, 8.0, 0.031, 1), Elasticity(2.66667), HardWall(), 0.0036)
+heights, solid = self_affine(grid, 0.8, 8.0, 0.031, 1), Homogeneous(contact_modulus=2.66667)
+problem = ContactProblem(grid, heights, solid, HardWall(), 0.0036)
 found = solve_hard_wall(problem, 1e-22)
 rows = grid.comm.gather(found.pressure)
 if rows is not None:

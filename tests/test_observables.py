@@ -10,6 +10,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from mpi4py import MPI
+from solids import elastic
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.callbacks import source
@@ -25,7 +26,6 @@ from pgfmd.observables.statistics.correlations import correlate, indicator, mode
 from pgfmd.observables.statistics.distributions import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.statistics.lowpass import lowpass, touches_fully
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -69,7 +69,7 @@ def observe(comm, shape, lengths, names=NAMES[:5], cutoff=None, **tables):
     """Groups of whole fields that are cut into slabs; those of rank 0 on every rank."""
     grid = SlabGrid(comm, shape, lengths)
     heights, pressure = (field[grid.rows].copy() for field in fields(shape))
-    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()), asked(names, **tables), cutoff)
+    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names, **tables), cutoff)
     return comm.bcast(observer.groups(observer.contact(solved(pressure))))
 
 
@@ -234,7 +234,7 @@ def test_work(comm, names, first, each):
     """Only what is asked for is computed: transforms for the heights, once, and for each load."""
     grid = SlabGrid(comm, (24, 24))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()), asked(names))
+    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names))
     assert grid.transforms == first
     contact = observer.contact(solved(pressure))
     observer.row(contact)
@@ -247,7 +247,7 @@ def test_work(comm, names, first, each):
 def test_memory(comm):
     """All observables take less than a quarter more memory than the solution of the contact did, at its peak."""
     tracemalloc.start()
-    grid, solid = SlabGrid(comm, (512, 512)), Elasticity(MODULUS)
+    grid, solid = SlabGrid(comm, (512, 512)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 8, 0.05, 5)
     observer = Observer(ContactProblem(grid, heights, solid, HardWall()), asked(NAMES), 2 * np.pi / 8)
     tracemalloc.reset_peak()
@@ -291,15 +291,15 @@ def test_row(comm):
     """κ = f_c E' g/p̄ with the surface's spectral slope, and nan at no load; all numbers of the schema are there."""
     grid = SlabGrid(comm, (32, 48), (32.0, 24.0))
     heights = self_affine(grid, 0.5, 1, 0.07, 3)
-    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()))
+    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()))
     assert observer.surface.rms_slope == pytest.approx(0.07, rel=1e-12, abs=0)  # that of which the surface was made
-    solution = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.01), 1e-3)
+    solution = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.01), 1e-3)
     row = observer.row(observer.contact(solution))
     assert schema.LOADS.keys() - row.keys() == {"target", "displacement"}  # those the load control knows
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12, abs=0)
     assert 0 < row["pressure_error"] == solution.pressure_error < 1
-    unloaded = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.0))
+    unloaded = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.0))
     nothing = observer.row(observer.contact(unloaded))
     assert nothing["contact_area"] == nothing["contact_area_corrected"] == 0 and math.isnan(nothing["kappa"])
 
@@ -308,7 +308,7 @@ def test_patches_hold_the_contact(comm):
     """Areas add up to the contact area, loads to the load; labels are the numbers of the rows of the table."""
     grid = SlabGrid(comm, (24, 30), (24.0, 15.0))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall()), asked(["patches"]))
+    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(["patches"]))
     contact = observer.contact(solved(pressure))
     table = comm.bcast(observer.groups(contact)["patches"])
     assert table["area"].sum() == contact.area.pixels * grid.pixel_area
@@ -437,7 +437,7 @@ def test_area_of_the_low_passed_surface(comm):
         assert problem.grid.shape[0] < 512 and start is None and problem.mean_pressure == load
         return solve_hard_wall(problem, 1e-8)
 
-    problem = ContactProblem(grid, heights, Elasticity(MODULUS), HardWall())
+    problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall())
     observer = Observer(problem, asked(["lowpass"], lowpass={"q": q}), solve=solve)
     nothing = np.zeros(grid.local_shape)
     contact = observer.contact(dataclasses.replace(solved(nothing), mean_pressure=load))
@@ -455,7 +455,7 @@ def test_area_is_that_of_the_finest_grid(comm):
 
     8 points per wave err by up to .2 % for a spectrum that ends there, a few patches by more.
     """
-    grid, solid = SlabGrid(comm, (256, 256)), Elasticity(MODULUS)
+    grid, solid = SlabGrid(comm, (256, 256)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
     problem = ContactProblem(grid, heights, solid, HardWall(), 0.01)
     observer = Observer(problem, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
@@ -472,7 +472,7 @@ def test_area_is_that_of_the_finest_grid(comm):
 def test_area_of_a_surface_without_waves(comm):
     """Below its only wave, of which rounding is left, a surface is flat: f = 1, at any load that is not nothing."""
     grid = SlabGrid(comm, (48, 48))
-    problem = ContactProblem(grid, sinusoid(grid, 0.1, (2, 0)), Elasticity(MODULUS), HardWall(), 0.003)
+    problem = ContactProblem(grid, sinusoid(grid, 0.1, (2, 0)), elastic(MODULUS), HardWall(), 0.003)
     observer = Observer(problem, asked(["lowpass"], lowpass={"q": [2 * np.pi / 48, 2 * np.pi / 24]}))
     contact = observer.contact(solve_contact(problem))
     found = observer.groups(contact)["lowpass_area"]
@@ -484,7 +484,7 @@ def test_no_contact_has_a_negative_area(comm):
     """At a load that a single pixel bears, the area inside the line is positive, and not above that of the pixels: a
     line drawn around one pixel enclosed less than nothing."""
     grid = SlabGrid(comm, (64, 64))
-    problem = ContactProblem(grid, self_affine(grid, 0.8, 16, 0.1, 1), Elasticity(1.0), HardWall(), 1e-9)
+    problem = ContactProblem(grid, self_affine(grid, 0.8, 16, 0.1, 1), elastic(1.0), HardWall(), 1e-9)
     solution = solve_hard_wall(problem, 1e-8)
     area = Observer(problem, [], 2 * np.pi / 16).contact(solution).area
     assert area.pixels == 1 and 0 < area.corrected <= area.fraction and area.perimeter > 0
@@ -497,7 +497,7 @@ def test_cross_spectra_in_any_units(comm):
     for length, pressure in ((1.0, 1.0), (1e-90, 1e80)):
         grid = SlabGrid(comm, (16, 12), (16 * length, 12 * length))
         heights = np.random.default_rng(3).standard_normal(grid.shape)[grid.rows] * length
-        problem = ContactProblem(grid, heights, Elasticity(pressure), HardWall(), 0.05 * pressure)
+        problem = ContactProblem(grid, heights, elastic(pressure), HardWall(), 0.05 * pressure)
         contact = Observer(problem, asked(["spectra"])).contact(solve_hard_wall(problem, 1e-12))
         found.append(contact.cross_power / pressure / length)
     np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-4 * np.abs(found[0]).max())
@@ -508,7 +508,7 @@ def test_no_patch_has_a_negative_area(comm):
     perimeter of their pixels, which are more than the lines give.
     """
     grid = SlabGrid(comm, (128, 128))
-    problem = ContactProblem(grid, self_affine(grid, 0.3, 4, 0.1, 1), Elasticity(1.0), HardWall(), 1e-3)
+    problem = ContactProblem(grid, self_affine(grid, 0.3, 4, 0.1, 1), elastic(1.0), HardWall(), 1e-3)
     contact = Observer(problem, [], 2 * np.pi / 4).contact(solve_hard_wall(problem, 1e-10))
     labels = contact.labels(8)
     beyond, length = (grid.reduction.sum(part) for part in contact.line_of_patches(8))
@@ -526,7 +526,7 @@ def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
     all others are there."""
     grid = SlabGrid(comm, (64, 64))
     heights = self_affine(grid, 0.5, 16, 0.05, 5)
-    problem = ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), 0.003)
+    problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.003)
     waves = 2 * np.pi / np.array([64, 32, 16])
 
     def solve(problem, start, options=None):
@@ -548,7 +548,8 @@ def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
 @pytest.mark.parametrize("thickness", [np.inf, 20.0])
 def test_full_contact_is_foreseen(comm, thickness):
     """A wave Δ cos(qx) is in full contact from p̄ = K(q) Δ on, on a half-space (π E'Δ/λ) and on a slab."""
-    grid, solid = SlabGrid(comm, (48, 30), (96.0, 30.0)), Elasticity(MODULUS, thickness, "free")
+    grid, base = SlabGrid(comm, (48, 30), (96.0, 30.0)), "free" if thickness < np.inf else "bonded"
+    solid = elastic(MODULUS, thickness, base)
     full = 0.1 * float(solid.stiffness(np.array([2 * np.pi * 3 / 96]))[0])
     assert thickness < np.inf or full == pytest.approx(np.pi * MODULUS * 0.1 / 32, rel=1e-12, abs=0)
     heights = sinusoid(grid, 0.1, (3, 0))
@@ -565,7 +566,7 @@ def test_octaves():
 
 def test_area_of_the_whole_surface(comm):
     """f(q) ends at the contact area itself, without another solution, and leaves that one as it was, bit for bit."""
-    grid, solid = SlabGrid(comm, (64, 64)), Elasticity(MODULUS)
+    grid, solid = SlabGrid(comm, (64, 64)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 1, 0.05, 5)
     solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-6)
     before = solution.pressure.copy(), solution.gap.copy(), heights.copy()
@@ -586,7 +587,7 @@ def test_one_contact_for_all_observables(comm):
     """Under an exponential wall too, area, histogram, patches, spectrum and autocorrelation are of the same points."""
     grid = SlabGrid(comm, (48, 40))
     heights = self_affine(grid, 0.5, 4, 0.1, 5)
-    problem = ContactProblem(grid, heights, Elasticity(MODULUS), ExponentialWall(zeta=0.02), 0.01)
+    problem = ContactProblem(grid, heights, elastic(MODULUS), ExponentialWall(zeta=0.02), 0.01)
     observer = Observer(problem, asked(NAMES[:5], spectra={"all_modes": True}))
     contact = observer.contact(solve_contact(problem))
     found = comm.bcast(observer.groups(contact))

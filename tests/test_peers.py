@@ -10,8 +10,9 @@ N, PRESSURE, MODULUS = 256, 0.003, 8 / 3
 def contact(request, comm):
     """Heights and our pressure (256, 256): self-affine, to a certified error of 1e-15 (of the energy, which is the
     square of the pressure's)."""
+    from solids import elastic
+
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
@@ -21,7 +22,7 @@ def contact(request, comm):
     grid = SlabGrid(comm, (N, N))
     heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
     return heights, solve_hard_wall(
-        ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), PRESSURE), 1e-15
+        ContactProblem(grid, heights, elastic(MODULUS), HardWall(), PRESSURE), 1e-15
     ).pressure
 
 
@@ -77,9 +78,9 @@ def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     pytest.importorskip("ContactMechanics")
     from ContactMechanics import PeriodicFFTElasticHalfSpace
     from ContactMechanics.Optimization import constrained_conjugate_gradients
+    from solids import elastic
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hardness import Hardness
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.dispatch import solve_contact
@@ -89,7 +90,7 @@ def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     n = 64
     grid = SlabGrid(comm, (n, n))
     heights = self_affine(grid, hurst, lambda_s, 0.031, 1)
-    problem = ContactProblem(grid, heights, Elasticity(MODULUS), Hardness(hardness=hardness), PRESSURE)
+    problem = ContactProblem(grid, heights, elastic(MODULUS), Hardness(hardness=hardness), PRESSURE)
     ours = solve_contact(problem, Solver(tolerance=1e-16)).pressure
     substrate = PeriodicFFTElasticHalfSpace((n, n), MODULUS, (float(n), float(n)))
     limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}

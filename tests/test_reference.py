@@ -145,9 +145,9 @@ def test_units_do_not_matter(unit):
 def test_slab_factors_keep_their_digits(base, poisson):
     """The program's F(t) against the closed forms in decimals, from films 1e-13 of a wavelength thick to 50: to a few
     units of the last digit, which certificates count as no more than 4."""
-    from pgfmd.physics.elasticity import Elasticity
+    from solids import elastic
 
     thickness = np.geomspace(1e-13, 50, 1000)
-    found = Elasticity(1.0, 1.0, base, poisson).slab_factor(thickness)
+    found = elastic(1.0, 1.0, base, poisson).factor(thickness)
     exact = np.array([float(reference.slab_factor(Real(t), base, poisson)) for t in thickness])
     assert np.abs(found / exact - 1).max() < 6e-16

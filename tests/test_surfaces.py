@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from mpi4py import MPI
+from solids import elastic
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.results import Results
 from pgfmd.job import job
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -61,7 +61,7 @@ def test_waves_along_both_axes_of_stretched_pixels(comm):
         grid = SlabGrid(comm, shape[::-1] if axis else shape, lengths[::-1] if axis else lengths)
         x = (coordinates(grid)[axis] + np.zeros(grid.local_shape) + 0.5 / n + 0.5) % 1.0 - 0.5
         solution = solve_hard_wall(
-            ContactProblem(grid, np.cos(2 * np.pi * x), Elasticity(MODULUS), HardWall(), mean), 1e-13
+            ContactProblem(grid, np.cos(2 * np.pi * x), elastic(MODULUS), HardWall(), mean), 1e-13
         )
         expected, pressure = whole(grid, theory.pressure(x, mean)), whole(grid, solution.pressure)
         assert np.linalg.norm(pressure - expected) <= 2e-3 * np.linalg.norm(expected)
@@ -82,7 +82,7 @@ def test_contact_conditions_on_stretched_pixels(stretched):
     gap by the stiffness, this sum by the pressure, and it takes the lowest gap for the level; 1.02 was measured."""
     grid, heights = stretched
     tolerance, mean = 1e-20, 0.01
-    found = solve_hard_wall(ContactProblem(grid, heights, Elasticity(MODULUS), HardWall(), mean), tolerance)
+    found = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), mean), tolerance)
     pressure, heights = whole(grid, found.pressure), whole(grid, heights)
     gap, displacement = gap_of(pressure, heights, grid.lengths)
     energy = np.mean(pressure * displacement) / 2
@@ -99,7 +99,7 @@ def test_exponential_wall_on_stretched_pixels(stretched):
     grid, heights = stretched
     mean, zeta = 0.01, 0.2 * math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
     found = solve_exponential_wall(
-        ContactProblem(grid, heights, Elasticity(MODULUS), ExponentialWall(zeta=zeta, sigma_ref=2.0), mean),
+        ContactProblem(grid, heights, elastic(MODULUS), ExponentialWall(zeta=zeta, sigma_ref=2.0), mean),
         tolerance=1e-14,
     )
     pressure, heights = whole(grid, found.pressure), whole(grid, heights)

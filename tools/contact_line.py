@@ -61,14 +61,15 @@ def limit() -> None:
 
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.observables.contact_line.line import LARGEST_RATIO, contact_line
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.surface import coordinates
 
     bounds, rng = (2.0, 3.0, 5.0, 10.0, 30.0), np.random.default_rng(1)
     errors: dict[tuple[float, float], list[list[float]]] = {}
+    solid = Homogeneous(contact_modulus=1.0)
     for direction in ((1, 0), (7, 1), (4, 1), (5, 2), (2, 1), (3, 2), (4, 3), (1, 1)):
         for wavelength in (4, 6, 8, 12, 24):
             waves = max(1, round(40 / (wavelength * math.hypot(*direction))))
@@ -81,7 +82,7 @@ def limit() -> None:
                     continue
                 for offset in rng.random(4):
                     heights = np.cos(2 * np.pi * (waves * (direction[0] * x + direction[1] * y) / n + offset))
-                    problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), fraction * math.pi * number)
+                    problem = ContactProblem(grid, heights, solid, HardWall(), fraction * math.pi * number)
                     found = solve_hard_wall(problem, 1e-12)
                     exact = n * n * 2 / math.pi * math.asin(math.sqrt(fraction)) - np.count_nonzero(found.pressure)
                     line = contact_line(grid, found.pressure, found.gap, 1.0)

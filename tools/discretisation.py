@@ -35,9 +35,9 @@ from scipy.special import erfinv
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import OBSERVABLES
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 
@@ -63,7 +63,7 @@ def solved(case: Case, points: int, bars: bool = False) -> dict[str, float]:
     heights = self_affine(grid, case.hurst, 1 / across, 1.0, case.seed)
     if any(case.place):
         heights = np.ascontiguousarray(np.fft.ifft2(fourier_shift(np.fft.fft2(heights), case.place)).real)
-    problem = ContactProblem(grid, heights, Elasticity(1.0), HardWall(), case.load)
+    problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), HardWall(), case.load)
     observer = Observer(problem, [OBSERVABLES["discretisation"]()] if bars else [], 2 * math.pi * across)
     contact = observer.contact(solve_hard_wall(problem, TOLERANCE))
     found = observer.groups(contact).get("discretisation", {})

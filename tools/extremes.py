@@ -18,11 +18,11 @@ from mpi4py import MPI
 
 from pgfmd import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
@@ -41,7 +41,7 @@ class Case:
     name: str
     heights: np.ndarray
     pressure: float
-    elasticity: Elasticity = Elasticity(1.0)
+    elasticity: Homogeneous | dict = Homogeneous(contact_modulus=1.0)
     wall: ContactLaw = HardWall()
     method: str = "auto"
     error: type[Exception] | None = None
@@ -68,7 +68,7 @@ def cases() -> Iterator[Case]:
         yield Case(f"heights × {scale:g}", base * scale, 0.01 * scale)
         yield Case(f"heights × {scale:g}, exponential", base * scale, 0.01 * scale, wall=ExponentialWall(zeta=scale))
     for modulus in (1e-12, 1e12):
-        yield Case(f"modulus × {modulus:g}", base, 0.01 * modulus, Elasticity(modulus))
+        yield Case(f"modulus × {modulus:g}", base, 0.01 * modulus, Homogeneous(contact_modulus=modulus))
     for hurst in (0.0, 0.3, 0.5, 1.0):
         yield Case(f"H = {hurst:g}", rough(hurst=hurst, lambda_s=1.0), 0.01)
     for ratio in (1e-4, 1e-3, 1e-2, 0.1, 1, 10, 100):
@@ -82,7 +82,7 @@ def cases() -> Iterator[Case]:
             noise = np.random.default_rng(5).standard_normal((24, 16))
             yield Case(f"pixels {oblong:g}:1, p = {load:g}", noise, load, method="active-set", oblong=oblong)
     for thickness in (2.0, 8.0):
-        plate = Elasticity(1.0, thickness, "free")
+        plate = Homogeneous(contact_modulus=1.0, thickness=thickness, base="free")
         yield Case(f"free, d = {thickness:g}, active set", base, 0.01, plate, method="active-set")
     yield from slabs(base)
     yield from loads()
@@ -99,20 +99,23 @@ def slabs(base: np.ndarray) -> Iterator[Case]:
     for bottom in ("bonded", "free", "sliding"):
         for thickness in (0.1, 1.0, 10.0, 64.0, 1e6, math.inf):
             for poisson in (0.0, 0.4999) if bottom == "bonded" else (0.25,):
-                solid = Elasticity(1.0, thickness, bottom, poisson)
+                keys = {"contact_modulus": 1.0, "thickness": thickness, "poisson": poisson}
+                solid = Homogeneous(base=bottom if thickness < math.inf else "bonded", **keys)
                 yield Case(f"{bottom}, d = {thickness:g}, ν = {poisson:g}", base, 0.01, solid)
     for poisson in (0.5, 0.6, -1.0):
-        yield Case(f"ν = {poisson:g}", base, 0.01, error=InputError, elasticity=(1.0, 1.0, "bonded", poisson))
+        yield Case(f"ν = {poisson:g}", base, 0.01, error=InputError, elasticity={"thickness": 1.0, "poisson": poisson})
 
 
 def loads() -> Iterator[Case]:
     """LOADS on a paraboloid and a rough surface, on a half-space and on slabs of six thicknesses with three bases."""
     x = np.arange(32) - 16
     surfaces = {"paraboloid": -(x[:, None] ** 2 + x**2) / 60.0, "rough": rough(32)}
-    solids = {"half-space": Elasticity(1.0)}
+    solids = {"half-space": Homogeneous(contact_modulus=1.0)}
     for base in ("bonded", "free", "sliding"):
         for thickness in (0.2, 1.0, 4.0, 16.0, 64.0, 1e4):
-            solids[f"{base}, d = {thickness:g}"] = Elasticity(1.0, thickness, base, 0.3)
+            solids[f"{base}, d = {thickness:g}"] = Homogeneous(
+                contact_modulus=1.0, thickness=thickness, base=base, poisson=0.3
+            )
     for name, heights in surfaces.items():
         for where, solid in solids.items():
             stress = full_stress(heights, solid)
@@ -120,7 +123,7 @@ def loads() -> Iterator[Case]:
                 yield Case(f"{name}, {where}, p = {load:g} of full", heights, load * stress, solid)
 
 
-def full_stress(heights: np.ndarray, solid: Elasticity) -> float:
+def full_stress(heights: np.ndarray, solid: Homogeneous) -> float:
     """Rms stress of full contact on unit pixels."""
     q = 2 * np.pi * np.hypot(np.fft.fftfreq(heights.shape[0])[:, None], np.fft.rfftfreq(heights.shape[1]))
     return float(np.fft.irfft2(np.fft.rfft2(heights) * solid.stiffness(q), s=heights.shape).std())
@@ -187,7 +190,7 @@ def judge(case: Case, tolerance: float) -> tuple[str, str, int, bool]:
 
 def attempt(case: Case, tolerance: float) -> tuple[str, float, int]:
     """(verdict, certified error, iterations) of a case."""
-    elasticity = case.elasticity if isinstance(case.elasticity, Elasticity) else Elasticity(*case.elasticity)
+    elasticity = Homogeneous(**case.elasticity) if isinstance(case.elasticity, dict) else case.elasticity
     nx, ny = case.heights.shape
     grid = SlabGrid(MPI.COMM_SELF, (nx, ny), (nx * case.oblong, float(ny)))
     heights = np.ascontiguousarray(case.heights, dtype=np.float64)
@@ -200,7 +203,7 @@ def attempt(case: Case, tolerance: float) -> tuple[str, float, int]:
     return verify(found, heights, grid, elasticity, case, tolerance), found.certified_error, found.iterations
 
 
-def verify(found, heights: np.ndarray, grid: SlabGrid, elasticity: Elasticity, case: Case, tolerance: float) -> str:
+def verify(found, heights: np.ndarray, grid: SlabGrid, elasticity: Homogeneous, case: Case, tolerance: float) -> str:
     """ "right", or what is wrong."""
     pressure, load = found.pressure, case.pressure
     if not (np.isfinite(pressure).all() and np.isfinite(found.gap).all() and math.isfinite(found.mean_gap)):

@@ -19,7 +19,9 @@ from pgfmd.errors import InputError
 from pgfmd.io import ensemble
 from pgfmd.io.results import Results
 from pgfmd.observables.statistics import spectra
+from pgfmd.options.section import build
 from pgfmd.options.text import printable
+from pgfmd.physics.solids.kinds import SOLIDS
 
 log = logging.getLogger("pgfmd")
 
@@ -140,17 +142,8 @@ class Load:
         return float(self.job["solid"]["contact_modulus"])
 
     def stiffness(self, q: np.ndarray) -> np.ndarray:
-        """Pressure per displacement of modes |q| > 0 (rad/length): E'q/2, and of a slab that times F(q d)."""
-        solid = self.job["solid"]
-        half_space = self.modulus * np.asarray(q) / 2
-        if math.isinf(solid.get("thickness", math.inf)):
-            return half_space
-        try:
-            from pgfmd.physics.elasticity import Elasticity
-        except ImportError as error:
-            raise InputError(f"{self.folder}: the stiffness of a slab needs the whole package: {error}") from None
-        slab = Elasticity(self.modulus, solid["thickness"], solid["base"], solid.get("poisson", 0.25))
-        return half_space * slab.slab_factor(np.asarray(q, float) * slab.thickness)
+        """Pressure per displacement of modes |q| > 0 (rad/length)."""
+        return build(SOLIDS, self.job["solid"]).stiffness(q)
 
     @property
     def hurst(self) -> float | None:

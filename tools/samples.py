@@ -94,6 +94,7 @@ def setting(load: Load) -> dict[str, object]:
             tables |= {f"{name}.{key}": entry for key, entry in value.items()}
         elif not name.startswith(ACCIDENTAL):
             flat[name] = value
+    flat.setdefault("solid.kind", "homogeneous")  # which older results do not say
     thickness = flat.get("solid.thickness", math.inf)
     if isinstance(thickness, float | int) and math.isfinite(thickness):
         flat["solid.thickness"] = float(thickness) / max(load.results.lengths)  # cells of any size compare

@@ -81,13 +81,15 @@ class Clock:
 def problem_of(comm, n: int, shared: bool = True):
     """The contact that is measured."""
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.surfaces.self_affine import self_affine
 
     grid = SlabGrid(comm, (n, n), shared=shared)
-    return ContactProblem(grid, self_affine(grid, 0.8, n / 64, SLOPE, 1), Elasticity(2.66667), HardWall(), PRESSURE)
+    return ContactProblem(
+        grid, self_affine(grid, 0.8, n / 64, SLOPE, 1), Homogeneous(contact_modulus=2.66667), HardWall(), PRESSURE
+    )
 
 
 def measure(path: Path, n: int, exchanged: bool) -> None:

@@ -11,7 +11,7 @@ from pgfmd.grid import sub_grid
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel import alone
 from pgfmd.parallel.layout import RowPlan
-from pgfmd.physics.elasticity import Elasticity
+from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
@@ -90,7 +90,7 @@ def emulate(n: int, ranks: int) -> dict[str, float]:
 
 def _inner(grid: SlabGrid) -> dict[str, float]:
     """Of the mesh's response, and of the preconditioner with its blocks; and the part of the points in contact."""
-    solid = Elasticity(2.66667)
+    solid = Homogeneous(contact_modulus=2.66667)
     mesh = MeshResponse(grid, solid.half_space_compliance, solid.compliance)
     blocks = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
     along = np.arange(grid.shape[1]) // PATCH

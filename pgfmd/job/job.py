@@ -15,13 +15,16 @@ from typing import Any
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.job.output import Output, Written
-from pgfmd.job.sections import Run, Solid
+from pgfmd.job.sections import Run
 from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.section import as_toml as section_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.kinds import SOLIDS
+from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.options import CONTROLS, Load, Solver
 from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.table import SURFACES
@@ -33,7 +36,7 @@ class Job:
 
     grid: Cell
     surface: Surface
-    solid: Solid = dataclasses.field(default_factory=Solid)
+    solid: Solid = dataclasses.field(default_factory=Homogeneous)
     wall: ContactLaw = dataclasses.field(default_factory=HardWall)
     load: Load
     solver: Solver = dataclasses.field(default_factory=Solver)
@@ -51,7 +54,7 @@ class Job:
         return dataclasses.replace(self, surface=dataclasses.replace(self.surface, seed=seed))  # type: ignore[call-arg]
 
 
-_SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, Solid, LAWS, Load, Solver, Output, Run)
+_SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, SOLIDS, LAWS, Load, Solver, Output, Run)
 SECTIONS = {kind.where: kind for kind in _SECTIONS}
 
 

@@ -54,7 +54,7 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
     contacts = loads * (1 if job.load.control == "pressure" else SEARCH_WORK)
     solving, measuring = max(solving_costs(job), key=lambda cost: cost.memory), measuring_costs(job)
-    work = solving.transforms * contacts + sum(cost.transforms for cost in measuring) * loads
+    work = solving.transforms * job.solid.effort * contacts + sum(cost.transforms for cost in measuring) * loads
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     rank, node = _memory(job, ranks, min(here, ranks), gathered)
     return Estimate(

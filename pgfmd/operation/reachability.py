@@ -9,14 +9,13 @@ from pgfmd.errors import Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.job.job import Job
 from pgfmd.parallel.mpi import ALONE
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.load_control import LoadControl
 
 LARGEST = 2**22  # points of the surfaces that are made for this: a few seconds
 
 
-def doubts(job: Job, solid: Elasticity) -> list[str]:
+def doubts(job: Job) -> list[str]:
     """A line for each target of a job that no load gives; or one that says that the surface has too many points for
     this test.  The surface is made in this process alone.
 
@@ -31,7 +30,7 @@ def doubts(job: Job, solid: Elasticity) -> list[str]:
     found: dict[str, None] = {}
     for surface in surfaces:
         grid = SlabGrid(ALONE, job.grid.shape, job.grid.lengths)
-        problem = ContactProblem(grid, surface.heights(grid, job.output.length_unit), solid, job.wall)
+        problem = ContactProblem(grid, surface.heights(grid, job.output.length_unit), job.solid, job.wall)
         control = LoadControl(job.load, problem).control
         for target in job.load.targets:
             control.check_target(target)

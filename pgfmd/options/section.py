@@ -54,7 +54,7 @@ class Section:
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             rule, value = field.metadata["rule"], getattr(self, field.name)
-            if value is None and field.metadata["needed"]:
+            if value is None and (field.metadata["needed"] or isinstance(rule, Rule) and field.default is not None):
                 raise InputError(f"{self.where}.{field.name} is missing: it must be {rule.allowed}")
             if value is not None and isinstance(rule, Rule):
                 try:

@@ -10,8 +10,8 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.solids.solid import Solid
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class ContactProblem:
 
     grid: SlabGrid
     heights: np.ndarray
-    solid: Elasticity
+    solid: Solid
     law: ContactLaw
     mean_pressure: float = 0.0
 

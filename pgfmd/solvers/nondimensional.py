@@ -17,7 +17,7 @@ from pgfmd.solvers.second_order import last_digits
 from pgfmd.solvers.solution import ContactSolution, SolverState
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
-STIFFEST = 1e25  # of a slab over a half-space, so that single precision (to 3e38) holds it times the other factors
+STIFFEST = 1e25  # of a solid over a half-space, so that single precision (to 3e38) holds it times the other factors
 UNIFORM = 1e15  # range of a law over the rms height above which a pressure in double precision is uniform
 SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
 SUMS = 1e-12  # relative error of the sums in a certified error
@@ -208,7 +208,8 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     """Dimensionless heights, in a new array or, if `overwrite` and no point is raised, in that of the physical ones; or
     these, if they need no change.  Collective.
 
-    Raises InputError if the range of heights, the mean pressure or a slab's stiffness exceeds `LARGEST` or `STIFFEST`.
+    Raises InputError if the range of heights, the mean pressure or the solid's stiffness to the longest wave exceeds
+    `LARGEST` or `STIFFEST`.
     """
     grid, heights = problem.grid, problem.heights
     reduce, threads, rows = grid.reduction, grid.threads, grid.local_shape[0]
@@ -218,13 +219,13 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
 
     lows, highs = zip(*threads.collect(measure, rows, grid.band), strict=True)
     low, high = float(reduce.min(lows)), float(reduce.max(highs))
-    solid, across = problem.solid, 2 * math.pi / max(grid.lengths) * problem.solid.thickness
-    stiffer = float(solid.slab_factor(np.array(across))) if math.isfinite(across) else 1.0
+    solid = problem.solid
+    stiffer = float(solid.factor(np.array(2 * math.pi / max(grid.lengths))))
     stiffer = stiffer or math.ulp(0.0)  # where it underflows, it is refused
     limits = (
         ("range of heights / grid spacing", high / 2 - low / 2, min(grid.spacing), LARGEST),
         ("mean pressure / contact modulus", problem.mean_pressure, solid.contact_modulus, LARGEST),
-        ("thickness: the slab's stiffness to the longest wave / that of a half-space", stiffer, 1.0, STIFFEST),
+        (f"{solid.long_waves}: stiffness to the longest wave / that of a half-space", stiffer, 1.0, STIFFEST),
     )
     for name, value, unit, limit in limits:
         if value != 0 and not 1 / limit <= value / unit <= limit:

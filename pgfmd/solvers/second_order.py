@@ -21,8 +21,8 @@ import numpy as np
 from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.compiled import compiled
-from pgfmd.physics.elasticity import Elasticity
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.solid import Solid
 
 DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
 SINGLE = 1e-3  # relative error of ‖ρ‖_K, from a transform in single precision
@@ -77,7 +77,7 @@ class Rounding:
     means: of compliance and stiffness over all modes
     """
 
-    def __init__(self, grid: SlabGrid, solid: Elasticity) -> None:
+    def __init__(self, grid: SlabGrid, solid: Solid) -> None:
         columns, nx = grid.spectral_shape
         qx, counts = grid.qx[:, : nx // 2 + 1], np.full(nx // 2 + 1, 2.0)  # kx and −kx have the same symbols
         counts[0] = counts[(nx + 1) // 2 :] = 1

@@ -56,14 +56,14 @@ def prepare(case: Case, folder: Path) -> None:
 
     from pgfmd.errors import SolverError
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n))
-    elasticity = Elasticity(CONTACT_MODULUS)
+    elasticity = Homogeneous(contact_modulus=CONTACT_MODULUS)
     path = _surface_file(case, folder)
     if path.exists():
         heights = np.load(path)

@@ -97,22 +97,20 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
-    comm, seconds = MPI.COMM_WORLD, []
+    comm, seconds, solid = MPI.COMM_WORLD, [], Homogeneous(contact_modulus=CONTACT_MODULUS)
     for size, runs in ((min(n, 512), 1), (n, 2)):
         grid = SlabGrid(comm, (size, size))
         for _ in range(runs):
             heights = self_affine(grid, hurst, lambda_s * size / n if size < n else lambda_s, RMS_SLOPE, SEED)
             comm.Barrier()
             began = time.perf_counter()
-            solve_hard_wall(
-                ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), likely_pressure(area)), tolerance
-            )
+            solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), likely_pressure(area)), tolerance)
             comm.Barrier()
             seconds.append(time.perf_counter() - began)
     return seconds[1:]

@@ -20,15 +20,16 @@ def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: flo
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
     solution = solve_hard_wall(
-        ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), mean_pressure), tolerance
+        ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure),
+        tolerance,
     )
     recorder.note(solution.pressure, solution.transforms)
     recorder.add_tail()
@@ -40,9 +41,9 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     coarser = {}
@@ -57,7 +58,7 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
     solve_hard_wall(
-        ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), mean_pressure),
+        ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure),
         tolerance,
         monitor=monitor,
     )
@@ -70,7 +71,7 @@ def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, 
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.solids.homogeneous import Homogeneous
 
     from .polonsky_keer import polonsky_keer
 
@@ -81,7 +82,7 @@ def plain_polonsky_keer(case: Case, heights, mean_pressure, recorder: Recorder, 
             grid,
             heights,
             mean_pressure,
-            Elasticity(CONTACT_MODULUS),
+            Homogeneous(contact_modulus=CONTACT_MODULUS),
             lambda p, transforms: recorder.note(p, transforms, may_stop=True),
         )
 
@@ -92,9 +93,9 @@ def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: floa
 
     from pgfmd.errors import SolverError
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.gfmd import solve_gfmd
 
     def watch(_, state):
@@ -102,7 +103,7 @@ def gfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: floa
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
-    elasticity = Elasticity(CONTACT_MODULUS)
+    elasticity = Homogeneous(contact_modulus=CONTACT_MODULUS)
     with contextlib.suppress(EnoughError, SolverError):
         solve_gfmd(
             ContactProblem(grid, heights, elasticity, HardWall(), mean_pressure),

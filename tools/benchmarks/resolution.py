@@ -34,9 +34,9 @@ def _solve(refinement: int) -> tuple:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.observables.contact_line.line import SMOOTH, contact_line
     from pgfmd.observables.statistics.contact_area import contact_area
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
@@ -45,7 +45,9 @@ def _solve(refinement: int) -> tuple:
     n = RATIO * refinement
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))
     heights = self_affine(grid, HURST, LENGTH / RATIO, RMS_SLOPE, SEED)
-    solution = solve_hard_wall(ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), PRESSURE), 1e-9)
+    solution = solve_hard_wall(
+        ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), PRESSURE), 1e-9
+    )
     line = contact_line(grid, solution.pressure, solution.gap, CONTACT_MODULUS) if refinement > SMOOTH else None
     area = contact_area(grid, solution.pressure, line)
     second = float(np.mean(solution.pressure**2)) / PRESSURE**2

@@ -80,14 +80,14 @@ def _ours(case: Case, heights, mean_pressure, recorder: AreaRecorder, tolerance:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.observables.contact_line.line import contact_line
     from pgfmd.observables.statistics.contact_area import contact_area
-    from pgfmd.physics.elasticity import Elasticity
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
-    problem = ContactProblem(grid, heights, Elasticity(CONTACT_MODULUS), HardWall(), mean_pressure)
+    problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure)
     solution = solve_hard_wall(problem, tolerance)
     line = contact_line(grid, solution.pressure, solution.gap, CONTACT_MODULUS)
     area = contact_area(grid, solution.pressure, line).corrected

@@ -123,7 +123,7 @@ def line_of(problem: ContactProblem, solution: ContactSolution, highest: float) 
     grid = problem.grid
     if not problem.law.releases or not is_smooth(grid, highest):
         return None
-    return contact_line(grid, solution.pressure, solution.gap, problem.solid.contact_modulus)
+    return contact_line(grid, solution.pressure, solution.gap, problem.solid.surface_modulus)
 
 
 def contact_line(grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, contact_modulus: float) -> ContactLine:

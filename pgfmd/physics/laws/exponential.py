@@ -20,7 +20,7 @@ from pgfmd.physics.laws.elementary import exponential, logarithm
 from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
-    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.solids.solid import Solid
 
 LAST = 2 * np.finfo(np.float64).eps  # relative error of a logarithm and of its argument
 
@@ -48,7 +48,7 @@ class ExponentialWall(ContactLaw):
         """ζ."""
         return self.zeta
 
-    def gap(self, pressure: float, solid: Elasticity) -> float:
+    def gap(self, pressure: float, solid: Solid) -> float:
         """ζ ln(σ_ref/p)."""
         return self.zeta * math.log((self.sigma_ref or solid.contact_modulus) / pressure)
 

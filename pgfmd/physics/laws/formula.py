@@ -23,7 +23,7 @@ from pgfmd.physics.laws.graph import Graph, loops, tabulate
 from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
-    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.solids.solid import Solid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class FormulaWall(ContactLaw):
         """The largest −p/(dp/dgap)."""
         return self.graph.longest
 
-    def gap(self, pressure: float, solid: Elasticity) -> float:
+    def gap(self, pressure: float, solid: Solid) -> float:
         """The gap at which the formula gives that pressure."""
         return self.graph.gap(pressure)
 

@@ -11,7 +11,7 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
-    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.solids.solid import Solid
 
 SATURATED = 1 - 1e-12  # of the highest pressure: a point that bears more than this is at its bound up to rounding
 
@@ -25,7 +25,7 @@ class HardWall(ContactLaw):
     kind: ClassVar[str] = "hard"
     methods: ClassVar[tuple[str, ...]] = ("active-set", "gfmd")
 
-    def gap(self, pressure: float, solid: Elasticity) -> float:
+    def gap(self, pressure: float, solid: Solid) -> float:
         """0 at every pressure."""
         return 0.0
 

@@ -19,7 +19,7 @@ import numpy as np
 from pgfmd.options.section import Section
 
 if TYPE_CHECKING:
-    from pgfmd.physics.elasticity import Elasticity
+    from pgfmd.physics.solids.solid import Solid
 
 SHARE = 0.01
 """Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  On rough surfaces of which a hard wall touches f_c = .09 to .11,
@@ -69,7 +69,7 @@ class ContactLaw(Section):
         """A law that is the same up to that pressure; a simpler one if there is one."""
         return self
 
-    def gap(self, pressure: float, solid: Elasticity) -> float:
+    def gap(self, pressure: float, solid: Solid) -> float:
         """The gap −dφ/dp at which a point carries that pressure."""
         raise NotImplementedError
 

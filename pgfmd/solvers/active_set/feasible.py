@@ -93,7 +93,7 @@ def scale_to_load(problem: ContactProblem, fields: Fields) -> None:
     """
     (pressure, gap), grid, load, highest = fields, problem.grid, problem.load, problem.law.highest
     reduction, threads, close = grid.reduction, grid.threads, ROUNDING * load
-    stiffness = problem.solid.contact_modulus / max(grid.spacing)
+    stiffness = problem.solid.surface_modulus / max(grid.spacing)
     if math.isinf(highest):
         total = reduction.sum(threads.collect(lambda a, b: float(pressure[a:b].sum(dtype=np.float64)), len(pressure)))
         if total > 0 and math.isfinite(load / total):

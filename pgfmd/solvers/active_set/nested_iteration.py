@@ -10,8 +10,8 @@ from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
-from pgfmd.physics.elasticity import multiply
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
@@ -96,7 +96,7 @@ class ActiveSetIteration(NestedIteration[State]):
         grid.threads.deal(close, len(found.gap), grid.band)
         given = [field.astype(real, copy=False) for field in (found.pressure, found.gap, coarse.heights)]
         interpolation = Interpolation(coarse.place, grid, given)
-        compliance = real.type(max(coarse.place.spacing) / problem.solid.contact_modulus)
+        compliance = real.type(max(coarse.place.spacing) / problem.solid.surface_modulus)
 
         def part(thread: int, first: int, stop: int) -> None:
             rows, read = slice(first, stop), partial(interpolation.rows, first=first, stop=stop, thread=thread)

@@ -1,0 +1,179 @@
+"""What an elastic solid is: the stiffness of its surface to each mode of pressure, and the inverse, its compliance.
+
+A half-space has p̃(q) = (E'/2) q ũ(q), with the contact modulus E' = E/(1−ν²).  Any other solid that is the same in all
+directions along its surface has p̃ = (E'/2) q F(q) ũ.  The mean mode q = 0 is apart: at imposed load it only shifts the
+surface as a whole.  A new solid is one file here that defines a `Solid`, and its line in `kinds`.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from pgfmd.errors import InputError
+from pgfmd.options.rules import POSITIVE, number
+from pgfmd.options.section import Section, key, wrong
+from pgfmd.options.text import show
+
+if TYPE_CHECKING:
+    from pgfmd.grid.callbacks import ColumnAction
+    from pgfmd.grid.cell import Cell
+    from pgfmd.grid.slab_grid import SlabGrid
+
+POISSON = number(above=-1, below=0.5)
+MODULI = ("lame_lambda", "lame_mu", "young", "poisson", "contact_modulus")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solid(Section):
+    """An elastic solid; a subclass is one kind, and its fields are its keys in [solid].
+
+    Give one of (lame_lambda, lame_mu), (young, poisson), contact_modulus alone or with poisson; the others follow from
+    it.  Nothing given: λ = μ = 1.  Redundant values must agree.
+    `contact_modulus` is always known; the others are None if contact_modulus was given without poisson.
+
+    long_waves: the key that decides the response to long waves, for messages.
+    """
+
+    where = "solid"
+    long_waves: ClassVar[str] = "thickness"
+
+    lame_lambda: float | None = key(number(), about="λ, with lame_mu", unit="pressure")
+    lame_mu: float | None = key(POSITIVE, about="μ", unit="pressure")
+    young: float | None = key(POSITIVE, about="E, with poisson", unit="pressure")
+    poisson: float | None = key(POISSON, about="ν", unit="1")
+    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)", unit="pressure")
+
+    def check(self) -> None:
+        given = {name: getattr(self, name) for name in MODULI if getattr(self, name) is not None}
+        known = _moduli(given or {"lame_lambda": 1.0, "lame_mu": 1.0})
+        if known is None:
+            raise InputError(
+                "solid: give lame_lambda and lame_mu, or young and poisson, or contact_modulus "
+                f"(with poisson); given: {', '.join(given)}"
+            )
+        for name, value in known.items():
+            if value is None:
+                continue
+            if not (math.isfinite(value) and (value > 0 or name in ("lame_lambda", "poisson"))):
+                raise InputError(f"solid: {show(given)} gives {name} = {value:g}, which no stable solid has")
+            if name in given and not math.isclose(given[name], value, rel_tol=1e-9, abs_tol=1e-9 * abs(value)):
+                raise wrong(self, name, f"the other moduli give {value:g}")
+            object.__setattr__(self, name, given.get(name, value))
+        if self.poisson is None and self.needs_poisson:
+            raise wrong(self, "contact_modulus", "this solid needs poisson as well: its response depends on it")
+
+    @property
+    def needs_poisson(self) -> bool:
+        """Whether the response depends on Poisson's ratio otherwise than through the contact modulus."""
+        return False
+
+    @property
+    def surface_modulus(self) -> float:
+        """E' F(q → ∞), the contact modulus of the half-space that answers short waves alike."""
+        return self.contact_modulus
+
+    @property
+    def effort(self) -> float:
+        """Time of a solution over that on a half-space with as many transforms, for `pgfmd check`: the mean of eight
+        contacts of 512² points where F is computed for each mode (1 … 1.9).
+        """
+        return 1.3
+
+    def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
+        """As for a surface: check the files that the keys name; describes what they hold ("" if there are none)."""
+        return ""
+
+    def prepare(self, grid: SlabGrid) -> None:
+        """Read the files that the keys name, once for all ranks.  Collective.  Raises InputError on all ranks."""
+
+    def in_units(self, height: float, pressure: float) -> Solid:
+        """The same solid where displacements and pressures count in these units (wave numbers are as they were)."""
+        found = copy.copy(self)
+        for field in dataclasses.fields(self):
+            if field.metadata["unit"] == "pressure" and getattr(self, field.name) is not None:
+                object.__setattr__(found, field.name, getattr(self, field.name) * height / pressure)
+        if not 0 < found.contact_modulus < math.inf:
+            raise InputError(f"contact_modulus = {self.contact_modulus!r}: too far from the pressures of this contact")
+        return found
+
+    def factor(self, q: np.ndarray) -> np.ndarray:
+        """F(q) for q > 0 (rad/length), of the same shape."""
+        raise NotImplementedError
+
+    def mean_stiffness(self, periodic: bool = True) -> float:
+        """dp̄/dū of the mean mode of a periodic cell, which forbids lateral strain (pressure per length); 0 for solids
+        without a far side at rest.  Not periodic: the limit of stiffness(q) for q → 0.
+        """
+        return 0.0
+
+    def stiffness(self, q: np.ndarray) -> np.ndarray:
+        """(E'/2) q F(q) for q > 0 (rad/length), pressure per displacement, and 0 at q = 0; of the same shape."""
+        q = np.asarray(q, dtype=np.float64)
+        return 0.5 * self.contact_modulus * q * self.factor(np.where(q > 0, q, 1.0))
+
+    def compliance(self, q: np.ndarray) -> np.ndarray:
+        """1/stiffness, and 0 at q = 0."""
+        stiffness = self.stiffness(q)
+        return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
+
+    def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
+        """That of a half-space which answers short waves alike."""
+        return 0.5 * self.surface_modulus * q
+
+    def half_space_compliance(self, q: np.ndarray) -> np.ndarray:
+        """1/half_space_stiffness, for q > 0."""
+        return 1 / self.half_space_stiffness(q)
+
+    def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
+        """Column action p̃ ← factor · compliance(q) · p̃ in the given precision."""
+        return multiply(grid, dtype, lambda q: factor * self.compliance(q))
+
+    def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
+        """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
+        return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
+
+
+def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], np.ndarray]) -> ColumnAction:
+    """Column action that multiplies each mode by `function(|q|)`."""
+    real = np.dtype(dtype)
+
+    def action(block: np.ndarray, first: int, stop: int) -> None:
+        with np.errstate(over="ignore", invalid="ignore"):  # an iteration that diverges ends at such numbers
+            block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
+
+    return action
+
+
+def _moduli(given: dict[str, float]) -> dict[str, float | None] | None:
+    """All five moduli from a pair that fixes them; None if nothing does."""
+    if {"lame_lambda", "lame_mu"} <= given.keys():
+        lam, mu = given["lame_lambda"], given["lame_mu"]
+        if 3 * lam <= -2 * mu:
+            raise InputError(f"solid.lame_lambda = {lam:g}: must exceed −2/3 lame_mu = {-2 * mu / 3:g}")
+        poisson = lam / (2 * (lam + mu))
+        young = 2 * mu * (1 + poisson)
+    elif {"young", "poisson"} <= given.keys():
+        young, poisson = given["young"], given["poisson"]
+    elif {"contact_modulus", "poisson"} <= given.keys():
+        poisson = given["poisson"]
+        young = given["contact_modulus"] * (1 - poisson**2)
+    elif given.keys() == {"contact_modulus"}:
+        return {name: given.get(name) for name in MODULI}
+    else:
+        return None
+    mu = young / (2 * (1 + poisson))
+    return {
+        "lame_lambda": 2 * mu * poisson / (1 - 2 * poisson) if poisson < 0.5 else math.inf,
+        "lame_mu": mu,
+        "young": young,
+        "poisson": poisson,
+        "contact_modulus": young / (1 - poisson**2),
+    }
