@@ -37,6 +37,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.solution import ContactSolution, SolverState
+from pgfmd.surfaces.heights_file import digest
 
 log = logging.getLogger("pgfmd")
 HELD_BACK = 5.0  # seconds for which a run of an ensemble may hold back finished loads, to write them together
@@ -78,7 +79,7 @@ def simulate(
         machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     output = job.output
-    inputs = dict.fromkeys(job.surface.files, job.surface.fingerprint(comm))
+    inputs = {source[0]: digest(comm, source) for source in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
     form = Form(
         grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT,

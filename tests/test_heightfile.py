@@ -23,6 +23,7 @@ from pgfmd.job import job
 from pgfmd.simulate import simulate
 from pgfmd.surfaces import measurement
 from pgfmd.surfaces.file import FromFile
+from pgfmd.surfaces.heights_file import digest
 from pgfmd.surfaces.missing import fill_missing
 from pgfmd.surfaces.sinusoid import Sinusoid
 
@@ -348,15 +349,15 @@ def test_fingerprint(comm, shared_tmp_path, tilted):
         if number:
             heights[chance.integers(11), chance.integers(24)] *= 1 + 2.2e-16 * number
         path = saved(comm, shared_tmp_path, f"{number}.h5", partial(made, heights=heights, units="m"))
-        found.add(FromFile(path=f"{path}:heights").fingerprint(comm))
-        assert FromFile(path=f"{path}:heights").fingerprint(MPI.COMM_SELF) in found
+        found.add(digest(comm, FromFile(path=f"{path}:heights").source))
+        assert digest(MPI.COMM_SELF, FromFile(path=f"{path}:heights").source) in found
     assert len(found) == 6
     other = saved(comm, shared_tmp_path, "same.h5", lambda path: made(path, tilted, units="m", note="new"))
-    assert FromFile(path=f"{other}:heights").fingerprint(comm) in found
+    assert digest(comm, FromFile(path=f"{other}:heights").source) in found
     other = saved(comm, shared_tmp_path, "unit.h5", lambda path: made(path, tilted, units="nm"))
-    assert FromFile(path=f"{other}:heights").fingerprint(comm) not in found
+    assert digest(comm, FromFile(path=f"{other}:heights").source) not in found
     path = saved(comm, shared_tmp_path, "a.txt", lambda path: made(path, tilted))
-    assert FromFile(path=str(path)).fingerprint(comm) == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert digest(comm, FromFile(path=str(path)).source) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_without_the_package_the_command_is_named(comm, monkeypatch):

@@ -49,6 +49,12 @@ class Job:
         self.solver.check_law(self.wall)
         self.load.check_law(self.wall)
 
+    @property
+    def sources(self) -> dict[str, tuple[str, str | None]]:
+        """The files that sections name, each with the dataset in it: section → `Section.source`."""
+        found = {name: getattr(self, name).source for name in SECTIONS}
+        return {name: source for name, source in found.items() if source is not None}
+
     def of_seed(self, seed: int) -> Job:
         """The job of one seed of an ensemble."""
         return dataclasses.replace(self, surface=dataclasses.replace(self.surface, seed=seed))  # type: ignore[call-arg]
@@ -61,8 +67,8 @@ SECTIONS = {kind.where: kind for kind in _SECTIONS}
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:
     """The job in the TOML file `path`, changed by `overrides` ("section.key=value"); raises InputError.
 
-    A relative surface.path counts from the TOML file's folder, in an override from the working directory; the
-    file must exist.
+    The relative path of a file counts from the TOML file's folder, in an override from the working directory; the file
+    must exist.
     """
     name = os.fspath(path)
     try:
@@ -73,9 +79,9 @@ def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -
     except (OSError, ValueError) as error:
         raise InputError(f"{printable(name, 400)}: cannot be read: {getattr(error, 'strerror', '') or error}") from None
     job = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
-    for path in job.surface.files:
+    for section, (path, _) in job.sources.items():
         if not os.path.isfile(path):
-            raise InputError(f"{printable(name, 400)}: surface.path: no such file: {printable(path, 400)}")
+            raise InputError(f"{printable(name, 400)}: {section}.path: no such file: {printable(path, 400)}")
     return job
 
 
@@ -160,14 +166,14 @@ def _override(document: dict, dotted: str, value: Any, entry: str) -> None:
         document = document.setdefault(name, {})
         if not isinstance(document, dict):
             raise InputError(f"--set {printable(entry, 200)}: {'.'.join(tables[: position + 1])} is not a table")
-    document[last] = os.path.abspath(value) if dotted == "surface.path" and isinstance(value, str) else value
+    document[last] = os.path.abspath(value) if last == "path" and isinstance(value, str) else value
 
 
 def _anchor(document: dict, folder: str) -> None:
-    """Make surface.path absolute, in place."""
-    surface = document.get("surface")
-    if isinstance(surface, dict) and isinstance(surface.get("path"), str) and surface["path"]:
-        surface["path"] = os.path.join(folder, surface["path"])
+    """Make the `path` of each section absolute, in place."""
+    for table in document.values():
+        if isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
+            table["path"] = os.path.join(folder, table["path"])
 
 
 def as_toml(job: Job) -> str:

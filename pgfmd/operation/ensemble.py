@@ -205,7 +205,7 @@ def _found(folder: Path, job: Job) -> str:
         results = Results(folder)
         if differences(parse(results.provenance["effective_toml"], "results"), job):
             return "stale"
-        if results.status != "complete" or job.surface.files:  # files may have changed since
+        if results.status != "complete" or job.sources:  # files may have changed since
             return ""
         earlier, loads = restart.read(folder), map(load_name, range(len(job.load.targets)))
         needed = {"height", *loads} if "height" in job.output.fields else set(loads)

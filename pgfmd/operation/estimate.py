@@ -156,16 +156,16 @@ def contact_areas(job: Job) -> list[float]:
 
 
 def report(job: Job, ranks: int, per_node: int | None = None) -> str:
-    """The estimate as text, one line per quantity; raises InputError if the files of the surface cannot be used for the
-    job.
-    """
-    understood = job.surface.check_inputs(job.grid, job.output.length_unit)
+    """The estimate as text, one line per quantity; raises InputError if a file cannot be used for the job."""
+    unit = job.output.length_unit
+    understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface, job.solid)}
     found, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
     nx, ny = job.grid.shape
     loads = len(job.load.targets)
     lines = {
         "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",
-        "surface": ": ".join(filter(None, [job.surface.kind, understood])),
+        "surface": ": ".join(filter(None, [job.surface.kind, understood["surface"]])),
+        "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "

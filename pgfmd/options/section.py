@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
-from pgfmd.options.rules import Rule
+from pgfmd.options.rules import Rule, text
 from pgfmd.options.text import as_toml_value, guess, printable, show
 
 
@@ -39,6 +39,11 @@ def key(
     return dataclasses.field(default=default, metadata=metadata)
 
 
+def path_key(about: str, example: str) -> Any:
+    """The key `path`, which names a file: relative to the job's folder, and read again by a restart."""
+    return key(text(), None, about, needed=True, example=example)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Section:
     """A table of the TOML file.  Making one validates it; raises InputError.
@@ -63,6 +68,12 @@ class Section:
                     raise wrong(self, field.name, f"must be {rule.allowed}") from None
             object.__setattr__(self, field.name, value)
         self.check()
+
+    @property
+    def source(self) -> tuple[str, str | None] | None:
+        """The file that the key `path` names, and the dataset in it (None: not said); None if there is no such key."""
+        path = getattr(self, "path", None)
+        return None if path is None else (path, None)
 
     def check(self) -> None:
         """Check keys of this section against each other; raises InputError.  A subclass overrides it."""

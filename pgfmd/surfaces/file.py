@@ -13,15 +13,14 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import choice, number, text
-from pgfmd.options.section import key, wrong
+from pgfmd.options.section import key, path_key, wrong
 from pgfmd.options.text import printable
 from pgfmd.surfaces.measurement import named
 from pgfmd.surfaces.mirror import folded
-from pgfmd.surfaces.surface import Surface, path_key
+from pgfmd.surfaces.surface import Surface
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
 
@@ -62,10 +61,6 @@ class FromFile(Surface):
     def check(self) -> None:
         if self.height_scale == 0:
             raise wrong(self, "height_scale", "must not be zero")
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        return (self.source[0],)
 
     @property
     def source(self) -> tuple[str, str | None]:
@@ -132,11 +127,6 @@ class FromFile(Surface):
                 self._check_measured(block, first)
                 missing += int(np.isnan(block).sum())
             return found.described() + f"; {missing} missing points to interpolate" * (missing > 0)
-
-    def fingerprint(self, comm: MPI.Comm) -> str:
-        from pgfmd.surfaces.heights_file import digest
-
-        return digest(comm, self.source)
 
     def _check_measured(self, heights: np.ndarray, first: int) -> None:
         """Raise InputError at the first height that is not finite, unless it is missing and to be filled.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,14 +11,12 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
-from pgfmd.options.section import key
-from pgfmd.surfaces.measurement import damage_reported, named
-from pgfmd.surfaces.surface import SEED, SLACK, Surface, path_key, single
-from pgfmd.surfaces.text import read_table
+from pgfmd.options.section import key, path_key
+from pgfmd.surfaces.surface import SEED, SLACK, Surface, single
+from pgfmd.surfaces.text import read_curve
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.parallel.mpi import MPI
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,30 +36,13 @@ class FromSpectrum(Surface):
     )
     seed: int | tuple[int, ...] = key(seeds(), 1, f'{SEED}; random numbers as for "self-affine"')
 
-    @property
-    def files(self) -> tuple[str, ...]:
-        return (self.path,)
-
     def table(self) -> tuple[np.ndarray, np.ndarray]:
         """q and C, each (m,).  Raises InputError if the file holds no such table."""
-        with named(self.path), damage_reported("cannot be read as a table"):
-            is_array = self.path.endswith(".npy")
-            table = np.load(self.path, allow_pickle=False) if is_array else read_table(self.path, 2)
-            if table is None or table.dtype.kind not in "fiu" or table.shape[1:] != (2,) or len(table) < 2:
-                raise InputError("must hold two columns of numbers, q and C(q), and at least two lines")
-            q, spectrum = table.T.astype(np.float64)
-            if not (np.isfinite(table).all() and (q > 0).all() and (np.diff(q) > 0).all() and (spectrum > 0).all()):
-                raise InputError("all q and C(q) must be > 0 and finite, each q larger than the one before")
-        return q, spectrum
+        return read_curve(self.path, "C(q)")
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
         q, _ = self.table()
         return f"table of {len(q)} entries, q from {q[0]:.6g} to {q[-1]:.6g}"
-
-    def fingerprint(self, comm: MPI.Comm) -> str:
-        from pgfmd.parallel.collectives import from_root  # needs MPI
-
-        return from_root(comm, lambda: hashlib.sha256(np.stack(self.table()).tobytes()).hexdigest())
 
     def shortest_wavelength(self, cell: Cell) -> float:
         shortest = 2 * math.pi / float(self.table()[0][-1])

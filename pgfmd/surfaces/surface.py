@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.options.rules import text
-from pgfmd.options.section import Section, key
+from pgfmd.options.section import Section
 from pgfmd.options.text import show
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.parallel.mpi import MPI
 
 
 SLACK = 1e-9  # relative: a mode that lies on an end of a spectrum belongs to it on every grid
@@ -28,11 +26,6 @@ def single(seed: int | tuple[int, ...]) -> int:
     if isinstance(seed, tuple):
         raise InputError(f"surface.seed = {show(seed)}: one surface has one seed; several are for runs of whole jobs")
     return seed
-
-
-def path_key(about: str, example: str) -> Any:
-    """The key `path` of a surface that is read from a file."""
-    return key(text(), None, about, needed=True, example=example)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +45,6 @@ class Surface(Section):
         seed = getattr(self, "seed", None)
         return seed if isinstance(seed, tuple) else ()
 
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Paths of the files that the options name."""
-        return ()
-
     def check_in(self, cell: Cell) -> None:
         """Raise InputError, naming the key, if this surface does not fit into that cell."""
 
@@ -70,15 +58,9 @@ class Surface(Section):
         return 2 * math.pi / shortest if shortest else None
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
-        """Check the files that the options name; describes what they hold ("" if there are none).  No MPI.
+        """Check the file that `path` names; describes what it holds ("" if there is none).  No MPI.
 
-        Raises InputError if they cannot be read or do not fit into that cell.
-        """
-        return ""
-
-    def fingerprint(self, comm: MPI.Comm) -> str:
-        """A checksum of the contents of the files that the options name, the same for any number of ranks; "" if there
-        are no files.  Collective.  Raises InputError on all ranks.
+        Raises InputError if it cannot be read or does not fit into that cell.
         """
         return ""
 

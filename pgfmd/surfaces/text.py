@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.surfaces.measurement import Measurement, conversion
+from pgfmd.surfaces.measurement import Measurement, conversion, damage_reported, named
 
 # Ways to write a line of numbers: what separates them (None: blanks), and the decimal mark.
 STYLES = ((",", "."), ("\t", "."), (None, "."), (";", "."), (";", ","), ("\t", ","), (None, ","))
@@ -74,6 +74,21 @@ def read_table(path: str, least: int = 3) -> np.ndarray | None:
             rows.append(fields)
     table = np.array(rows)
     return table[:, :-1] if np.isnan(table[:, -1]).all() else table  # each line ends in a separator
+
+
+def read_curve(path: str, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """q and a function of it, each (m,): two columns of a text or of an .npy file; `name`: of the function, for
+    messages.  Raises InputError, with the path: not such a table, not all positive, or q not increasing.
+    """
+    with named(path), damage_reported("cannot be read as a table"):
+        is_array = path.endswith(".npy")
+        table = np.load(path, allow_pickle=False) if is_array else read_table(path, 2)
+        if table is None or table.dtype.kind not in "fiu" or table.shape[1:] != (2,) or len(table) < 2:
+            raise InputError(f"must hold two columns of numbers, q and {name}, and at least two lines")
+        q, values = table.T.astype(np.float64)
+        if not (np.isfinite(table).all() and (q > 0).all() and (np.diff(q) > 0).all() and (values > 0).all()):
+            raise InputError(f"all q and {name} must be > 0 and finite, each q larger than the one before")
+    return q, values
 
 
 def _opening(path: str, least: int) -> tuple[list[str], str, int]:
