@@ -22,7 +22,7 @@ from pgfmd.job.job import Job, load, parse, tables_as_toml
 from pgfmd.observables.contact import Contact
 from pgfmd.operation.progress import Progress, is_notebook
 from pgfmd.options.rules import Rule, integer, number, pair
-from pgfmd.options.section import build
+from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import ALONE, MPI, launched
@@ -32,7 +32,8 @@ from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
-from pgfmd.physics.solids.solid import POISSON
+from pgfmd.physics.solids.kinds import SOLIDS
+from pgfmd.physics.solids.solid import POISSON, Solid
 from pgfmd.simulate import run_job
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
@@ -51,6 +52,7 @@ class Options(TypedDict, total=False):
     tolerance: float
     wall: ContactLaw | Mapping[str, Any] | None
     zeta: float | None
+    solid: Solid | Mapping[str, Any] | None
     thickness: float
     base: str | None
     poisson: float
@@ -104,6 +106,7 @@ def solve(
     tolerance: float = 1e-8,
     wall: ContactLaw | Mapping[str, Any] | None = None,
     zeta: float | None = None,
+    solid: Solid | Mapping[str, Any] | None = None,
     thickness: float = math.inf,
     base: str | None = None,
     poisson: float = 0.25,
@@ -126,7 +129,8 @@ def solve(
 
     spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; zeta: the range of an exponential
     wall with σ_ref = contact_modulus; neither: a hard wall.  thickness, base ("bonded" if None), poisson: a slab
-    instead of a half-space.  method: see `solvers.options`.  start: a pressure to begin with, split like the heights.
+    instead of a half-space; or solid: a solid, or its keys as in [solid], instead of these and contact_modulus.
+    method: see `solvers.options`.  start: a pressure to begin with, split like the heights.
     tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
     this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.
 
@@ -153,12 +157,7 @@ def solve(
         name, targets, single = _targets(imposed)
         spacings = _checked("spacing", spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
-        solid = Homogeneous(
-            contact_modulus=contact_modulus,
-            thickness=thickness,
-            base="bonded" if base is None else base,
-            poisson=_checked("poisson", poisson, POISSON),
-        )
+        solid = _solid(contact_modulus, thickness, base, poisson, solid)
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
@@ -172,6 +171,7 @@ def solve(
     grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
     if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
+    solid.prepare(grid)
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
     asked_load = Load(**{name: targets, **closeness})
@@ -211,10 +211,30 @@ def _law(wall: ContactLaw | Mapping[str, Any] | None, zeta: float | None) -> Con
         return HardWall() if zeta is None else ExponentialWall(zeta=zeta)
     if zeta is not None:
         raise InputError(f"zeta = {show(zeta)}: give it or a wall, not both")
-    law = build(LAWS, dict(wall)) if isinstance(wall, Mapping) else wall
-    if not isinstance(law, ContactLaw):
-        raise InputError(f"wall = {show(wall)}: must be a contact law, or a table of its keys")
-    return law
+    return _made(LAWS, ContactLaw, wall)
+
+
+def _solid(
+    contact_modulus: float, thickness: float, base: str | None, poisson: float, solid: Solid | Mapping[str, Any] | None
+) -> Solid:
+    """The solid of the arguments of `solve`; raises InputError."""
+    slab: dict[str, Any] = {"contact_modulus": contact_modulus, "thickness": thickness}
+    slab |= {"base": base, "poisson": poisson}
+    if solid is None:
+        _checked("poisson", poisson, POISSON)  # never None, as it may be in a job
+        return Homogeneous(**slab | {"base": "bonded" if base is None else base})
+    for name, value in slab.items():
+        if show(value) != show((solve.__kwdefaults__ or {})[name]):
+            raise InputError(f"{name} = {show(value)}: give it or a solid, not both")
+    return _made(SOLIDS, Solid, solid)
+
+
+def _made(kinds: Kinds, sort: type[Section], given: object) -> Any:
+    """What was given as an object of that sort, or as a table of its keys; raises InputError."""
+    made = build(kinds, dict(given)) if isinstance(given, Mapping) else given
+    if not isinstance(made, sort):
+        raise InputError(f"{kinds.where} = {show(given)}: must be a {sort.__name__}, or a table of its keys")
+    return made
 
 
 def _contacts(control: LoadControl, targets: Sequence[float]) -> Generator[Contact, None, None]:

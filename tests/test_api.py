@@ -10,6 +10,7 @@ import pytest
 import pgfmd
 from pgfmd.errors import InputError
 from pgfmd.parallel.collectives import slab
+from pgfmd.physics.solids.homogeneous import Homogeneous
 
 pytestmark = pytest.mark.mpi
 
@@ -50,3 +51,21 @@ def test_ranks_that_disagree_are_refused(comm):
     for arguments in ({"pressure": 0.01 * (1 + comm.rank)}, {"pressure": 0.01, "zeta": 1.0 + comm.rank}):
         with pytest.raises(InputError, match="ranks ask for different"):
             pgfmd.solve(mine(comm), arguments.pop("pressure"), comm=comm, **arguments)
+
+
+def test_a_solid_is_given_in_three_ways(comm):
+    """Arguments, a table of keys and an object are one solid; it and one of the arguments exclude each other."""
+    slab = {"contact_modulus": 2.0, "thickness": 3.0, "base": "free", "poisson": 0.25}
+    ways = [slab, {"solid": slab}, {"solid": Homogeneous(**slab)}]
+    pressures = [pgfmd.solve(mine(comm), 0.01, comm=comm, **way).pressure for way in ways]
+    assert np.array_equal(pressures[0], pressures[1]) and np.array_equal(pressures[0], pressures[2])
+    for name, value in slab.items():
+        if name != "poisson":
+            with pytest.raises(InputError, match=f"{name} = .* not both"):
+                pgfmd.solve(mine(comm), 0.01, comm=comm, solid={}, **{name: value})
+
+
+def test_a_solid_of_one_modulus_is_refused_where_another_counts(comm):
+    """A bonded slab needs Poisson's ratio, which a table does not assume."""
+    with pytest.raises(InputError, match=r"solid.contact_modulus = 2.0: .* needs poisson"):
+        pgfmd.solve(mine(comm), 0.01, comm=comm, solid={"contact_modulus": 2.0, "thickness": 3.0})

@@ -29,6 +29,7 @@ ALLOWED = {
     "zeta": (None,),
     "thickness": (math.inf, 1e300),
     "poisson": (0, 1e-300, 5e-324),
+    "solid": (None, {}),
     "threads": (None,),
     "start": (None,),
     "method": (),
