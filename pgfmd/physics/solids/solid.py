@@ -48,8 +48,8 @@ class Solid(Section):
     lame_lambda: float | None = key(number(), about="λ, with lame_mu", unit="pressure")
     lame_mu: float | None = key(POSITIVE, about="μ", unit="pressure")
     young: float | None = key(POSITIVE, about="E, with poisson", unit="pressure")
-    poisson: float | None = key(POISSON, about="ν", unit="1")
-    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)", unit="pressure")
+    poisson: float | None = key(POISSON, about="ν", unit="1", example=0.25)
+    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)", unit="pressure", example=1.0)
 
     def check(self) -> None:
         given = {name: getattr(self, name) for name in MODULI if getattr(self, name) is not None}
