@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pgfmd.options.section import Kinds
 from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.layered import Layered
 
 SOLIDS = Kinds(
     "solid",
     (
         Homogeneous,
+        Layered,
     ),
     default=Homogeneous,
 )  # fmt: skip
