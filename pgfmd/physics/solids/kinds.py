@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pgfmd.options.section import Kinds
+from pgfmd.physics.solids.graded import Graded
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.layered import Layered
 
@@ -11,6 +12,7 @@ SOLIDS = Kinds(
     (
         Homogeneous,
         Layered,
+        Graded,
     ),
     default=Homogeneous,
 )  # fmt: skip
