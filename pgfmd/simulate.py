@@ -21,7 +21,7 @@ from pgfmd.io.provenance import Origin, command_line
 from pgfmd.io.schema import Form
 from pgfmd.io.writer import Mode, ResultWriter
 from pgfmd.job.job import Job, as_toml
-from pgfmd.job.sections import Run
+from pgfmd.job.output import Run
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import LAYOUT
 from pgfmd.operation import machine, preflight

@@ -14,8 +14,7 @@ from typing import Any
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.job.output import Output, Written
-from pgfmd.job.sections import Run
+from pgfmd.job.output import Output, Run, Written
 from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.section import as_toml as section_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show

@@ -1,8 +1,9 @@
-"""The section [output] of a job: fields, units, and a table of options for each observable.  No MPI here."""
+"""The sections [run] and [output] of a job; [output] has a table of options for each observable.  No MPI here."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,8 +11,32 @@ from pgfmd.io.schema import FIELDS
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.table import OBSERVABLES
-from pgfmd.options.rules import choice, many, text
+from pgfmd.options.rules import assignment, choice, many, number, text
 from pgfmd.options.section import Section, key
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(Section):
+    """Checkpoints and time limit of a run, for machines that stop long jobs; how its files are written.  Not compared
+    by --restart: it does not change results.
+    """
+
+    where = "run"
+    checkpoint_interval: float = key(
+        number(low=0, infinite=True),
+        1800.0,
+        "between checkpoints of an unfinished load; 0: each step; inf: none",
+        unit="s",
+    )
+    time_limit: float = key(
+        number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted", unit="s"
+    )
+    io_hints: tuple[str, ...] = key(
+        many(assignment()),
+        (),
+        "for MPI-IO, which ignores unknown ones; stripes are set on the folder (lfs setstripe)",
+        example=["cb_nodes=8", "romio_cb_write=enable"],
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
