@@ -141,21 +141,21 @@ def test_rows_travel_together(monkeypatch, joined):
 @pytest.mark.parametrize("shape", [(64, 64), (96, 80), (61, 67), (50, 128)])
 @pytest.mark.parametrize("density", [0.05, 0.5, 1.0])
 def test_mesh_compliance(shape, density):
-    """Within two per cent of the response by full transforms, on any number of ranks."""
+    """Within .9 per cent of the response by full transforms, on any number of ranks."""
     grid, elasticity = SlabGrid(comm, shape), elastic(1.3)
     mesh = MeshResponse(grid, lambda q: 2 / (1.3 * q), elasticity.compliance)
     off, exact = deviation(grid, density, mesh, elasticity.apply_compliance(grid, np.float32, 1 / grid.size))
-    assert np.linalg.norm(off - off.mean()) < 0.02 * np.linalg.norm(exact - exact.mean())
+    assert np.linalg.norm(off - off.mean()) < 0.009 * np.linalg.norm(exact - exact.mean())
 
 
 @pytest.mark.parametrize("shape", [(64, 64), (96, 80), (61, 67), (50, 128)])
 @pytest.mark.parametrize("density", [0.05, 0.5, 1.0])
 def test_mesh_stiffness(shape, density):
-    """Within five per cent of the response by full transforms, on any number of ranks."""
+    """Within 2.5 per cent of the response by full transforms, on any number of ranks."""
     grid, elasticity = SlabGrid(comm, shape), elastic(1.3)
     mesh = MeshResponse(grid, elasticity.stiffness, elasticity.stiffness)
     off, exact = deviation(grid, density, mesh, elasticity.apply_stiffness(grid, np.float32, 1 / grid.size))
-    assert np.linalg.norm(off) < 0.05 * np.linalg.norm(exact)
+    assert np.linalg.norm(off) < 0.025 * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize("wave", [(1, 0), (2, 3), (5, 5)])

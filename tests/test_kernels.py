@@ -69,19 +69,19 @@ def test_scale_by_q(dtype, close, rng):
 
 @pytest.mark.parametrize("density", [0.05, 0.4, 0.95])
 def test_correlate(density, rng):
-    """A correlation with a symmetric disc of radius 2 of a periodic field that is zero off one set, at the points of
+    """A correlation with an even kernel of radius √10 of a periodic field that is zero off one set, at the points of
     another: on points that lie apart and on runs of them, in rows of two calls, more than are evaluated together."""
-    source, target = rng.random((82, 70)) < 0.3, rng.random((78, 70)) < density
-    field, weights, out = np.where(source, rng.random((82, 70)), 0), rng.random(6), np.zeros(target.sum())
-    a, b, c, d, e, f = weights
-    disc = np.array([[0, 0, f, 0, 0], [0, e, d, e, 0], [c, b, a, b, c], [0, e, d, e, 0], [0, 0, f, 0, 0]])
+    source, target = rng.random((84, 70)) < 0.3, rng.random((78, 70)) < density
+    field, out = np.where(source, rng.random((84, 70)), 0), np.zeros(target.sum())
+    disc = stencil.symmetric_kernel(rng.random(len(stencil.OFFSETS)))
+    assert np.count_nonzero(disc) == 37
     lists = [
         (np.nonzero(mask)[1].astype(np.int32), np.concatenate([[0], np.cumsum(mask.sum(axis=1))]))
         for mask in (source, target)
     ]
     for rows in ((0, 5), (5, 78)):
-        stencil.correlate((field[source], lists[0]), weights, np.empty((36, 74)), lists[1], rows, out)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(field, ((0, 0), (2, 2)), mode="wrap"), (5, 5))
+        stencil.correlate((field[source], lists[0]), disc[3:, 3:], np.empty((38, 76)), lists[1], rows, out)
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(field, ((0, 0), (3, 3)), mode="wrap"), (7, 7))
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[target], rtol=1e-13, atol=1e-15)
 
 

@@ -25,7 +25,7 @@ from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
-DEEPER = 0.15  # factor on the cut of pressures as unknowns: an iteration costs less here, and a step as much
+DEEPER = .15  # factor on the cut of pressures as unknowns: an iteration costs less here, and a step as much
 
 
 class GapSteps(Relaxation):
@@ -111,11 +111,12 @@ class GapSteps(Relaxation):
         """Reduces the pressure on the open set by a part of the factor `wanted`, and makes the gap feasible.
         Collective.
         """
+        last = wanted**2 < 1.01 * enough
         if not state.clipped:  # a certificate failed: the gap before it belongs to the system
             state.gap[...] = 0.0
             system.points.add(state.gap, self._gap_before)
             state.clipped, state.base, state.level = True, 0.0, 0.0
-        change, steps = system.solve(max(math.sqrt(enough), DEEPER * wanted))
+        change, steps = system.solve(wanted if last else DEEPER * wanted)
         system.points.add(state.gap, change)
         state.iterations += steps
         self.grid.threads.deal(lambda a, b: np.maximum(state.gap[a:b], 0.0, out=state.gap[a:b]), len(state.gap))
