@@ -10,8 +10,6 @@ counts as error too, and most of it lies in waves that the residual on the open 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
