@@ -328,9 +328,10 @@ def test_a_mountain_in_one_slab(n):
     assert np.abs(again - alone.pressure).max() < 1e-3 * alone.pressure.max()
 
 
-@pytest.mark.parametrize(("error", "goal"), [(np.inf, 2e-2), (0.8, 2e-2), (4e-3, 2e-4), (1e-14, 1e-8), (0.0, 1e-8)])
+@pytest.mark.parametrize(("error", "goal"), [(np.inf, 6e-2), (0.8, 6e-2), (4e-3, 2e-4), (1e-14, 1e-8), (0.0, 1e-8)])
 def test_coarse_grids_aim_at_a_part_of_their_first_error(error, goal):
-    """A twentieth, a tenth of that with gaps as unknowns, within limits: also a start without error has one."""
+    """A twentieth, three times that of a rough start, a tenth of it with gaps as unknowns, within limits: also a start
+    without error has one."""
     assert PressureSteps.goal(error, 1e-12) == pytest.approx(goal)
     assert PressureSteps.goal(error, 1e-3) == pytest.approx(max(goal, 2.5e-4))
     assert GapSteps.goal(error, 1e-12) == pytest.approx(max(goal / 10, 1e-8))

@@ -44,6 +44,7 @@ MARGIN: dict[Precision, float] = {np.float32: 0.4, np.float64: 0.15}
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
+ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
 HUGE = np.finfo(np.float32).max
@@ -168,7 +169,8 @@ class Relaxation:
         """Tolerance for a coarse grid: a part of the estimated error of its start, since interpolation to the next grid
         will make such an error again; at least `FINEST` and a quarter of the tolerance.
         """
-        return max(cls.coarse_part * min(estimate, WORST), tolerance / 4, FINEST)
+        part = cls.coarse_part * (LOOSER if estimate > ROUGH else 1)
+        return max(part * min(estimate, WORST), tolerance / 4, FINEST)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state.  Returns the system for the unknowns it chooses.  Collective."""

@@ -20,7 +20,8 @@ from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import Unknowns
 
-CLOSE = 5e-5  # least part of the energy error that a step aims at: what the mesh's response leaves (`near_kernel`)
+CLOSE = 3e-5  # least part of the energy error that one step can leave: of the mesh's response, see `near_kernel`
+LEAST_PART = 5e-5  # the least that the first of two steps aims at
 SURE = 0.005  # of a reduction of the energy error to this part or more, the effect on the set is not checked
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
 LEAST_GAIN = 0.5  # factor on the last reduction of the residual in one step before the gap is updated
@@ -73,12 +74,14 @@ class PressureSteps(Relaxation):
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Makes the gap constant on the unknowns; with a mesh solves for them anew as they change.  Collective.
 
-        Full transforms follow once `system.square` has probably fallen to the part `enough`, or to `CLOSE`.
+        Full transforms follow once `system.square` has probably fallen to the part `enough`.  If that is out of reach
+        of one step (`CLOSE`), the first of two does more than half of the work.
         """
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf:
             self._solve(state, system, wanted)
             return
-        goal, failures = max(enough, CLOSE) * system.square, 0
+        part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
+        goal, failures = part * system.square, 0
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
