@@ -1,8 +1,8 @@
 """Elastic contact of randomly rough surfaces, solved in parallel.
 
-`solve` (arrays in, contact out), `run` (a job), `surface` (the heights of a job) and `Results` (the reader of result
-folders; `Runs`: of several; `Ensemble`: of a job with several seeds) are imported when first used, so that
-`import pgfmd` needs no MPI.
+`solve` (arrays in, contact out), `certify` (anybody's pressure), `run` (a job), `surface` (the heights of a job) and
+`Results` (the reader of result folders; `Runs`: of several; `Ensemble`: of a job with several seeds) are imported when
+first used, so that `import pgfmd` needs no MPI.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.parallel.private_cache import keep_compiled_code
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "run", "solve", "surface"]
+__all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify", "run", "solve", "surface"]
 
-_HOMES = {name: "pgfmd.api" for name in ("run", "solve", "surface")}
+_HOMES = {name: "pgfmd.api" for name in ("certify", "run", "solve", "surface")}
 _HOMES |= {name: "pgfmd.io.results" for name in ("Results", "Runs")}
 _HOMES["Ensemble"] = "pgfmd.io.ensemble"
 

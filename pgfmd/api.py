@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 import os
 import shutil
@@ -19,9 +20,9 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results
 from pgfmd.job.job import Job, load, parse, tables_as_toml
-from pgfmd.observables.contact import Contact
+from pgfmd.observables.contact import Certified, Contact, certified
 from pgfmd.operation.progress import Progress, is_notebook
-from pgfmd.options.rules import Rule, integer, number, pair
+from pgfmd.options.rules import POSITIVE, Rule, integer, number, pair
 from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import from_root, raise_together
@@ -40,6 +41,7 @@ from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
 
+log = logging.getLogger("pgfmd")
 Tables = Mapping[str, Mapping[str, Any]]
 """A job as nested tables: {"grid": {"n": 512}, …}."""
 
@@ -149,28 +151,17 @@ def solve(
     imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
     imposed |= {"displacement": displacement, "force": force}
     with raise_together(comm):
-        heights = _real("heights", heights)
-        if heights.ndim != 2 or heights.size == 0:
-            raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
-        if not np.isfinite(heights).all():
-            raise InputError("heights: all must be finite")
+        heights = _surface(heights)
         name, targets, single = _targets(imposed)
-        spacings = _checked("spacing", spacing, SPACING)
-        threads = None if threads is None else _checked("threads", threads, integer(1))
         solid = _solid(contact_modulus, thickness, base, poisson, solid)
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
-        if start is not None and (start := _real("start", start)).shape != heights.shape:
-            raise InputError(f"start of shape {start.shape}: must be that of the heights, {heights.shape}")
-    asked = comm.allgather((name, targets, single, spacings, solid, law, options, closeness, start is None))
-    if any(other != asked[0] for other in asked):
-        raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
-    (ax, ay), rows, ny = spacings, comm.allgather(len(heights)), heights.shape[1]
-    grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
-    if rows != list(np.diff(grid.starts)) or len(set(comm.allgather(ny))) > 1:
-        raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
+        if start is not None:
+            start = _like("start", start, heights)
+    _agree(comm, (name, targets, single, solid, law, options, closeness, start is None))
+    grid = _grid(comm, heights, spacing, threads)
     solid.prepare(grid)
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
@@ -187,6 +178,93 @@ def solve(
         return next(contacts)
     finally:
         contacts.close()
+
+
+def certify(
+    heights: np.ndarray,
+    pressure: np.ndarray,
+    mean_pressure: float | None = None,
+    *,
+    contact_modulus: float = 1.0,
+    spacing: float | tuple[float, float] = 1.0,
+    wall: ContactLaw | Mapping[str, Any] | None = None,
+    zeta: float | None = None,
+    solid: Solid | Mapping[str, Any] | None = None,
+    thickness: float = math.inf,
+    base: str | None = None,
+    poisson: float = 0.25,
+    comm: MPI.Comm | None = None,
+    threads: int | None = None,
+) -> Certified:
+    """The certificate of any pressure on a surface, whatever program it comes from, as a contact.  Collective.
+
+    heights, and all that follows the mean pressure: as for `solve`.  pressure: like the heights, positive where the
+    solids press.  It is made feasible: cut to its bounds, and brought to `mean_pressure` (its own if None) by a factor.
+    What it takes: 1.5 transforms.
+
+    A pressure that fits heights of quite another scale is reported in the log.  Raises InputError as `solve` does, and
+    for a pressure that is not of the heights' shape, not finite, uniform, or without a positive sum; SolverError where
+    nothing can be certified.
+
+    >>> import numpy as np, pgfmd
+    >>> wave = np.cos(2 * np.pi * np.arange(64) / 64)
+    >>> heights = wave[:, None] * wave
+    >>> solved = pgfmd.solve(heights, 0.01, tolerance=1e-4)
+    >>> pgfmd.certify(heights, solved.pressure).certified_error < 1e-4
+    True
+    """
+    comm = ALONE if comm is None else comm
+    with raise_together(comm):
+        heights = _surface(heights)
+        given = _like("pressure", pressure, heights)
+        if not np.isfinite(given).all():
+            raise InputError("pressure: all values must be finite")
+        solid, law = _solid(contact_modulus, thickness, base, poisson, solid), _law(wall, zeta)
+        mean = None if mean_pressure is None else _checked("mean_pressure", mean_pressure, POSITIVE)
+    _agree(comm, (solid, law, mean))
+    grid = _grid(comm, heights, spacing, threads)
+    solid.prepare(grid)
+    contact = certified(ContactProblem(grid, heights, solid, law), given, mean)
+    if contact.projection.doubt and comm.rank == 0:
+        log.warning("%s", contact.projection.doubt)
+    return contact
+
+
+def _surface(values: Any) -> np.ndarray:
+    """The heights of the arguments of `solve`; raises InputError."""
+    heights = _real("heights", values)
+    if heights.ndim != 2 or heights.size == 0:
+        raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
+    if not np.isfinite(heights).all():
+        raise InputError("heights: all must be finite")
+    return heights
+
+
+def _like(name: str, values: Any, heights: np.ndarray) -> np.ndarray:
+    """An array of real numbers of the heights' shape; raises InputError."""
+    array = _real(name, values)
+    if array.shape != heights.shape:
+        raise InputError(f"{name} of shape {array.shape}: must be that of the heights, {heights.shape}")
+    return array
+
+
+def _grid(comm: MPI.Comm, heights: np.ndarray, spacing: Any, threads: Any) -> SlabGrid:
+    """The grid of heights that are split over the ranks; raises InputError.  Collective."""
+    with raise_together(comm):
+        ax, ay = _checked("spacing", spacing, SPACING)
+        threads = None if threads is None else _checked("threads", threads, integer(1))
+    rows, ny = comm.allgather(len(heights)), heights.shape[1]
+    _agree(comm, (ax, ay, ny))
+    grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
+    if rows != list(np.diff(grid.starts)):
+        raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
+    return grid
+
+
+def _agree(comm: MPI.Comm, asked: tuple) -> None:
+    """Raises InputError if the ranks were called with different arguments.  Collective."""
+    if any(other != asked for other in comm.allgather(asked)):
+        raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
 
 
 def _targets(imposed: Mapping[str, Any]) -> tuple[str, tuple[float, ...], bool]:

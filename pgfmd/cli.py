@@ -1,10 +1,12 @@
-"""The command line: `new` prints a job, `check` validates it, `run` runs it, `info` and `plot` show results.
+"""The command line: `new` prints a job, `check` validates it, `run` runs it, `info` and `plot` show results, `certify`
+bounds the error of anybody's pressure.
 
     python -m pgfmd new [KIND …] > JOB.toml
     mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
     python -m pgfmd check JOB.toml
     python -m pgfmd info DIR
     python -m pgfmd plot [FIGURE] DIR… [--output FOLDER]
+    python -m pgfmd certify HEIGHTS PRESSURE [--set section.key=value ...]
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer, or no load gives
 what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and did, ready for --restart; 130 if it was
@@ -51,12 +53,12 @@ def main(arguments: list[str] | None = None) -> int:
         options = _parser().parse_args(words)
         if options.command == "run":
             return _run(options)
-        _show({"new": _new, "check": _check, "info": _info}[options.command](options))
+        _show({"new": _new, "check": _check, "info": _info, "certify": _certify}[options.command](options))
         return 0
     except KeyboardInterrupt as error:
         return _complain(error) if launched_rank() == 0 else INTERRUPTED
-    except InputError as error:
-        return _complain(error) if launched_rank() == 0 else 2
+    except (InputError, SolverError) as error:
+        return _complain(error) if launched_rank() == 0 else _code(error)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         sys.stdout = open(os.devnull, "w")
         return 0
@@ -77,7 +79,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="pgfmd", description="Elastic contact of randomly rough surfaces.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"pgfmd {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="new | run | check | info | plot")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="new | run | check | info | plot | certify")
 
     new = commands.add_parser("new", help="print a commented job to start from", allow_abbrev=False)
     new.add_argument("kinds", nargs="*", metavar="KIND", help='of surface or wall; "all": every key of every kind')
@@ -93,7 +95,13 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("job", metavar="JOB.toml")
     check.add_argument("--ranks", type=_count, default=1, metavar="P", help="MPI ranks to estimate for")
     check.add_argument("--ranks-per-node", type=_count, metavar="K", help="how many of them on a node; default: all")
-    for command in (run, check):
+
+    certify = commands.add_parser("certify", help="bound the error of a pressure from any program", allow_abbrev=False)
+    certify.add_argument("heights", metavar="HEIGHTS", help="their file (FILE.h5:dataset), or a job or result folder")
+    certify.add_argument("pressure", metavar="PRESSURE", help="a file of the same points, or a result folder (DIR:2)")
+    certify.add_argument("--mean-pressure", type=float, metavar="P", help="to scale the pressure to; default: its own")
+    certify.add_argument("--json", action="store_true", help="the numbers as JSON")
+    for command in (run, check, certify):
         command.add_argument(
             "--set",
             action="append",
@@ -167,6 +175,16 @@ def _info(options: argparse.Namespace) -> str:
     if faults:
         raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + REPAIR)
     return f"{options.directory}: every byte is the one that was written"
+
+
+def _certify(options: argparse.Namespace) -> str:
+    from pgfmd.operation.certification import as_json, certify_file, job_on, line
+
+    job, mean = job_on(options.heights, options.set), options.mean_pressure
+    if mean is not None and not 0 < mean < float("inf"):
+        raise InputError(f"--mean-pressure {mean:g}: must be positive and finite")
+    contact = certify_file(job, options.pressure, mean)
+    return as_json(contact) if options.json else f"{options.pressure}: {line(contact)}"
 
 
 def _plot(words: list[str]) -> str:

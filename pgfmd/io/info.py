@@ -46,18 +46,19 @@ def as_csv(results: Results | Runs) -> str:
     return lines.getvalue().rstrip("\n")
 
 
+def known(value: Any) -> Any:
+    """A value as JSON takes it: None for a number that is not finite, also inside tables and lists."""
+    if isinstance(value, dict):
+        return {name: known(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [known(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def as_json(results: Results) -> str:
     """What was run, where, how far, and the rows of the table of loads; null for what was not measured or is not
     finite.
     """
-
-    def known(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {name: known(entry) for name, entry in value.items()}
-        if isinstance(value, list):
-            return [known(entry) for entry in value]
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
     found = {
         "folder": str(results.directory),
         "status": results.status,

@@ -18,6 +18,9 @@ from pgfmd.observables.table import OBSERVABLES
 from pgfmd.options.section import build
 from pgfmd.options.text import guess
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.certify import Projection, certify
+from pgfmd.solvers.controls import CONTROLS
+from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 from pgfmd.surfaces.surface import coordinates
 
@@ -128,6 +131,39 @@ class Contact(ContactSolution):
         fields = {"height": self.heights, "pressure": self.pressure, "gap": self.gap}
         described = {name: (("x", "y"), values, {"description": FIELDS[name][1]}) for name, values in fields.items()}
         return xarray.Dataset(described, {"x": x[:, 0], "y": y[0]}, self.numbers)
+
+
+@dataclass(repr=False)
+class Certified(Contact):
+    """A pressure from anywhere, certified: `certified_error` bounds the energy error of what its projection gives.
+
+    projection: how it was made feasible.  Pressures that are traces beside the contact, certified too, are then 0.
+    """
+
+    projection: Projection = field(kw_only=True)
+
+    def summary(self) -> dict[str, float]:
+        """The numbers of the certificate, and the contact area.  Collective on first use."""
+        return {
+            "certified_error": self.certified_error,
+            "pressure_error": self.pressure_error,
+            "mean_pressure": self.mean_pressure,
+            "contact_area": self.contact_area,
+            "contact_area_corrected": self.contact_area_corrected,
+            "contact_area_error": self.contact_area_error,
+            "given_mean_pressure": self.projection.given_mean,
+            "projection": self.projection.change,
+            "load_outside": self.projection.outside,
+        }
+
+
+def certified(problem: ContactProblem, given: np.ndarray, mean_pressure: float | None = None) -> Certified:
+    """`solvers.certify.certify`, as a contact to be measured.  Collective."""
+    with problem.grid.freed():
+        found, projection = certify(problem, given, mean_pressure)
+        problem = problem.at(found.mean_pressure)
+        displacement = CONTROLS["pressure"](problem, Load(pressure=(found.mean_pressure,))).displacement(found)
+    return Certified(**vars(found), problem=problem, displacement=displacement, projection=projection)
 
 
 def _asked(options: Mapping[str, Mapping[str, Any]]) -> Iterable[Observable]:

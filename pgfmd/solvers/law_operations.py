@@ -38,6 +38,11 @@ class LawState:
     rounding: float = 0.0  # error that rounding of the gap and of the pressure's last digits may make
 
 
+def local_compliance(problem: ContactProblem, pixels: float) -> float:
+    """Compliance of a region of that diameter in pixels."""
+    return 1 / float(problem.solid.stiffness(np.array(2 / (pixels * max(problem.grid.spacing)))))
+
+
 class LawOperations:
     """Computes gaps, certificates and resolvents for a dimensionless `problem` of mean pressure 1.  Collective to make.
 
@@ -51,10 +56,6 @@ class LawOperations:
         self.stiffness, self.rounding = solid.apply_stiffness(self.grid, np.float32, scale), Rounding(self.grid, solid)
         self.squares = np.zeros(2)
         self.summit = self.grid.reduction.max(self.heights)
-
-    def local_compliance(self, pixels: float) -> float:
-        """Compliance of a region of that diameter in pixels."""
-        return 1 / float(self.problem.solid.stiffness(np.array(2 / (pixels * max(self.grid.spacing)))))
 
     def compute_gap(self, state: LawState) -> None:
         """g = Gp̂ − h in double precision, and ⟨p̂, Gp̂⟩, which g + h would give with fewer digits.  Collective."""
@@ -93,7 +94,7 @@ class LawOperations:
         potential, load, contact = self.total(partial(law.moments, threshold=threshold), *fields)
         level = state.level = float(potential / load) if load > 0 else state.level
         state.contact = int(contact)
-        compliance, excess = self.local_compliance(PIXELS), dict[int, float]()
+        compliance, excess = local_compliance(self.problem, PIXELS), dict[int, float]()
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             pressure, gap = (field[first:stop] for field in fields)

@@ -36,6 +36,8 @@ from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
+Limits = tuple[float, float, float]
+"""λ, σ_Y and `Relaxation.spare`, for certificates."""
 
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
@@ -88,6 +90,7 @@ class Relaxation:
 
     precision: Precision = np.float32
     patience, most_steps = STEPS, 200
+    spare = math.inf  # compliance: a pressure p counts as 0 in certificates, at a price, where g − λ > spare · p
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
     hidden = 0.0
@@ -212,7 +215,11 @@ class Relaxation:
         (self.squares[1],) = self.grid.reduction.sums_of_blocks(squares, 1)
 
     def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
-        """A bound of the energy error over 2 · energy, rounding included.  system: from `linearise`.  Collective.
+        """`bound` of a state while it is solved.  system: from `linearise`.  Collective."""
+        return self.bound(state, precision)
+
+    def bound(self, state: State, precision: Precision) -> float:
+        """A bound of the energy error over 2 · energy of a state that was `measure`d, rounding included.  Collective.
 
         Sets `state.pressure_error` = ‖Kρ‖/‖p‖.  If every point is an unknown, p* − p = −Kρ; else it is an estimate: in
         144 solutions the true error was .3 to 1.0 of it, in the median .9 (`tests/test_hard_wall`).
@@ -221,7 +228,7 @@ class Relaxation:
         p, g = self.grid.neighbours(own, margin)
         pieces = ((p[:margin], g[:margin]), 0), (own, margin), ((p[margin:], g[margin:]), margin + len(own[0]))
         real, wide, ny = state.gap.dtype.type, STRIDES[0], self.grid.shape[1]
-        limits = real(state.level), real(self.highest)
+        limits, paid = (real(state.level), real(self.highest), real(self.spare)), dict[int, float]()
         edges = np.r_[:wide, wide + ny : 2 * wide + ny]
         within = wide + (edges - wide) % ny
 
@@ -237,12 +244,16 @@ class Relaxation:
                 field, means = work[2 + done % 2], work[3 - done % 2]
                 field[:, edges] = field[:, within]
                 average_between(field, work[:2], stride, wide, means)
-            return means[margin:-margin, wide:-wide]
+            found = means[margin:-margin, wide:-wide]
+            if self.spare < math.inf:
+                paid[first] = excess((own[0][first:stop], own[1][first:stop]), limits, found)
+            return found
 
         rows = in_chunks(make, max(2 * self.grid.band, 2 * margin), self.grid.threads.count)
         square, change = energy_of_residual(self.grid, rows, self.stiffness[np.float32])
         state.pressure_error = math.sqrt(change / self.squares[0])
-        return certified(square, self.rounding_bound(state, precision)) / (2 * state.energy)
+        more = self.grid.reduction.sum([paid[first] for first in sorted(paid)]) if self.spare < math.inf else 0.0
+        return (certified(square, self.rounding_bound(state, precision)) + more) / (2 * state.energy)
 
     def rounding_bound(self, state: State, precision: Precision) -> float:
         """A bound of ½‖e‖²_K for the rounding error e of the state's gap, computed in a precision; 0 if not `exact`."""
@@ -286,18 +297,35 @@ def contact_sums(
 
 
 @jit
-def residual_limits(fields: Fields, limits: tuple[float, float], place: tuple[int, int], out: np.ndarray) -> None:
+def residual_limits(fields: Fields, limits: Limits, place: tuple[int, int], out: np.ndarray) -> None:
     """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into
-    out[0 … 2].  limits: level and highest pressure; place: row and column of `out` where the first point goes.
+    out[0 … 2].  place: row and column of `out` where the first point goes.
     """
-    (pressure, gap), (level, highest), (at, margin) = fields, limits, place
+    (pressure, gap), (level, highest, spare), (at, margin) = fields, limits, place
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p, rest, k = pressure[i, u(j)], np.float32(gap[i, u(j)] - level), u(j + margin)
-            above, below = p > 0, p < highest
+            above = (p > 0) & (rest <= spare * p)
+            below = (p < highest) & (-rest <= spare * (highest - p))
             out[0, at + i, k] = rest if above else -HUGE
             out[1, at + i, k] = rest if below else HUGE
             out[2, at + i, k] = rest if above and below else np.float32(0)
+
+
+@jit
+def excess(fields: Fields, limits: Limits, residual: np.ndarray) -> float:
+    """Σ p (g − λ − ρ) of points that pay for ρ < g − λ, and Σ (σ_Y − p)(ρ − g + λ) of those for ρ > g − λ."""
+    (pressure, gap), (level, highest, spare) = fields, limits
+    total = 0.0
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            p, rest = pressure[i, u(j)], gap[i, u(j)] - level
+            rounded, rho = np.float32(rest), residual[i, u(j)]  # as in `residual_limits`
+            if p > 0 and rounded > spare * p:
+                total += p * (rest - rho)
+            elif p < highest and -rounded > spare * (highest - p):
+                total += (highest - p) * (rho - rest)
+    return total
 
 
 @jit

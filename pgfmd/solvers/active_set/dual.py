@@ -103,7 +103,7 @@ class GapSteps(Relaxation):
         state.base = -self.mean  # Gp = h + g − mean + Gc
         self.measure(state)
         state.clipped = False
-        return super().certify(state, system, precision)
+        return self.bound(state, precision)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Reduces the pressure on the open set by a part of the factor `wanted`, and makes the gap feasible.

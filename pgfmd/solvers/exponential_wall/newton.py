@@ -30,7 +30,7 @@ from pgfmd.grid.callbacks import sink
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
-from pgfmd.solvers.law_operations import LawOperations, LawState
+from pgfmd.solvers.law_operations import LawOperations, LawState, local_compliance
 from pgfmd.solvers.patience import Patience, uncertifiable
 
 REACH = 8  # diameter in pixels of the region whose compliance is α: if smaller, points that join a patch overshoot
@@ -50,7 +50,7 @@ class Newton(LawOperations):
 
     def __init__(self, problem: ContactProblem):
         super().__init__(problem)
-        self.zeta, self.alpha = self.law.zeta, self.local_compliance(REACH)
+        self.zeta, self.alpha = self.law.zeta, local_compliance(problem, REACH)
 
     def relax(
         self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None
