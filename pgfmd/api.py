@@ -124,6 +124,7 @@ def solve(
 
     heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
+    They are copied, once, unless the array cannot be written (`heights.flags.writeable = False` saves the memory).
 
     Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
@@ -159,7 +160,8 @@ def solve(
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
         if start is not None:
-            start = _like("start", start, heights)
+            like = _like("start", start, heights)
+            start = like if single else _kept(like, start)  # a list is solved later
     _agree(comm, (name, targets, single, solid, law, options, closeness, start is None))
     grid = _grid(comm, heights, spacing, threads)
     solid.prepare(grid)
@@ -231,13 +233,15 @@ def certify(
 
 
 def _surface(values: Any) -> np.ndarray:
-    """The heights of the arguments of `solve`; raises InputError."""
+    """The heights of the arguments of `solve`, which a later change of the caller's array leaves alone; raises
+    InputError.
+    """
     heights = _real("heights", values)
     if heights.ndim != 2 or heights.size == 0:
         raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
     if not np.isfinite(heights).all():
         raise InputError("heights: all must be finite")
-    return heights
+    return _kept(heights, values)
 
 
 def _like(name: str, values: Any, heights: np.ndarray) -> np.ndarray:
@@ -246,6 +250,14 @@ def _like(name: str, values: Any, heights: np.ndarray) -> np.ndarray:
     if array.shape != heights.shape:
         raise InputError(f"{name} of shape {array.shape}: must be that of the heights, {heights.shape}")
     return array
+
+
+def _kept(array: np.ndarray, given: Any) -> np.ndarray:
+    """The array, or a copy if it shares the memory of the given one, and somebody may write there."""
+    owner = array
+    while isinstance(owner.base, np.ndarray) and not owner.flags.writeable:
+        owner = owner.base
+    return array.copy() if owner.flags.writeable and np.may_share_memory(array, given) else array
 
 
 def _grid(comm: MPI.Comm, heights: np.ndarray, spacing: Any, threads: Any) -> SlabGrid:

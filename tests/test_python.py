@@ -82,6 +82,29 @@ def test_what_is_imposed_is_met(comm, heights, name):
     assert math.isclose(again.mean_pressure, 0.01, rel_tol=1e-2 if name == "contact_area" else 1e-5)
 
 
+def test_what_the_caller_does_to_its_arrays_later_changes_nothing(comm, heights):
+    """κ, the error bar and the heights of contacts are those of the call, though the buffer of their heights has held
+    another surface since; so is the start of a list.  The contacts of a list share one copy, and an array that nobody
+    can write is not copied.
+    """
+    kept, buffer = pgfmd.solve(heights.copy(), 0.01, comm=comm, **SOLVE), heights.copy()
+    start = kept.pressure.copy()
+    contacts = pgfmd.solve(buffer, [0.01, 0.02], start=start, comm=comm, **SOLVE)
+    start[:] = 0
+    contact = next(contacts)
+    buffer[:] = 7 * buffer**2
+    again = pgfmd.solve(heights.copy(), 0.01, start=kept.pressure, comm=comm, **SOLVE)
+    assert contact.transforms == again.transforms
+    assert math.isclose(contact.numbers["kappa"], kept.numbers["kappa"], rel_tol=1e-9)
+    assert math.isclose(contact.contact_area_error, kept.contact_area_error, rel_tol=1e-3)
+    np.testing.assert_array_equal(contact.heights, heights)
+    assert next(contacts).heights is contact.heights
+    contacts.close()
+    buffer.flags.writeable = False
+    assert pgfmd.solve(buffer, 0.01, comm=comm).heights is buffer
+    assert pgfmd.solve(buffer[:], 0.01, comm=comm).heights.base is buffer
+
+
 def test_a_force_is_pressure_times_area(comm, heights):
     """Forces of a list are those of the contacts found, and the pressure is the force over the cell's area."""
     contacts = pgfmd.solve(heights, force=[5.0, 10.0], spacing=0.5, comm=comm)
