@@ -15,6 +15,7 @@ import pgfmd  # noqa: E402
 from pgfmd.errors import InputError, Stopped  # noqa: E402
 from pgfmd.job import job as jobs  # noqa: E402
 from pgfmd.operation.stop import Interruptions  # noqa: E402
+from pgfmd.parallel.mpi import ALONE  # noqa: E402
 from pgfmd.simulate import simulate  # noqa: E402
 
 pytestmark = pytest.mark.mpi
@@ -42,6 +43,20 @@ CASES = [
 def heights(seed: int = 3, shape=(N, N)) -> np.ndarray:
     """A rough surface."""
     return np.random.default_rng(seed).standard_normal(shape)
+
+
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-12])
+def test_ranks_differ_within_the_certificate(comm, tolerance):
+    """‖p − p'‖_G ≤ √(2 D) + √(2 D') for the pressures of all ranks and of one process, of certified errors D, D'."""
+    surface = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1}
+    job = {"grid": {"n": 64}, "surface": surface}
+    both = [pgfmd.solve(pgfmd.surface(job, ranks), 0.01, tolerance=tolerance, comm=ranks) for ranks in (comm, ALONE)]
+    whole = np.concatenate(comm.allgather(both[0].pressure))
+    q = 2 * np.pi * np.hypot(*np.meshgrid(np.fft.fftfreq(64), np.fft.fftfreq(64), indexing="ij"))
+    q[0, 0] = np.inf
+    square = np.sum(np.abs(np.fft.fft2(whole - both[1].pressure)) ** 2 * 2 / q) / 64**4
+    bounds = [math.sqrt(2 * contact.certified_error * 2 * contact.elastic_energy) for contact in both]
+    assert math.sqrt(square) <= sum(bounds)
 
 
 def job_of(comm, folder, surface, case, *, length=1.0, pressure=1.0, targets=None):

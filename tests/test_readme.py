@@ -54,6 +54,14 @@ def test_links_lead_somewhere():
     assert all(f"tools/docs/pages/{page}.md" in first_screen for page in ("tutorial", "tasks"))
 
 
+@pytest.mark.parametrize("page", ["README.md", "pgfmd/README.md", "tools/docs/pages/tutorial.md"])
+def test_the_number_of_ranks_matters_within_the_tolerance(page):
+    """Where a page says how the answer depends on the number of ranks it names the tolerance."""
+    text = " ".join((ROOT / page).read_text().split())
+    said = re.findall(r"(?:answer|results) (?:do|depend).{100}", text)
+    assert said and all("tolerance" in words for words in said), said
+
+
 def test_there_are_jobs_and_commands():
     """The blocks are found."""
     assert len(blocks("toml")) >= 3 and len(commands()) >= 6 and len(blocks("python")) >= 2
