@@ -126,6 +126,8 @@ def solve(
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
     They are copied, once, unless the array cannot be written (`heights.flags.writeable = False` saves the memory).
 
+    contact_modulus: E', by default 1, the unit of pressures then.  A job has no default for it.
+
     Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
     them, each starting from the last if its p̄ is within 5 %.  area_tolerance, gap_tolerance: see [load] of a job.
@@ -370,7 +372,7 @@ def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None)
     """
     comm = ALONE if comm is None else comm
     if isinstance(job, Mapping):
-        job = {"load": {"pressure": 1.0}} | dict(job)
+        job = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": 1.0}} | dict(job)
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
     grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     with grid.freed():
@@ -393,8 +395,9 @@ def run(
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
-    >>> pgfmd.run({"grid": {"n": 32}, "surface": wave, "load": {"mean_gap": 0.2}})[0]
-    load 0 of ...: mean_pressure 0.1151, contact_area 0.4688, mean_gap 0.2
+    >>> solid = {"contact_modulus": 1.0}
+    >>> pgfmd.run({"grid": {"n": 32}, "surface": wave, "solid": solid, "load": {"mean_gap": 0.2}})[0]
+    load 0 of ...: mean_pressure 0.04315, contact_area 0.4688, mean_gap 0.2
     """
     comm = launched() if comm is None else comm
     job = job if isinstance(job, Job) else from_root(comm, _job, job)

@@ -30,6 +30,7 @@ from pgfmd.operation.estimate import estimate
 from pgfmd.operation.log_file import LogFile
 from pgfmd.operation.progress import Progress
 from pgfmd.operation.stop import Interruptions
+from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
@@ -100,6 +101,7 @@ def simulate(
             heights = job.surface.heights(grid, job.output.length_unit)
             job.solid.prepare(grid)
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
+        log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         observer = Observer(problem, job.output.asked, cutoff)

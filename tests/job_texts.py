@@ -6,6 +6,7 @@ from typing import Any
 
 from pgfmd.job.job import tables_as_toml
 
+SOLID = "[solid]\ncontact_modulus = 1\n"
 EVERY_OBSERVABLE = "histogram spectra acf gap_spectrum patches bearing lowpass discretisation".split()
 
 
@@ -16,4 +17,5 @@ def rough_job(n: int | list[int], surface: dict[str, Any] | None = None, **secti
     """
     grid = {"n": n} | sections.pop("grid", {})
     rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 6.0, "rms_slope": 0.1}
-    return tables_as_toml({"grid": grid, "surface": rough | (surface or {}), **sections})
+    solid = sections.pop("solid", {"lame_lambda": 1.0, "lame_mu": 1.0})
+    return tables_as_toml({"grid": grid, "surface": rough | (surface or {}), "solid": solid, **sections})

@@ -33,8 +33,8 @@ def write_job(path: Path, n: int, lambda_s: float = 16.0, pressures=SIX_LOADS, i
 def write_file_job(path: Path, n: int, heights: Path, pressure: float) -> Path:
     """A job of six loads, from that pressure on, on the n × n heights in a file; as strict as that of `write_job`."""
     pressures = [pressure * (1 + 0.3 * number) for number in range(6)]
-    surface = {"kind": "file", "path": str(heights)}
-    path.write_text(tables_as_toml({"grid": {"n": n}, "surface": surface, **_strict(pressures, 0.0)}))
+    surface, solid = {"kind": "file", "path": str(heights)}, {"lame_lambda": 1.0, "lame_mu": 1.0}
+    path.write_text(tables_as_toml({"grid": {"n": n}, "surface": surface, "solid": solid, **_strict(pressures, 0.0)}))
     return path
 
 

@@ -29,7 +29,7 @@ ALLOWED = {
     "zeta": (None,),
     "thickness": (math.inf, 1e300),
     "poisson": (0, 1e-300, 5e-324),
-    "solid": (None, {}),
+    "solid": (None,),
     "threads": (None,),
     "start": (None,),
     "method": (),
@@ -92,7 +92,8 @@ def test_a_half_space_has_no_base(comm, base):
     with pytest.raises(pgfmd.InputError, match="thickness"):
         solve(comm, base=base)
     with pytest.raises(pgfmd.InputError, match="thickness"):
-        parse(f'grid.n = 4\nsurface = {{kind = "paraboloid", radius = 1}}\nload.pressure = 1\nsolid.base = "{base}"')
+        solid = f'solid = {{contact_modulus = 1, base = "{base}"}}'
+        parse(f'grid.n = 4\nsurface = {{kind = "paraboloid", radius = 1}}\nload.pressure = 1\n{solid}')
 
 
 @pytest.mark.parametrize("base", ["bonded", "free", "sliding"])

@@ -112,5 +112,6 @@ def test_a_minimal_job_is_found(tmp_path, monkeypatch):
     case = cases.Case(0, document, heights, "simulate")
     small, said = shrink(case, *running.run(case, tmp_path / "case"), tmp_path)
     assert said == "ζ" and small.document["wall"]["zeta"] == 0.3 and "sigma_ref" not in small.document["wall"]
-    assert not {"solver", "run", "solid"} & set(small.document) and small.document["load"] == {"pressure": [0.2]}
+    assert not {"solver", "run"} & set(small.document) and small.document["load"] == {"pressure": [0.2]}
+    assert small.document["solid"] == {"contact_modulus": 1.0}  # it has no default
     assert small.heights.size < heights.size

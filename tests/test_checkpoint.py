@@ -7,6 +7,7 @@ import logging
 
 import numpy as np
 import pytest
+from job_texts import SOLID
 from mpi4py import MPI
 
 from pgfmd.io import atomic, checksum
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.mpi
 
 SHAPE = (13, 6)  # 13 rows: uneven slabs on 2, 3 and 4 ranks
 FIELD = np.arange(78.0).reshape(SHAPE) ** 1.5
-JOB = '[grid]\nn = [13, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1\n[load]\npressure = [0.1, 0.2, 0.3]\n'
+JOB = SOLID + '[grid]\nn = [13, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1\n[load]\npressure = [0.1, 0.2, 0.3]\n'
 
 
 def checkpoints(comm, folder, job: str = "job") -> Checkpoints:

@@ -13,12 +13,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from job_texts import SOLID
 
 from pgfmd import cli
 from pgfmd.io.results import Results
 from pgfmd.job import job as config
 
-JOB = '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]\npressure = [0.1, 0.2]\n'
+JOB = SOLID + '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]\npressure = [0.1, 0.2]\n'
 
 STAND_IN = """
 import sys, types

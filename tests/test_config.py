@@ -25,9 +25,12 @@ kind = "self-affine"
 hurst = 0.8
 lambda_s = 16.0
 rms_slope = 0.031
+[solid]
+contact_modulus = 1.0
 [load]
 pressure = [0.0032]
 """
+TAIL = "[solid]\ncontact_modulus = 1\n[load]\npressure = 1\n"
 
 
 @pytest.mark.parametrize("path", sorted(JOBS.rglob("*.toml")), ids=lambda path: path.name)
@@ -67,7 +70,6 @@ def test_cell_from_length_or_spacing():
         {"lame_lambda": 1.0, "lame_mu": 1.0},
         {"young": 2.5, "poisson": 0.25},
         {"contact_modulus": 8 / 3, "poisson": 0.25},
-        {},
     ],
 )
 def test_elastic_moduli_from_each_pair(given):
@@ -84,6 +86,19 @@ def test_contact_modulus_alone_leaves_the_rest_unknown():
         config.Homogeneous(contact_modulus=2.0, thickness=3.0)
 
 
+@pytest.mark.parametrize("given", [{}, {"thickness": 3.0, "base": "free"}])
+def test_a_solid_has_no_default_modulus(given):
+    """A job that gives no modulus is refused: `pgfmd.solve` counts pressures in units of E', earlier jobs had E' = 8/3.
+    The line says what to write, and what was taken in the past.
+    """
+    with pytest.raises(InputError, match=r"^solid.contact_modulus is missing: .*both 1.0 where jobs of earlier"):
+        config.Homogeneous(**given)
+    with pytest.raises(InputError, match="solid.contact_modulus is missing"):
+        config.parse(ROUGH.replace("contact_modulus = 1.0", ""))
+    with pytest.raises(InputError, match="solid.contact_modulus is missing"):
+        config.parse(ROUGH.replace("[solid]\ncontact_modulus = 1.0", ""))
+
+
 def test_contradicting_moduli_are_refused():
     """Redundant moduli are accepted only if they agree."""
     config.Homogeneous(lame_lambda=1.0, lame_mu=1.0, contact_modulus=8 / 3)
@@ -98,7 +113,8 @@ def test_contradicting_moduli_are_refused():
         ["wall.kind=exponential", "wall.zeta=0.25", "solver.method=newton"],
         ["wall.zeta=0.25"],
         ["solid.contact_modulus=3", "solid.poisson=0.1", "solid.thickness=64", "solid.base=free"],
-        ["solid.young=0.1", "solid.poisson=0.4999", "run.time_limit=3600", "grid.spacing=1e-7"],
+        [f"solid.contact_modulus={0.1 / (1 - 0.4999**2)!r}", "solid.young=0.1", "solid.poisson=0.4999"],
+        ["run.time_limit=3600", "grid.spacing=1e-7"],
         ["surface.lambda_l=32", "surface.lambda_r=24", "output.fields=height", "output.lowpass.q=[0.5, 1]"],
         ['output.length_unit="µ\\"\\\\\\u007f\\tm"', "output.observables=[]", "grid.n=[64, 48]"],
     ],
@@ -220,7 +236,7 @@ def test_relative_heights_path(tmp_path, monkeypatch):
     data.mkdir()
     (jobs / "h.npy").touch()
     (data / "g.h5").touch()
-    (jobs / "job.toml").write_text('[grid]\nn = 8\n[surface]\nkind = "file"\npath = "h.npy"\n[load]\npressure = 1\n')
+    (jobs / "job.toml").write_text('[grid]\nn = 8\n[surface]\nkind = "file"\npath = "h.npy"\n' + TAIL)
     monkeypatch.chdir(data)
     assert config.load(jobs / "job.toml").surface.source == (str(jobs / "h.npy"), None)
     other = config.load(jobs / "job.toml", ["surface.path=g.h5:a/b"]).surface
@@ -231,7 +247,7 @@ def test_relative_heights_path(tmp_path, monkeypatch):
 
 def test_sinusoid_must_be_resolved():
     """A wave beyond the Nyquist wave number is not on the grid."""
-    surface = '[surface]\nkind = "sinusoid"\namplitude = 1\nwaves = {}\n[load]\npressure = 1\n'
+    surface = '[surface]\nkind = "sinusoid"\namplitude = 1\nwaves = {}\n' + TAIL
     assert config.parse("[grid]\nn = [8, 2]\n" + surface.format(4)).surface.waves == 4
     with pytest.raises(InputError, match="resolve no more than 4"):
         config.parse("[grid]\nn = [8, 2]\n" + surface.format(5))

@@ -29,6 +29,7 @@ pytestmark = pytest.mark.mpi
 JOB = {
     "grid": {"n": 32},
     "surface": {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": "3..7"},
+    "solid": {"lame_lambda": 1.0, "lame_mu": 1.0},
     "load": {"pressure": [0.004, 0.02]},
     "solver": {"tolerance": 1e-18},
     "output": {"observables": ["spectra", "histogram", "patches", "discretisation"]},

@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 from conftest import ROOT, SIZE
+from job_texts import SOLID
 
 from pgfmd.errors import InputError
 from pgfmd.surfaces.file import FromFile
@@ -191,7 +192,7 @@ def test_no_folder_is_left(comm, shared_tmp_path):
         path.write_bytes(path.read_bytes()[:-1])
     comm.Barrier()
     job = config.parse(
-        f'[grid]\nn = [12, 10]\n[surface]\nkind = "file"\npath = "{path}"\n[load]\npressure = 1\n'
+        SOLID + f'[grid]\nn = [12, 10]\n[surface]\nkind = "file"\npath = "{path}"\n[load]\npressure = 1\n'
     )  # fmt: skip
     with pytest.raises(InputError, match="truncated"):
         simulate(job, comm, shared_tmp_path / "out")
@@ -211,6 +212,6 @@ def test_symbolic_link_as_output_folder(comm, shared_tmp_path):
         target.mkdir()
         link.symlink_to(target)
     comm.Barrier()
-    job = config.parse('[grid]\nn = 16\n[surface]\nkind = "sinusoid"\namplitude = 1\n[load]\npressure = 0.01\n')
+    job = config.parse(SOLID + '[grid]\nn = 16\n[surface]\nkind = "sinusoid"\namplitude = 1\n[load]\npressure = 0.01\n')
     simulate(job, comm, link)
     assert link.is_symlink() and Results(target).status == "complete"

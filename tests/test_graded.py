@@ -107,7 +107,7 @@ def test_a_table_that_is_none_is_refused(comm, shared_tmp_path, lines, words):
         path.write_text(lines)
     comm.Barrier()
     with pytest.raises(InputError, match="factor.csv") as caught:
-        pgfmd.solve(rows, 0.1, comm=comm, solid={"kind": "table", "path": str(path)})
+        pgfmd.solve(rows, 0.1, comm=comm, solid={"kind": "table", "path": str(path), "contact_modulus": 1.0})
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 

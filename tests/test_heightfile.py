@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import pytest
 from conftest import ROOT, SIZE
+from job_texts import SOLID
 from mpi4py import MPI
 
 import pgfmd
@@ -181,7 +182,7 @@ def test_units_that_cannot_be_converted(comm, shared_tmp_path, tilted, given, wa
 
 def test_heights_of_results_come_back(comm, shared_tmp_path):
     """fields.h5 of a run in nanometres, read by a job in metres: the same surface, to rounding of the unit."""
-    text = "[grid]\nn = 16\nlength = {}\n[surface]\n{}\n[load]\npressure = 1\n[output]\nlength_unit = '{}'\n"
+    text = SOLID + "[grid]\nn = 16\nlength = {}\n[surface]\n{}\n[load]\npressure = 1\n[output]\nlength_unit = '{}'\n"
     wave = "kind = 'sinusoid'\namplitude = 3.0"
     simulate(job.parse(text.format(100.0, wave, "nm") + "fields = ['height']"), comm, shared_tmp_path / "out")
     back = f"kind = 'file'\npath = '{shared_tmp_path}/out/fields.h5:height'"
@@ -330,7 +331,7 @@ def test_check_opens_the_file(tmp_path):
     heights = np.random.default_rng(0).normal(size=SHAPE)
     heights[3, 4] = np.nan
     code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
-    (tmp_path / "job.toml").write_text(head)
+    (tmp_path / "job.toml").write_text(SOLID + head)
     for shape, words in ((SHAPE, "11 x 24 points, first axis x, unit not said; 1 missing"), ((24, 11), "24 x 11")):
         made(tmp_path / "a.npy", heights.reshape(shape))
         command = [sys.executable, "-c", code, "check", str(tmp_path / "job.toml")]
@@ -388,7 +389,7 @@ def test_fields_behind_a_link_are_part_of_the_job(comm, shared_tmp_path):
 
     saved(comm, shared_tmp_path, "linked.h5", lambda path: made(path, np.eye(8)))
     saved(comm, shared_tmp_path, "fields.h5", link)
-    text = f"[grid]\nn = 8\n[surface]\nkind = 'file'\npath = '{pieces[1]}:height'\n[load]\npressure = 0.01\n"
+    text = SOLID + f"[grid]\nn = 8\n[surface]\nkind = 'file'\npath = '{pieces[1]}:height'\n[load]\npressure = 0.01\n"
     simulate(job.parse(text), comm, shared_tmp_path / "out")
     saved(comm, shared_tmp_path, "linked.h5", lambda path: made(path, 2 * np.eye(8)))
     with pytest.raises(InputError, match=r"content of .*fields\.h5 has changed"):

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from job_texts import SOLID
 
 from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import sink, source
@@ -65,6 +66,8 @@ def test_a_job_solves_alike(comm, shared_tmp_path):
         hurst = 0.8
         lambda_s = 8.0
         rms_slope = 0.1
+        [solid]
+        contact_modulus = 1
         [load]
         pressure = [0.02]
         [solver]
@@ -115,7 +118,7 @@ def test_it_is_named_where_it_is_missing(tmp_path):
     """Where mpi4py-fft cannot be imported, a job that chooses it is refused in one line."""
     code = "import sys; sys.modules['mpi4py_fft'] = None; from pgfmd.cli import main; sys.exit(main())"
     (tmp_path / "job.toml").write_text(
-        "[grid]\nn = 8\n[surface]\nkind = 'paraboloid'\nradius = 9\n[load]\npressure = 0.1\n"
+        SOLID + "[grid]\nn = 8\n[surface]\nkind = 'paraboloid'\nradius = 9\n[load]\npressure = 0.1\n"
         "[solver]\ntransform = 'mpi4py-fft'\n"
     )
     words = [sys.executable, "-c", code, "run", tmp_path / "job.toml", "--output", tmp_path / "out"]

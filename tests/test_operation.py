@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from job_texts import rough_job
 
+import pgfmd
 from pgfmd.cli import main
 from pgfmd.errors import InputError
 from pgfmd.io.results import Results
@@ -44,6 +45,22 @@ def told(comm):
 
 
 @pytest.mark.mpi
+def test_the_modulus_is_said(comm, shared_tmp_path, capsys, caplog):
+    """`new`, `check`, log and `info` say the contact modulus; at 1, the default of `solve`, areas are the same."""
+    text = rough_job([32, 30], solid={"contact_modulus": 1.0}, load={"pressure": [0.02]}, output={"fields": ["height"]})
+    folder = shared_tmp_path / "run"
+    caplog.set_level(logging.INFO, "pgfmd")
+    results = pgfmd.run(parse(text), folder, comm=comm)
+    contact = pgfmd.solve(pgfmd.surface(parse(text), comm), 0.02, comm=comm)
+    assert contact.contact_area == results.loads["contact_area"][0]
+    if comm.rank == 0:
+        assert "solid: homogeneous; contact_modulus = 1.0, thickness = inf" in caplog.text
+        (shared_tmp_path / "job.toml").write_text(text)
+        for words in (["new"], ["check", str(shared_tmp_path / "job.toml")], ["info", str(folder)]):
+            assert main(words) == 0
+            assert "contact_modulus = 1.0" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("control", ["pressure", "contact_area"])
 def test_loads_are_added_to_a_run(comm, shared_tmp_path, control):
     """--restart with more values at the end of the list solves those alone: what was written stays byte for byte, the

@@ -15,6 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from job_texts import SOLID
 
 from pgfmd.errors import InputError
 from pgfmd.io import atomic, hdf5_slabs, schema
@@ -31,6 +32,7 @@ pytestmark = pytest.mark.mpi
 SHAPE, LENGTHS = (13, 6), (26.0, 6.0)  # 13 rows: uneven slabs on 2, 3 and 4 ranks
 FIELD = np.arange(78.0).reshape(SHAPE) ** 1.5
 JOB = '[grid]\nn = [13, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1 # µm\n[load]\npressure = [0.1, 0.2, 0.3]\n'
+JOB += SOLID
 HISTOGRAM = {
     "pressure_histogram": {
         "edges": np.arange(4.0), "center": np.arange(3) + 0.5, "density": np.array([0.5, 0.25, 0.25]),

@@ -39,6 +39,8 @@ lambda_s = 12.0
 rms_slope = 0.1
 [wall]
 {wall}
+[solid]
+contact_modulus = 1
 [load]
 pressure = [0.004, 0.02]
 [output]

@@ -27,6 +27,9 @@ rms_slope = 0.031
 seed = {seed}
 [wall]
 {wall}
+[solid]
+lame_lambda = 1
+lame_mu = 1
 [load]
 pressure = [0.003, 0.02]
 [output]

@@ -18,6 +18,8 @@ n = 16
 [surface]
 kind = "file"
 path = "{path}"
+[solid]
+contact_modulus = 1
 [load]
 pressure = [0.01, 0.02, 0.03]
 [output]

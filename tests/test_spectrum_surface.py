@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from job_texts import SOLID
 from mpi4py import MPI
 
 from pgfmd.errors import InputError
@@ -118,7 +119,7 @@ def test_job_end_to_end(comm, shared_tmp_path):
     saved(comm, shared_tmp_path / "c.txt", BENT)
     if comm.rank == 0:
         (shared_tmp_path / "job.toml").write_text(
-            "[grid]\nn = 64\n[surface]\nkind = 'spectrum'\npath = 'c.txt'\nseed = 3\n[load]\npressure = 0.1\n"
+            SOLID + "[grid]\nn = 64\n[surface]\nkind = 'spectrum'\npath = 'c.txt'\nseed = 3\n[load]\npressure = 0.1\n"
             "[solver]\ntolerance = 1e-3\n[output]\nfields = ['height']\nobservables = ['spectra']\n"
         )
     comm.Barrier()
@@ -188,7 +189,7 @@ def test_rank_0_alone_reads_the_table(comm, shared_tmp_path, monkeypatch):
 
     if comm.rank > 0:
         monkeypatch.setattr(FromSpectrum, "table", refuse)
-    text = f"[grid]\nn = 32\n[surface]\nkind = 'spectrum'\npath = '{path}'\n[load]\npressure = 0.1\n"
+    text = SOLID + f"[grid]\nn = 32\n[surface]\nkind = 'spectrum'\npath = '{path}'\n[load]\npressure = 0.1\n"
     simulate(job.parse(text + "[output]\nobservables = ['lowpass']\n"), comm, shared_tmp_path / "out")
     assert len(Results(shared_tmp_path / "out")) == 1
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import ROOT
+from job_texts import SOLID
 from mpi4py import MPI
 from solids import elastic
 
@@ -113,7 +114,8 @@ def test_roll_off_end_to_end(comm, shared_tmp_path):
     """A job with lambda_s < lambda_r < lambda_l writes heights whose spectrum, by NumPy, is nothing below 2π/λ_l, one
     plateau up to 2π/λ_r, then q^(−2(1+H)) with no step, nothing above 2π/λ_s; 4 standard errors of Gaussian modes."""
     text = (
-        "[grid]\nn = [192, 128]\nspacing = [0.5, 1.0]\n[surface]\nkind = 'self-affine'\nhurst = 0.6\nlambda_s = 6\n"
+        SOLID
+        + "[grid]\nn = [192, 128]\nspacing = [0.5, 1.0]\n[surface]\nkind = 'self-affine'\nhurst = 0.6\nlambda_s = 6\n"
         "lambda_r = 32\nlambda_l = 100\nrms_slope = 0.05\nseed = 4\n[load]\npressure = 0.01\n"
         "[solver]\ntolerance = 1e-3\n[output]\nfields = ['height']\n"
     )
@@ -144,7 +146,7 @@ def test_surface_of_a_job_in_a_script(comm, shared_tmp_path, surface):
     either transform; to 1e-14 of their range.
     """
     text = f"[grid]\nn = [128, 96]\n[surface]\n{surface}\n[load]\npressure = 1e-4\n[output]\nfields = ['height']\n"
-    text += "[solver]\ntolerance = 0.1\n"
+    text += SOLID + "[solver]\ntolerance = 0.1\n"
     if comm.rank == 0:
         (shared_tmp_path / "job.toml").write_text(text)
     comm.Barrier()

@@ -41,6 +41,9 @@ n = {n}
 {surface}
 [wall]
 {wall}
+[solid]
+lame_lambda = 1
+lame_mu = 1
 [load]
 {load}
 [output]

@@ -230,7 +230,8 @@ def _subtitle(load: Load) -> str:
                       (("hurst", "H"), ("lambda_s", "λₛ/a"), ("rms_slope", "rms slope"), ("seed", "seed"))
                       if isinstance(surface.get(key), int | float))  # fmt: skip
     kind = printable(str(surface.get("kind", "")), 40)
-    return f"{nx} × {ny} points, cell {size}; {kind} surface{f' ({rough})' if rough else ''}; {wall} wall"
+    rough, modulus = f" ({rough})" if rough else "", f"{load.modulus:g} {load.unit('pressure')}".strip()
+    return f"{nx} × {ny} points, cell {size}; {kind} surface{rough}; {wall} wall; E′ = {modulus}"
 
 
 def _name(load: Load) -> str:

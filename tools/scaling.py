@@ -27,6 +27,7 @@ import scaling_model
 SLOPE, PRESSURE = 0.031, 0.0036  # of the problem: H = .8, λ_s = n/64, some 8 % in contact
 JOB = """grid.n = {n}
 surface = {{kind = "self-affine", hurst = 0.8, lambda_s = {shortest}, rms_slope = {slope}}}
+solid = {{lame_lambda = 1.0, lame_mu = 1.0}}
 load.pressure = {pressure}
 """  # the same for `pgfmd check`
 REPEATS = 3  # of a solve that is measured; the fastest counts, since other programs can only prolong it

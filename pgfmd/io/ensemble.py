@@ -41,7 +41,8 @@ class Ensemble(Runs):
 
     >>> import pgfmd
     >>> rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": "1..3"}
-    >>> job = {"grid": {"n": 32}, "surface": rough, "load": {"pressure": [0.005, 0.01]}}
+    >>> solid, load = {"contact_modulus": 1.0}, {"pressure": [0.005, 0.01]}
+    >>> job = {"grid": {"n": 32}, "surface": rough, "solid": solid, "load": load}
     >>> ensemble = pgfmd.run(job)
     >>> ensemble.seeds, ensemble.status, len(ensemble)
     ([1, 2, 3], 'complete', 6)

@@ -14,7 +14,7 @@ from pgfmd.io import checksum, ensemble
 from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results, Runs, table
 from pgfmd.io.schema import FIELDS_FILE, LOADS, OBSERVABLES_FILE, VTK_FILE, load_name, member_name
-from pgfmd.options.text import counted
+from pgfmd.options.text import assignments, counted
 
 
 def damage(results: Results) -> dict[Path, str]:
@@ -79,6 +79,7 @@ def summary(results: Results) -> str:
         "status": results.status + (f": {about['error']}" if results.status == "failed" else ""),
         "loads": f"{len(results)} of {asked} completed" if asked else f"{len(results)} completed",
         "grid": f"{results.shape[0]} × {results.shape[1]} points, cell {results.lengths[0]:g} × {results.lengths[1]:g}",
+        "solid": assignments(results.job["solid"]),
         "fields": ", ".join(results.fields() + (results.fields(-1) if len(results) else [])) or "none",
         **_origin(about),
         "finished": about.get("finished", "—"),

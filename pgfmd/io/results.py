@@ -43,9 +43,10 @@ class Results:
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
-    >>> results = pgfmd.run({"grid": {"n": 32}, "surface": wave, "load": {"pressure": [0.01, 0.02]}})
+    >>> solid, load = {"contact_modulus": 1.0}, {"pressure": [0.01, 0.02]}
+    >>> results = pgfmd.run({"grid": {"n": 32}, "surface": wave, "solid": solid, "load": load})
     >>> [round(load.numbers["contact_area"], 3) for load in results]
-    [0.156, 0.219]
+    [0.219, 0.281]
     >>> results.to_dataframe()[["mean_pressure", "contact_area"]].shape
     (2, 2)
     """
@@ -228,6 +229,7 @@ class Runs:
 
     >>> import pgfmd
     >>> job = {"grid": {"n": 32}, "surface": {"kind": "paraboloid", "radius": 60.0}, "load": {"pressure": [0.001]}}
+    >>> job |= {"solid": {"contact_modulus": 1.0}}
     >>> runs = pgfmd.run(job) + pgfmd.run(job | {"load": {"pressure": [0.002]}})
     >>> len(runs), [load.numbers["mean_pressure"] for load in runs]
     (2, [0.001, 0.002])

@@ -10,6 +10,7 @@ from pgfmd.grid.cost import Cost
 from pgfmd.grid.holders import largest_shares
 from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
+from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
 from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
 from pgfmd.solvers.cost import cost as solver_cost
@@ -165,7 +166,7 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     lines = {
         "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",
         "surface": ": ".join(filter(None, [job.surface.kind, understood["surface"]])),
-        "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])),
+        "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",
         "memory": f"about {readable(found.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "

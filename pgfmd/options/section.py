@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.options.rules import Rule, text
-from pgfmd.options.text import as_toml_value, guess, printable, show
+from pgfmd.options.text import as_toml_value, assignments, guess, printable, show
 
 
 def key(
@@ -157,6 +157,11 @@ def build(section: type[Section] | Kinds, table: Any) -> Section:
         rule = fields[name].metadata["rule"]
         values[name] = value if isinstance(rule, Rule) else build(rule, value)
     return chosen(**values)
+
+
+def in_words(section: Section) -> str:
+    """The keys of a section that have a value, on one line."""
+    return assignments({name: getattr(section, name) for name in _names(type(section))})
 
 
 def as_toml(title: str, section: Section) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,11 @@ def printable(name: str, longest: int = 60) -> str:
 def counted(number: int, noun: str) -> str:
     """ "1 rank", "2 ranks"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def assignments(table: Mapping[str, Any]) -> str:
+    """Names and values of what has one, on one line: "young = 2.0, poisson = 0.3"."""
+    return ", ".join(f"{name} = {show(value)}" for name, value in table.items() if value is not None)
 
 
 def show(value: Any) -> str:

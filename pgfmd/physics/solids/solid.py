@@ -36,24 +36,32 @@ class Solid(Section):
     """An elastic solid; a subclass is one kind, and its fields are its keys in [solid].
 
     Give one of (lame_lambda, lame_mu), (young, poisson), contact_modulus alone or with poisson; the others follow from
-    it.  Nothing given: λ = μ = 1.  Redundant values must agree.
+    it.  There is no default.  Redundant values must agree.
     `contact_modulus` is always known; the others are None if contact_modulus was given without poisson.
 
     long_waves: the key that decides the response to long waves, for messages.
     """
 
     where = "solid"
+    shown: ClassVar[tuple[str, ...]] = ("contact_modulus",)
     long_waves: ClassVar[str] = "thickness"
 
     lame_lambda: float | None = key(number(), about="λ, with lame_mu", unit="pressure")
     lame_mu: float | None = key(POSITIVE, about="μ", unit="pressure")
     young: float | None = key(POSITIVE, about="E, with poisson", unit="pressure")
     poisson: float | None = key(POISSON, about="ν", unit="1", example=0.25)
-    contact_modulus: float = key(POSITIVE, about="E' = E/(1 − ν²)", unit="pressure", example=1.0)
+    contact_modulus: float = key(
+        POSITIVE, about="E' = E/(1 − ν²); at 1 pressures are in units of E'", unit="pressure", example=1.0
+    )
 
     def check(self) -> None:
         given = {name: getattr(self, name) for name in MODULI if getattr(self, name) is not None}
-        known = _moduli(given or {"lame_lambda": 1.0, "lame_mu": 1.0})
+        if not given:
+            raise InputError(
+                "solid.contact_modulus is missing: give it (1.0: pressures are in units of E'), or young and poisson, "
+                "or lame_lambda and lame_mu (both 1.0 where jobs of earlier versions gave nothing)"
+            )
+        known = _moduli(given)
         if known is None:
             raise InputError(
                 "solid: give lame_lambda and lame_mu, or young and poisson, or contact_modulus "
