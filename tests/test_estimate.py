@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from job_texts import rough_job
 
 from pgfmd.grid.holders import holders, largest_shares
@@ -122,6 +124,17 @@ def test_times_have_no_exponent(seconds, expected):
 def test_bytes_have_no_exponent():
     """999.7 MB, to three digits, are 1000 MB."""
     assert (readable(999.7e6), readable(1.234e9)) == ("1000 MB", "1.23 GB")
+
+
+def test_the_very_large_job_says_what_check_says():
+    """The table in jobs/very-large.toml: memory of a node and files within 10 %, the time within a factor of 2."""
+    path = ROOT / "jobs" / "very-large.toml"
+    rows = re.findall(r"^# +(\d+) +(\d+) +([\d.]+) GB +([\d.]+) GB +([\d.]+) s$", path.read_text(), re.MULTILINE)
+    assert [int(n) for n, *_ in rows] == [16384, 32768, 65536] and job.load(path).grid.n[0] == 16384
+    for n, ranks, memory, files, seconds in rows:
+        found = estimate.estimate(job.load(path, [f"grid.n={n}"]), int(ranks), per_node=4)
+        assert (found.node, found.files) == pytest.approx((float(memory) * 1e9, float(files) * 1e9), rel=0.1)
+        assert 0.5 < found.seconds / float(seconds) < 2
 
 
 def test_dynamics_take_longer():
