@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
-from benchmarks import report, total_error  # noqa: E402
+from benchmarks import report, total_error, worker  # noqa: E402
 from benchmarks.case import Case  # noqa: E402
 from benchmarks.cores import PLAN as CORES  # noqa: E402
 from benchmarks.recorder import EnoughError, Recorder  # noqa: E402
@@ -43,6 +43,37 @@ def test_errors_are_relative_two_norms_and_relative_areas():
     assert point["pressure_error"] == pytest.approx(expected, rel=1e-12, abs=0)
     area, right = np.sum(pressure < 0), np.sum(reference > 0)
     assert point["area_error"] == pytest.approx(1 - area / right, rel=1e-12, abs=0)
+
+
+def test_pressures_are_certified_where_they_pass_a_level():
+    """Once for each of the levels 1e-3, 1e-4, 1e-6 of the pressure error that a point is the first to reach, scaled."""
+    seen, reference = [], np.ones((2, 2))
+    recorder = Recorder(reference, certify=lambda pressure: (seen.append(pressure) or len(seen), 0.5))
+    recorder.start()
+    for error in (1e-1, 5e-4, 2e-4, 1e-7):
+        recorder.note(-2 * (reference + error), 0, scale=-0.5)
+    expected = [np.nan, 1, np.nan, 2]
+    np.testing.assert_array_equal([point["certified_error"] for point in recorder.points], expected)
+    np.testing.assert_allclose(seen[0], 1 + 5e-4, rtol=1e-12)
+
+
+def test_the_certified_error_of_a_peer_bounds_the_true_one():
+    """Of a solution to 1e-4, against one to 1e-18: the true energy error is at most the bound, and half of it or more;
+    so it is of that pressure in other units.
+    """
+    pytest.importorskip("mpi4py")
+    from benchmarks.case import CONTACT_MODULUS
+
+    import pgfmd
+
+    surface = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1}
+    heights = pgfmd.surface({"grid": {"n": 64}, "surface": surface})
+    rough, exact = (
+        pgfmd.solve(heights, 0.02, contact_modulus=CONTACT_MODULUS, tolerance=tolerance) for tolerance in (1e-4, 1e-18)
+    )
+    for unit in (1.0, 1e6):
+        bound, true = worker.certified(heights, exact.pressure, unit * rough.pressure)
+        assert 0.5 * bound < true <= bound <= 1e-4
 
 
 def test_what_follows_the_last_note_is_charged_to_every_point():

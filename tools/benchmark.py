@@ -36,7 +36,7 @@ from benchmarks.methods import PEERS
 
 COLUMNS = (
     "n hurst lambda_s area mean_pressure method setting ranks threads repeat tolerance point "
-    "seconds cpu transforms pressure_error area_error truncated"
+    "seconds cpu transforms pressure_error area_error truncated certified_error energy_error"
 ).split()
 
 # ASPHER's precisions and preconditioners; which is best depends on the case.

@@ -7,7 +7,8 @@ import math
 from collections import defaultdict
 from pathlib import Path
 
-LEVELS = (1e-3, 1e-4, 1e-6)
+from .recorder import LEVELS
+
 OURS = "pgfmd"
 HEAD = f"{'n':>5} {'H':>4} {'lambda_s':>8} {'f_c':>5}"
 CASE = ("n", "hurst", "lambda_s", "area")
@@ -37,8 +38,8 @@ def load(folder: Path, clock: str = "seconds") -> dict[tuple, dict[tuple, list[d
             case = (int(row["n"]), float(row["hurst"]), float(row["lambda_s"]), float(row["area"]))
             curve = (row["method"], row["setting"], int(row["ranks"]), int(row["threads"]))
             key = (case, curve, float(row["tolerance"]), int(row["point"]))
-            numbers = ("seconds", "cpu", "transforms", "pressure_error", "area_error", "mean_pressure")
-            point = {name: float(row[name]) for name in numbers}
+            numbers = "seconds cpu transforms pressure_error area_error mean_pressure certified_error energy_error"
+            point = {name: float(row.get(name) or math.nan) for name in numbers.split()}
             point["seconds"] = point[clock]
             if key not in best or point["seconds"] < best[key]["seconds"]:
                 best[key] = point
@@ -74,6 +75,19 @@ def fastest(curves: dict[tuple, list[dict]], method: str, error: float, ranks: i
         if key[0] == method and key[2:] == (ranks, threads)
     ]
     return min(found, default=(math.inf, ""))
+
+
+def certified(curves: dict[tuple, list[dict]], method: str, error: float) -> tuple[float, float]:
+    """Certified and true energy error of the pressure with which a method, on one core, passed a pressure error; NaN if
+    it never did.
+    """
+    found = [
+        (point["certified_error"], point["energy_error"])
+        for key, points in curves.items()
+        for point in points
+        if key[0] == method and key[2:] == (1, 1) and point["pressure_error"] <= error and point["certified_error"] > 0
+    ]
+    return max(found, default=(math.nan, math.nan))
 
 
 def report(folder: Path, clock: str = "seconds") -> None:
@@ -115,20 +129,21 @@ def _ratios(cases):
                 )
                 row = dict(zip(CASE, case, strict=True)) | {"error": error, "peer": peer, "setting": setting}
                 row |= {"ours": ours, "theirs": theirs, "ratio": theirs / ours, "at_least": lower / ours}
+                row |= dict(zip(("certified", "true"), certified(curves, peer, error), strict=True))
                 yield row | {"asked": asked(peer, case[0], case[2], case[3]) or ""}
 
 
 def _print_ratios(ratios) -> None:
-    print("\nTime in s to a relative pressure error, one core each; the peer at its best setting")
-    print(f"{HEAD} {'error':>6}  {'peer':17} {'ours':>8} {'theirs':>9} {'ratio':>7} {'asked':>6}")
+    print("\nTime in s to a relative pressure error, one core each; the peer at its best setting, its certified error")
+    print(f"{HEAD} {'error':>6}  {'peer':17} {'ours':>8} {'theirs':>9} {'ratio':>7} {'certified':>9} {'asked':>6}")
     for row in ratios:
         reached = math.isfinite(row["theirs"])
         ratio = row["ratio"] if reached else row["at_least"]
         shown = f"{ratio:7.1f}" if reached else f">{ratio:6.1f}"
         verdict = "" if row["asked"] == "" else "yes" if ratio >= row["asked"] else "no" if reached else "?"
         theirs = f"{row['theirs']:9.3f}" if reached else "not there"
-        numbers = f"{row['ours']:8.3f} {theirs} {shown} {row['asked']!s:>6} {verdict:3} {row['setting']}"
-        print(f"{_start(row)} {row['error']:6.0e}  {row['peer']:17} {numbers}")
+        numbers = f"{row['ours']:8.3f} {theirs} {shown} {row['certified']:9.1e} {row['asked']!s:>6} {verdict:3}"
+        print(f"{_start(row)} {row['error']:6.0e}  {row['peer']:17} {numbers} {row['setting']}")
 
 
 def _start(row: dict) -> str:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +50,9 @@ def _measure(job: dict, case: Case, folder: Path) -> None:
     warm_up(method, job, comm)
     heights, reference = case.heights(folder, rows), case.reference(folder, rows)
     pressure = case.facts(folder)["mean_pressure"]
+    certify = partial(certified, heights, reference, comm=comm)
     for tolerance in TOLERANCES.get(job["method"], (TIGHTEST,)):
-        recorder = Recorder(reference, comm, job["floor"], job["budget"])
+        recorder = Recorder(reference, comm, job["floor"], job["budget"], certify)
         method(case, heights, pressure, recorder, tolerance, job["threads"], **job["setting"])
         if comm is None or comm.rank == 0:
             with open(job["out"], "a") as out:
@@ -60,6 +63,30 @@ def _measure(job: dict, case: Case, folder: Path) -> None:
         over = over if comm is None else comm.bcast(over)
         if last["pressure_error"] <= job["floor"] or recorder.truncated or over:
             break
+
+
+def certified(heights, reference, pressure, comm=None) -> tuple[float, float]:
+    """The bound of a pressure's energy error by `pgfmd.certify`, and J(p) − J(p*) = ½⟨d, Gd⟩ + ⟨g*, d⟩ with d = p − p*,
+    p* the reference and g* its gap, both over 2 E_el; the second is NaN on several ranks.  Collective.
+    """
+    import pgfmd
+
+    load = {"mean_pressure": mean(reference, comm), "contact_modulus": CONTACT_MODULUS, "comm": comm}
+    found = pgfmd.certify(heights, pressure, **load)
+    if comm is not None and comm.size > 1:
+        return found.certified_error, math.nan
+    change = pressure * (load["mean_pressure"] / mean(pressure, comm)) - reference
+    q = 2 * np.pi * np.hypot(*np.meshgrid(*map(np.fft.fftfreq, change.shape), indexing="ij"))
+    q[0, 0] = math.inf
+    square = np.sum(np.abs(np.fft.fft2(change)) ** 2 / q) / change.size * 2 / CONTACT_MODULUS
+    true = square / 2 + np.vdot(pgfmd.certify(heights, reference, **load).gap, change)
+    return found.certified_error, float(true / change.size / (2 * found.elastic_energy))
+
+
+def mean(field, comm) -> float:
+    """Of a field (rows, n) over all ranks."""
+    sums = np.array([np.sum(field), np.size(field)])
+    return float(np.divide(*(sums if comm is None else comm.allreduce(sums))))
 
 
 def warm_up(method, job: dict, comm) -> None:
