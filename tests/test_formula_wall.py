@@ -62,6 +62,7 @@ LAWS = {
     "power": ("0.01 * (0.5 / gap)**{n}", lambda g, n: 0.01 * (0.5 / g) ** n, (0.05, 50.0)),
     "spring": ("0.05 * {n} * (9 - gap) if gap < 9 else 0", lambda g, n: 0.05 * n * (9 - g), (-60.0, 20.0)),
     "exponential": ("0.1 * exp(-{n} * gap)", lambda g, n: 0.1 * np.exp(-n * g), (-3.0, 60.0)),
+    "short": ("{n} * (0.4 - gap)", lambda g, n: n * (0.4 - g), (0.1, 0.4)),  # most points are out of its reach
 }
 
 
@@ -103,6 +104,7 @@ def test_random_contacts_by_brute_force(comm, law):
                 "power": lambda: 0.5 * (0.01 / p) ** (1 / n),
                 "spring": lambda: 9 - p / 0.05 / n,
                 "exponential": lambda: -np.log(p / 0.1) / n,
+                "short": lambda: 0.4 - p / n,
             }[law]()
             return np.clip(inverse, *gaps)
 
@@ -152,6 +154,46 @@ def test_loads_and_gaps_of_a_formula(comm):
     assert again.mean_pressure == pytest.approx(0.05, rel=1e-2, abs=0)
     with pytest.raises(InputError, match="contact_area"):
         LoadControl(Load(contact_area=(0.1,)), problem).check_targets((0.1,))
+
+
+RANGES = {
+    "0.5 / (1 + exp(3 * gap))": ((-10, 12), lambda p: 1 / (3 * (1 - 2 * p)), (1e-12, 0.49, 0.4999999)),
+    "0.1 * (0.5 / gap)**9": ((0.05, 20), lambda p: 0.5 * (0.1 / p) ** (1 / 9) / 9, (1e-10, 0.1, 1e5)),
+    "2 - gap if gap < 1 else 0.8 / gap": ((0.1, 5), lambda p: p if p > 1 else 0.8 / p * (p < 0.8), (0.5, 0.9, 1.5)),
+    "0.05 * (9 - gap) if gap < 9 else 0": ((-60, 20), lambda p: p / 0.05, (1e-9, 0.1, 3.0)),
+}
+
+
+@pytest.mark.parametrize("text", RANGES)
+def test_the_range_is_that_at_a_pressure(text):
+    """−p/(dp/dgap), in any units, by hand; 0 in a jump and where the wall is closed.  It is constant between the nodes
+    of the table, which are 1/256 of the gaps apart at most: to 15 %, as on the plateau it grows by exp(3 · 22/256).
+    """
+    gaps, exact, pressures = RANGES[text]
+    law = FormulaWall(pressure=text, gaps=gaps)
+    for p in pressures:
+        units = Units(0.7, p, law.gap(p, None))
+        assert law.range_at(p) == pytest.approx(exact(p), rel=0.15, abs=1e-9)
+        assert law.in_units(units).range_at(1.0) == pytest.approx(law.range_at(p) / 0.7, rel=1e-9, abs=1e-9)
+    assert law.range_at(1e9) == 0
+
+
+@pytest.mark.parametrize("control", ["mean_gap", "displacement"])
+def test_gaps_beyond_its_ends_are_refused(comm, control):
+    """Between its smallest gap, where contact is full, and first touch at its largest, where the formula becomes 0."""
+    grid = SlabGrid(comm, (16, 16))
+    heights = self_affine(grid, 0.8, 8.0, 0.1, 1)
+    summit = grid.reduction.max(heights) - grid.reduction.sum(heights) / grid.size
+    law = FormulaWall(pressure="0.05 * (9 - gap) if gap < 9 else 0", gaps=(2, 20))
+    problem = ContactProblem(grid, heights, elastic(1.0), law)
+    for gap, message in ((2.0, "contact is full"), (9.001 + summit, "the wall ends and bears no load")):
+        target = gap if control == "mean_gap" else summit - gap
+        with pytest.raises(InputError, match=message):
+            LoadControl(Load(**{control: (target,)}), problem).solution(target)
+    for gap in (2.001, 2 + summit, 8.9 + summit):  # at the second, the approach that counts is 0
+        target = gap if control == "mean_gap" else summit - gap
+        found = LoadControl(Load(**{control: (target,)}), problem).solution(target)
+        assert found.mean_gap == pytest.approx(gap, rel=1e-5, abs=0)
 
 
 @pytest.mark.parametrize("text", ["(0.3 / gap)**7", "exp(-gap)", "2 - gap if gap < 1 else 0.8 / gap", "erfc(gap)"])
@@ -241,7 +283,11 @@ def test_the_table_is_dense():
     graph = tabulate(lambda gap: math.exp(-40 * gap) if gap < 0.7 else 1e-20 * (2 - gap), 0.0, 1.5, math.exp)
     steep = graph.pressures[:-1] > 1.1 * graph.pressures[1:]
     assert np.count_nonzero(steep) == 1 and np.diff(graph.gaps)[steep] < 1e-15
-    assert graph.longest == pytest.approx(1.3, rel=0.01)  # (2 − g) at the jump
+    pressures = 1e-20 * np.array([0.5, 0.8, 1.29])
+    assert graph.ranges(pressures) == pytest.approx(pressures / 1e-20, rel=0.01)  # 2 − g beyond the jump
+    assert graph.ranges(np.array([0.9, 1e-6, math.exp(-27)])) == pytest.approx(1 / 40, rel=0.01)  # before it
+    assert np.all(graph.ranges(np.array([2.0, 1e-21, 0.0])) == 0)  # beyond both ends
+    assert graph.ranges(np.array([1e-16])) < 1e-15  # in it
 
 
 TASK = """

@@ -131,7 +131,7 @@ def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     slope, cell = job.surface.known_slope() or 0.0, job.grid
     # rms slope times spacing and length bound the rms height of what has mean 0
     moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
-    scaled = job.wall.range > 0 or not (job.surface.centred and moderate)
+    scaled = job.wall.reach > 0 or not (job.surface.centred and moderate)
     single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
     return [solver_cost(method, area, slabs, job.wall.effort, scaled, single) for area in contact_areas(job)]
 

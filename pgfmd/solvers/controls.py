@@ -15,7 +15,7 @@ from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 
 EQUAL = 4 * np.finfo(float).eps  # over the largest height: points this close to the highest count as equally high
-TINY = 1e-300  # least argument of a logarithm
+TINY = 1e-300  # least argument of a logarithm, and tolerance of a gap
 LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 
 
@@ -38,6 +38,11 @@ class Control:
         return self.grid.reduction.max(self.problem.heights)
 
     @cached_property
+    def lowest(self) -> float:
+        """Smallest height, from any origin.  Collective."""
+        return self.grid.reduction.min(self.problem.heights)
+
+    @cached_property
     def summit(self) -> float:
         """Largest height, from the mean height.  Collective."""
         # Depths below the highest point keep their digits even where heights are far from 0.
@@ -47,7 +52,7 @@ class Control:
     def rms_height(self) -> float:
         """Of the heights about their mean.  Collective."""
         heights, reduce = self.problem.heights, self.grid.reduction
-        size = self.top - reduce.min(heights) or 1.0  # squares of heights may underflow
+        size = self.top - self.lowest or 1.0  # squares of heights may underflow
         return size * math.sqrt(reduce.sum(((self.top - heights - self.summit) / size) ** 2) / self.grid.size)
 
     def check_target(self, target: float) -> None:
@@ -172,13 +177,15 @@ class ContactArea(Control):
 
 class MeanGap(Control):
     """Mean gap, to `gap_tolerance`.  The search uses the approach since first contact, summit − mean gap, which grows
-    with the load.  Collective to make.
+    with the load, from `begin` to `limit`.  Collective to make.
     """
 
     def __init__(self, problem: ContactProblem, load: Load):
         super().__init__(problem, load)
-        overlap = not problem.law.releases or problem.law.highest < math.inf
-        self.limit = math.inf if overlap else self.summit  # of the approach
+        least, most = problem.law.ends
+        overlap = problem.law.highest < math.inf
+        self.begin, self.limit = -most, math.inf if overlap else self.summit - least
+        self.closed = least if least > -math.inf else 0.0  # gap of the hard wall with which it is compared
 
     def approach(self, target: float) -> float:
         """Approach at a target."""
@@ -189,13 +196,17 @@ class MeanGap(Control):
         return found.approach
 
     def check_target(self, target: float) -> None:
-        """Raises InputError for full contact, where any load is possible, unless the law admits overlap.  Collective.
+        """Raises InputError for full contact, where any load is possible, and for a gap beyond the law's last under one
+        that needs a load.  Collective.
         """
         super().check_target(target)
+        name, by_gap = self.options.control, self.options.control == "mean_gap"
         if self.approach(target) >= self.limit:
-            name = self.options.control
-            limit = "above 0" if name == "mean_gap" else f"below {self.limit:g}"
+            limit = f"above {self.problem.law.ends[0]:g}" if by_gap else f"below {self.limit:g}"
             raise InputError(f"load.{name} = {target:g}: must be {limit}, where contact is full at any load")
+        if not self.problem.law.releases and self.approach(target) <= self.begin:
+            limit = f"below {self.summit - self.begin:g}" if by_gap else f"above {self.begin:g}"
+            raise InputError(f"load.{name} = {target:g}: must be {limit}, where the wall ends and bears no load")
 
     def met_without_load(self, target: float) -> bool:
         """Whether the approach ends before first contact."""
@@ -206,32 +217,49 @@ class MeanGap(Control):
         return -self.approach(target)
 
     def guess(self, target: float) -> float:
-        """ln of the stress of full contact at gap 0; it decreases linearly with the gap.  Collective."""
-        beyond = (self.approach(target) - self.summit) / self.rms_height
-        return math.log(self.stress) + max(-20.0, min(3.0, 2 * beyond))
+        """ln of the sum of the law's pressure at the mean gap, and that of a hard wall at its smallest: the stress of
+        full contact there, from where its logarithm decreases linearly with the gap.  Where the solid is compressed
+        as a whole, the gap may be larger, and the law's pressure counts up to that stress.  Collective.
+        """
+        law, gap = self.problem.law, self.summit - self.approach(target)
+        pressure = self.stress * math.exp(max(-20.0, min(3.0, 2 * (self.closed - gap) / self.rms_height)))
+        bearing = law.pressure_at(gap, self.problem.solid)
+        return math.log(pressure + (min(bearing, self.stress) if self.mean_compliance else bearing))
 
     def distance(self, found: ContactSolution, target: float) -> float:
-        """In ln(approach/(limit − approach)), or in the approach itself if the law never releases the surface."""
+        """In ln((approach − begin)/(limit − approach)), or in the approach itself if the law has no ends."""
         return self._coordinate(self.reached(found)) - self._coordinate(self.approach(target))
 
     def _coordinate(self, approach: float) -> float:
-        if not self.problem.law.releases:
+        if math.isinf(self.begin):
             return approach / self.rms_height
         left = self.limit - approach
-        return math.log(max(approach, TINY)) - (math.log(max(left, TINY)) if left < math.inf else 0.0)
+        return math.log(max(approach - self.begin, TINY)) - (math.log(max(left, TINY)) if left < math.inf else 0.0)
 
-    def allowed(self, target: float) -> float:
-        """Tolerance of the approach."""
-        approach = self.approach(target)
-        short = min(abs(approach), self.limit - approach)
-        return self.options.gap_tolerance * max(short, self.problem.law.range)
+    def allowed(self, found: ContactSolution, target: float) -> float:
+        """Tolerance of the approach at a solution near the target.
+
+        It is relative to the approach since first contact with a hard wall at the law's smallest gap, or to the
+        distance from an end if that is less.  Under a law with a range it is relative to that if it is more, but never
+        to more than the rms height: a range grows without limit where the pressure hardly depends on the gap.
+        """
+        law, approach = self.problem.law, self.approach(target)
+        size = min(abs(approach + self.closed), approach - self.begin, self.limit - approach)
+        if law.reach > 0:
+            size = min(max(size, law.range_at(found.mean_pressure)), self.rms_height)
+        size = max(size, abs(self.reached(found) - approach), TINY)  # far from the target, size may be 0
+        return self.options.gap_tolerance * size
 
     def error(self, found: ContactSolution, target: float) -> float:
         """|Approach − target| over its tolerance."""
-        return abs(self.reached(found) - self.approach(target)) / self.allowed(target)
+        return abs(self.reached(found) - self.approach(target)) / self.allowed(found, target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """A bound of the error of the mean gap, over its tolerance.  Collective.
+        """`bound` over the tolerance.  Collective."""
+        return self.bound(found) / self.allowed(found, target)
+
+    def bound(self, found: ContactSolution) -> float:
+        """A bound of the errors of the mean gap and of the approach.  Collective.
 
         The least energy J*(P) is convex in the load P = Σ p, and its slope is the level λ* of contact.  A solution p
         with energy error B, and its multiples, bound J* from both sides: with a law of range ζ, A = ½⟨p, Gp⟩ + ζP/2,
@@ -240,19 +268,22 @@ class MeanGap(Control):
             J*(P ± sP) ≤ J(p ± sp) ≤ J(p) ± sPλ + s² A + s³ ζP/2,    J*(P) ≥ J(p) − B,
 
         so that |λ* − λ| ≤ (s A + s² ζP/2 + B/s)/P, which is at most (2√(AB) + B)/P at s = √(B/A), or at 1 if that is
-        less.  Under a law that limits the pressure to σ_Y, p may not be multiplied: w = min(p, σ_Y − p) is added or
-        taken away instead.  Then A = ½⟨w, Gw⟩, P is Σ w, and the terms ±s Σ w(g − λ), which vanish for w = p, are at
-        most 2s√(AB): the bound is (4√(AB) + B)/Σ w.
+        less.  Where the range depends on the pressure, ζP is Σ p × range, as s is small.
+
+        Under a law that limits the pressure to σ_Y, p may not be multiplied: w = min(p, σ_Y − p) is added or taken away
+        instead.  Then A = ½⟨w, Gw⟩, P is Σ w, and the terms ±s Σ w(g − λ), which vanish for w = p, are at most 2s√(AB):
+        the bound is (4√(AB) + B)/Σ w.
         """
-        energy, change, highest = found.elastic_energy, found.mean_pressure, self.problem.law.highest
-        bound, roots = 2 * energy * max(found.certified_error, LEAST_ERROR), 2
+        energy, change, law, grid = found.elastic_energy, found.mean_pressure, self.problem.law, self.grid
+        above, highest = 2 * energy * max(found.certified_error, LEAST_ERROR), law.highest
+        curvature = energy + grid.reduction.sum(law.softness(found.pressure)) / grid.size / 2
+        roots = 2
         if highest < math.inf:
-            energy, change = self._energy(np.minimum(found.pressure, highest - found.pressure))
+            curvature, change = self._energy(np.minimum(found.pressure, highest - found.pressure))
             roots = 4
         if change == 0:  # every point is at a bound: the level may lie anywhere between their gaps
             return math.inf
-        curvature = energy + self.problem.law.range * change / 2
-        return (roots * math.sqrt(bound * curvature) + bound) / change / self.allowed(target)
+        return (roots * math.sqrt(above * curvature) + above) / change
 
     def _energy(self, pressure: np.ndarray) -> tuple[float, float]:
         """½⟨p, Gp⟩ per point, without the mode q = 0, and the mean of a pressure (nx_local, ny).  Collective."""

@@ -91,7 +91,11 @@ class LawOperations:
         """
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
         threshold = law.contact_above(1.0, self.squares[0] / grid.size)
-        potential, load, contact = self.total(partial(law.moments, threshold=threshold), *fields)
+
+        def sums(pressure: np.ndarray, gap: np.ndarray) -> tuple[float, ...]:
+            return *law.moments(pressure, gap, threshold), law.softness(pressure)
+
+        potential, load, contact, softness = self.total(sums, *fields)
         level = state.level = float(potential / load) if load > 0 else state.level
         state.contact = int(contact)
         compliance, excess = local_compliance(self.problem, PIXELS), dict[int, float]()
@@ -110,7 +114,7 @@ class LawOperations:
         (heights_squared,) = self.total(squares_of_heights, state.pressure, self.heights)
         rounding = self.rounding.bound(self.squares, heights_squared, work)
         bound = certified(square, rounding) + grid.reduction.sum([excess[first] for first in sorted(excess)])
-        rounding += grid.size * last_digits(self.problem, self.squares[0] / grid.size)
+        rounding += grid.size * last_digits(self.problem, self.squares[0] / grid.size, softness / grid.size)
         state.error, state.rounding = (bound / work, rounding / work) if work > 0 else (math.inf, math.inf)
         if law.highest < math.inf and grid.reduction.max(state.pressure) > law.highest * (1 + ROUNDED):
             state.error = math.inf

@@ -119,6 +119,8 @@ class LoadControl:
             wanted = sharpest if narrow else self.tolerance
             finer = min(wanted, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
             if finer < tolerance and (error <= max(1.0, unsure) or narrow):
+                if finer == 0:  # no certificate knows the value
+                    break
                 tolerance = finer
                 search.restart(1.0 if narrow else search.slope)
                 best = math.inf, None

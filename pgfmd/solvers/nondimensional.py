@@ -19,11 +19,10 @@ from pgfmd.solvers.solution import ContactSolution, SolverState
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # of a solid over a half-space, so that single precision (to 3e38) holds it times the other factors
 UNIFORM = 1e15  # range of a law over the rms height above which a pressure in double precision is uniform
-SHORTEST = 1e-11  # least range of a law over the rms height: 1e5 units of the last digit of a gap
+SHORTEST = 8e-9  # least reach of a law over the rms height: ζ is then 1e5 units of the last digit of a gap
 SUMS = 1e-12  # relative error of the sums in a certified error
 BEYOND = 1.01  # safety factor on the depth that can touch
 CENTRED = 1e-13  # heights stay as they are if |mean|/rms is at most this, and rms and 1/rms at most `MODERATE`
-UNDERFLOW = 800.0  # gap over the range of a law at which the pressure underflows
 
 
 class Dimensionless:
@@ -50,17 +49,19 @@ class Dimensionless:
         if physical.mean_pressure == 0 or made.rms == 0:
             self.uniform = self._uniform(made.field)
             return
-        if law.range >= UNIFORM * made.rms:
-            raise Uncertifiable(
-                f"the wall's range zeta = {law.range:g}: the rms height is only {made.rms:g}, so that the pressure "
-                "differs by no more than its last digits: no elastic energy can be certified"
-            )
-        if 0 < law.range < SHORTEST * made.unit:
-            raise InputError(
-                f"the wall's range zeta = {law.range:g}: must be at least {SHORTEST:g} of the rms height of what can "
-                f'touch, here {made.unit:g}; shorter walls are hard: wall.kind = "hard"'
-            )
         mean = physical.mean_pressure
+        if (distance := law.range_at(mean)) >= UNIFORM * made.rms:
+            raise Uncertifiable(
+                f"the wall's range, −p/(dp/dgap) at the mean pressure or zeta = {distance:g}: the rms height is only "
+                f"{made.rms:g}, so that the pressure differs by no more than its last digits: no elastic energy can be "
+                "certified"
+            )
+        if 0 < law.reach < SHORTEST * made.unit:
+            raise InputError(
+                f"the wall's reach (800 zeta, or the distance of its gaps) is {law.reach:g}: must be at least "
+                f"{SHORTEST:g} of the rms height of what can touch, here {made.unit:g}; shorter walls are hard: "
+                'wall.kind = "hard"'
+            )
         self.units = Units(made.unit, mean, law.gap(mean, solid), law.highest)
         self.problem = ContactProblem(
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0
@@ -110,8 +111,9 @@ class Dimensionless:
             return law.finish(pressure[first:stop], gap[first:stop], level, units)
 
         mean, square = self.problem.mean_pressure, grid.reduction.dot(pressure, pressure) / grid.size
+        softness = grid.reduction.sum(law.softness(pressure)) / grid.size
         # Errors add in their norm, √(2 × energy).
-        digits = math.sqrt(last_digits(self.problem, square) / (2 * energy))
+        digits = math.sqrt(last_digits(self.problem, square, softness) / (2 * energy))
         error = (1 + SUMS) * (math.sqrt(max(state.error, 0.0)) + digits) ** 2
         if not error <= tolerance:
             raise Uncertifiable(
@@ -162,20 +164,20 @@ def elastic_energy_is_lost(problem: ContactProblem, rms: float) -> bool:
     grid, solid = problem.grid, problem.solid
     shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
     stiffness, compliance = float(solid.stiffness(np.array(shortest))), float(solid.compliance(np.array(longest)))
-    return last_digits(problem, 1.0) > min(rms**2 * stiffness, grid.size * compliance)
+    return last_digits(problem, 1.0, problem.law.range_at(1.0)) > min(rms**2 * stiffness, grid.size * compliance)
 
 
 def deepest(problem: ContactProblem, height: float) -> float:
     """How far below the highest point another may lie and still touch; inf if that is more than `height`.  Collective.
 
     A point i in contact lies below the highest one j by h_j − h_i ≤ u_j − u_i ≤ (max G − min G) Σp, and G lies between
-    ±⟨compliance(q)⟩, the mean over all modes.  The range of a law adds to that depth.  A law that limits the pressure
+    ±⟨compliance(q)⟩, the mean over all modes.  The reach of a law adds to that depth.  A law that limits the pressure
     admits any overlap, so that there is no such depth.
     """
     if problem.law.highest < math.inf:
         return math.inf
     grid, solid, mean_pressure = problem.grid, problem.solid, problem.mean_pressure
-    beyond = UNDERFLOW * problem.law.range
+    beyond = problem.law.reach
     stiffest = math.hypot(*(math.pi / step for step in grid.spacing))
     if 2 * mean_pressure * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
         return math.inf  # the mean of the compliance is larger still
@@ -233,7 +235,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     if low == high:
         return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
-    if problem.law.range == 0 and depth == math.inf and problem.mean_pressure > 0 and max(abs(low), high) < MODERATE**2:
+    if problem.law.reach == 0 and depth == math.inf and problem.mean_pressure > 0 and max(abs(low), high) < MODERATE**2:
         mean, rms = _spread(grid, threads.collect(lambda a, b: _sums(heights[a:b]), rows, grid.band))
         if 1 / MODERATE <= rms <= MODERATE and abs(mean) <= CENTRED * rms:
             return Heights(heights, high, 1.0, rms, high, math.inf)

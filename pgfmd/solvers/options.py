@@ -79,8 +79,12 @@ class Load(Section):
     gap_tolerance: float = key(
         number(above=0, below=1),
         1e-4,
-        "of mean_gap and displacement, relative to the approach since first contact; under a hard wall to the mean gap "
-        "if that is less; to zeta if that is more. For a slab on a rigid base relative to the displacement",
+        "of mean_gap and displacement, relative to a length. Hard wall: the approach since first contact, or the mean "
+        "gap if that is less. Exponential wall: that "
+        "approach, or zeta if that is more, but at most the rms height. Formula: the approach since first contact at "
+        "the smallest of gaps, or the way to either end of gaps if that is less; or −p/(dp/dgap) at the mean pressure "
+        "if that is more, but at most the rms height. Displacement of a slab on a rigid base: itself in place of the "
+        "approach",
         unit="1",
     )
 

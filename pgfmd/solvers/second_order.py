@@ -105,13 +105,12 @@ class Rounding:
         return (transforms + last**2 * stiffness * heights_squared + (SYMBOL * digit) ** 2 * work) / 2
 
 
-def last_digits(problem: ContactProblem, square: float) -> float:
+def last_digits(problem: ContactProblem, square: float, softness: float) -> float:
     """A bound of the energy of errors δ in the last digits of a pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point, which the
-    certificate does not contain.  square: ⟨p²⟩.
+    certificate does not contain.  square: ⟨p²⟩; softness: ⟨p² φ''⟩ (`ContactLaw.softness`).
     """
     longest = np.array(2 * math.pi / max(problem.grid.lengths))
-    softness = square * float(problem.solid.compliance(longest)) + problem.mean_pressure * problem.law.range
-    return DIGITS**2 / 2 * softness
+    return DIGITS**2 / 2 * (square * float(problem.solid.compliance(longest)) + softness)
 
 
 def certified(square: float, rounding: float) -> float:

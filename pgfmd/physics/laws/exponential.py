@@ -22,6 +22,7 @@ from pgfmd.physics.laws.law import ContactLaw, Units
 if TYPE_CHECKING:
     from pgfmd.physics.solids.solid import Solid
 
+UNDERFLOW = 800.0  # gap over ζ at which the pressure underflows
 LAST = 2 * np.finfo(np.float64).eps  # relative error of a logarithm and of its argument
 
 _jit = compiled()
@@ -44,13 +45,26 @@ class ExponentialWall(ContactLaw):
     )
 
     @property
-    def range(self) -> float:
-        """ζ."""
-        return self.zeta
+    def ends(self) -> tuple[float, float]:
+        """Any gap."""
+        return -math.inf, math.inf
+
+    @property
+    def reach(self) -> float:
+        """`UNDERFLOW` ζ."""
+        return UNDERFLOW * self.zeta
+
+    def softness(self, pressure: np.ndarray) -> float:
+        """ζ Σ p."""
+        return self.zeta * float(pressure.sum())
 
     def gap(self, pressure: float, solid: Solid) -> float:
         """ζ ln(σ_ref/p)."""
         return self.zeta * math.log((self.sigma_ref or solid.contact_modulus) / pressure)
+
+    def pressure_at(self, gap: float, solid: Solid) -> float:
+        """σ_ref exp(−g/ζ), up to exp(200)."""
+        return (self.sigma_ref or solid.contact_modulus) * math.exp(min(-gap / self.zeta, 200.0))
 
     def in_units(self, units: Units) -> ExponentialWall:
         """p̂ = exp(−ĝ/ζ̂)."""

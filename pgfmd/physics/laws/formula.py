@@ -57,13 +57,26 @@ class FormulaWall(ContactLaw):
         return _graph(self.pressure, self.gaps)
 
     @property
-    def range(self) -> float:
-        """The largest −p/(dp/dgap)."""
-        return self.graph.longest
+    def ends(self) -> tuple[float, float]:
+        """The first of `gaps`, and the second or where the formula becomes 0."""
+        return self.graph.ends
+
+    @property
+    def reach(self) -> float:
+        """From the smallest gap to the largest."""
+        return self.ends[1] - self.ends[0]
+
+    def softness(self, pressure: np.ndarray) -> float:
+        """From the table."""
+        return sum(float(p @ self.graph.ranges(p)) for p in pressure)
 
     def gap(self, pressure: float, solid: Solid) -> float:
         """The gap at which the formula gives that pressure."""
         return self.graph.gap(pressure)
+
+    def pressure_at(self, gap: float, solid: Solid) -> float:
+        """From the table."""
+        return float(np.interp(gap, self.graph.gaps, self.graph.pressures))
 
     def in_units(self, units: Units) -> ContactLaw:
         """The same between p̂ and ĝ."""
@@ -82,7 +95,7 @@ class _InUnits(ContactLaw):
     kind, releases = FormulaWall.kind, FormulaWall.releases
 
     def __init__(self, graph: Graph, units: Units) -> None:
-        self.longest = graph.longest / units.height
+        self.graph, self.units = graph, units
         self.away = abs(units.offset) / units.height  # of ĝ = 0 from the gap 0, from where rounding counts
         table = (graph.gaps - units.offset) / units.height, graph.pressures / units.pressure
         loop, scales = loops(graph.function), (units.height, units.pressure, units.offset)
@@ -92,10 +105,13 @@ class _InUnits(ContactLaw):
 
         self.meet = meet
 
-    @property
-    def range(self) -> float:
-        """As of the formula."""
-        return self.longest
+    def softness(self, pressure: np.ndarray) -> float:
+        """From the table."""
+        return sum(float(p @ self._ranges(p)) for p in pressure)
+
+    def _ranges(self, pressure: np.ndarray) -> np.ndarray:
+        """−p/(dp/dgap) at each pressure."""
+        return self.graph.ranges(pressure * self.units.pressure) / self.units.height
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
         """The point of the graph with compliance · p − gap = target + level."""
@@ -127,7 +143,7 @@ class _InUnits(ContactLaw):
             np.subtract(away, there[0], out=rest)
             digits = 8 * LAST
             forces = np.abs(p - answer[0]) + digits * np.maximum(p, answer[0])
-            lengths = np.abs(there[0] - own) + digits * (np.abs(own) + self.away + self.longest)
+            lengths = np.abs(there[0] - own) + digits * (np.abs(own) + self.away + self._ranges(p))
             total += float(forces @ lengths)
         return total
 

@@ -36,13 +36,24 @@ class Graph:
     pressures: np.ndarray
     function: Callable[[float], float]
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The smallest gap, and the largest with a pressure, or the node after it."""
+        bearing = int(np.count_nonzero(self.pressures > NEGLIGIBLE))
+        return float(self.gaps[0]), float(self.gaps[min(bearing, len(self.gaps) - 1)])
+
     @cached_property
-    def longest(self) -> float:
-        """The largest length over which the pressure changes, −p/(dp/dg)."""
-        gaps, logarithms = self.gaps, np.log(np.maximum(self.pressures, NEGLIGIBLE))
-        long = (np.diff(gaps) > APART * (gaps[-1] - gaps[0])) & (self.pressures[1:] > NEGLIGIBLE)
-        lengths = np.diff(gaps)[long] / -np.diff(logarithms)[long]
-        return float(lengths.max(initial=0.0)) or float(gaps[-1] - gaps[0])
+    def _between(self) -> np.ndarray:
+        """−p/(dp/dg) between neighbouring nodes, from the last gap to the first; 0 before and after (m + 1,)."""
+        falls = -np.diff(np.log(np.maximum(self.pressures, NEGLIGIBLE)))
+        lengths = np.diff(self.gaps) / np.maximum(falls, np.finfo(float).eps)
+        return np.concatenate(([0.0], lengths[::-1], [0.0]))
+
+    def ranges(self, pressure: np.ndarray) -> np.ndarray:
+        """The length over which the pressure changes with the gap, −p/(dp/dg), at pressures of any shape; 0 where the
+        graph is vertical, at both of its ends.
+        """
+        return self._between[np.searchsorted(self.pressures[::-1], pressure, side="right")]
 
     def gap(self, pressure: float) -> float:
         """The gap at that pressure."""

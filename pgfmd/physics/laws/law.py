@@ -61,9 +61,24 @@ class ContactLaw(Section):
         return math.inf
 
     @property
-    def range(self) -> float:
-        """The length over which the pressure changes with the gap; 0 for a wall that is hard."""
+    def ends(self) -> tuple[float, float]:
+        """The smallest and the largest gap of a point that bears pressure."""
+        return 0.0, 0.0
+
+    @property
+    def reach(self) -> float:
+        """By how much the gaps of two points that bear pressure may differ; 0 for a wall that is hard."""
         return 0.0
+
+    def softness(self, pressure: np.ndarray) -> float:
+        """Σ p² φ''(p) of rows of points, which is Σ p × range, with the range −p/(dp/dgap) at each pressure."""
+        return 0.0
+
+    def range_at(self, pressure: float) -> float:
+        """The length over which the pressure changes with the gap, −p/(dp/dgap), at a pressure > 0; 0 where any
+        pressure has one gap.
+        """
+        return self.softness(np.full((1, 1), pressure)) / pressure
 
     def up_to(self, pressure: float) -> ContactLaw:
         """A law that is the same up to that pressure; a simpler one if there is one."""
@@ -72,6 +87,10 @@ class ContactLaw(Section):
     def gap(self, pressure: float, solid: Solid) -> float:
         """The gap −dφ/dp at which a point carries that pressure."""
         raise NotImplementedError
+
+    def pressure_at(self, gap: float, solid: Solid) -> float:
+        """The pressure that a point bears at a gap, to begin a search; 0 for a wall that is hard."""
+        return 0.0
 
     def in_units(self, units: Units) -> ContactLaw:
         """The law between p̂ and ĝ, with the offset chosen so that ĝ = 0 at p̂ = 1."""
