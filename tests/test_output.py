@@ -468,6 +468,25 @@ def test_format_1_is_not_continued(comm, shared_tmp_path):
 
 
 
+def test_format_2_is_read(shared_tmp_path):
+    """Under limited hardness its gap was negative where the wall yields.  It comes as a gap ≥ 0 and the plastic depth;
+    what was made from it, and cannot be made again, as NaN.
+    """
+    with zipfile.ZipFile(Path(__file__).parent / "data" / "format_2.zip") as archive:
+        archive.extractall(shared_tmp_path)
+    with h5py.File(shared_tmp_path / "fields" / "load_0001.h5") as file:
+        before = file["gap"][()]
+    assert before.min() < 0
+    results = Results(shared_tmp_path)
+    load = results.load(1)
+    assert set(results.fields(1)) == {"pressure", "gap", "plastic_depth"}
+    np.testing.assert_array_equal(load.field("gap"), np.where(before > 0, before, 0))
+    np.testing.assert_array_equal(load.field("plastic_depth", slice(3, 5)), np.where(before < 0, -before, 0)[3:5])
+    assert np.isnan(results.loads["mean_gap"]).all() and np.isfinite(results.loads["displacement"]).all()
+    assert np.isnan(load["gap_histogram"]["density"]).all() and np.isnan(load["gap_spectrum"]["value"]).all()
+    assert np.isfinite(load["pressure_histogram"]["density"]).all()
+
+
 def test_reading_needs_no_mpi():
     """The reader runs on a laptop without mpi4py."""
     code = "import sys, pgfmd.io.results; sys.exit('mpi4py' in sys.modules)"

@@ -16,8 +16,9 @@ from pgfmd.theory import persson
 
 NAMES = {"contact_area_corrected": "corrected", "kappa": "κ", "certified_error": "certified error"}
 MOST_CURVES = 30  # loads whose distributions and spectra are shown
-COLUMNS = ("target", "mean_pressure", "contact_area", "contact_area_corrected", "kappa", "mean_gap", "displacement",
-           "elastic_energy", "certified_error", "iterations", "transforms", "seconds")  # fmt: skip
+COLUMNS = ("target", "mean_pressure", "contact_area", "contact_area_corrected", "kappa", "mean_gap",
+           "mean_plastic_depth", "displacement", "elastic_energy", "certified_error", "iterations", "transforms",
+           "seconds")  # fmt: skip
 
 
 def some(loads: Sequence[Load], most: int) -> list[Load]:
@@ -33,6 +34,8 @@ def table(loads: Sequence[Load]) -> dict[str, list]:
     """Columns and rows of the table of loads, with the error bars of the grid."""
     results = loads[0].results
     names = [name for name in COLUMNS if name in results.loads]
+    if loads[0].law != "hardness":
+        names = [name for name in names if name != "mean_plastic_depth"]
     columns = [{"name": "load", "unit": "", "about": "number of the load"}]
     columns += [{"name": NAMES.get(name, name.replace("_", " ")), "unit": _plain(results.units[name], loads[0]),
                  "about": LOADS[name][1]} for name in names]  # fmt: skip

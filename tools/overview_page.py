@@ -127,6 +127,7 @@ def _views(first: Load, shown: list[Load], folder: Path, notes: list[str]) -> It
         View("height", "Surface: height", length, "gray", each=False),
         View("pressure", "Pressure", pressure, "inferno", blank=contact),
         View("gap", "Gap", length, "viridis", "sqrt" if touching else "linear", blank="contact" if touching else None),
+        *[View("plastic_depth", "Plastic depth", length, "inferno", blank="not yielded")] * (first.law == "hardness"),
         View("patch", "Contact patches: area", square, "cividis", "log", blank="no contact"),
     )
     shape = first.results.shape

@@ -73,6 +73,8 @@ class Results:
                 {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
             )
             self.loads = columns.get(file["loads"], LOADS)
+        if self._overlaps:
+            self.loads["mean_gap"] = np.full_like(self.loads["mean_gap"], np.nan)
 
     def __len__(self) -> int:
         """Number of completed loads."""
@@ -116,6 +118,11 @@ class Results:
         """The job as nested tables, defaults included: job["surface"]["hurst"]."""
         return tomllib.loads(self.provenance["effective_toml"])
 
+    @cached_property
+    def _overlaps(self) -> bool:
+        """Whether gaps in the files are negative where the wall yields (`formats`)."""
+        return self.provenance["format_version"] < 3 and self.job.get("wall", {}).get("kind") == "hardness"
+
     @property
     def shape(self) -> tuple[int, int]:
         """Grid points (nx, ny)."""
@@ -138,7 +145,8 @@ class Results:
             return ["height"] if self.field_file("height").exists() else []
         with self._open(OBSERVABLES_FILE) as file:
             group = file.get(load_name(self._index(load)))  # none if a run skipped a load and was broken off
-            return [] if group is None else [str(name) for name in group.attrs["fields"]]
+            names = [] if group is None else [str(name) for name in group.attrs["fields"]]
+        return [*names, "plastic_depth"] if self._overlaps and "gap" in names else names
 
     def field(self, name: str, load: int | None = None, rows: slice = slice(None)) -> np.ndarray:
         """Rows of a field, shape (rows, ny): "height" without a load, the others with one."""
@@ -150,6 +158,8 @@ class Results:
         if not path.exists():
             raise InputError(f"{path}: is missing")
         with self._open(path.relative_to(self.directory)) as file:
+            if self._overlaps and name in ("gap", "plastic_depth"):
+                return np.maximum(file["gap"][rows] if name == "gap" else -file["gap"][rows], 0)
             return file[name][rows]
 
     def field_file(self, name: str) -> Path:
@@ -188,7 +198,8 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
     def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
         with self.results._open(OBSERVABLES_FILE) as file:
             table = {key: dataset[()] for key, dataset in file[self._name][title].items()}
-        return modern(title, table, self.results.provenance["format_version"], self.results.shape)
+        results = self.results
+        return modern(title, table, results.provenance["format_version"], results.shape, results._overlaps)
 
     def __iter__(self) -> Iterator[str]:
         with self.results._open(OBSERVABLES_FILE) as file:

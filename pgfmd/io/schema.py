@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-FORMAT_VERSION = 2  # how earlier ones differ: see `formats`
+FORMAT_VERSION = 3  # how earlier ones differ: see `formats`
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
 LIBVER = ("v108", "v110")
 
@@ -70,6 +70,7 @@ LOADS = {
     "contact_line": ("1", "1: there is a contact line; 0: none, as roughness goes down to the pixel or all is touched"),
     "kappa": ("1", "f_c E' g_rms / p̄, with g_rms the rms slope"),
     "mean_gap": ("{length}", "mean gap"),
+    "mean_plastic_depth": ("{length}", "volume by which a wall of limited hardness has yielded, per area of the cell"),
     "displacement": ("{length}", "approach of the solid's far side from where the flat solid touches the summit"),
     "elastic_energy": ("{pressure}*{length}", "elastic energy per area of the cell"),
     "certified_error": ("1", "upper bound of the energy error over 2 E_el"),
@@ -84,6 +85,7 @@ FIELDS = {
     "height": ("{length}", "heights of the rigid surface, peaks positive"),
     "pressure": ("{pressure}", "contact pressure"),
     "gap": ("{length}", "gap between solid and surface"),
+    "plastic_depth": ("{length}", "depth by which the surface has yielded, under limited hardness"),
     "displacement": ("{length}", "displacement of the solid's surface"),
     "labels": ("1", "number of the contact patch, counted from 1; 0: no contact"),
 }

@@ -129,6 +129,8 @@ class Contact(ContactSolution):
 
         x, y = coordinates(self.problem.grid)
         fields = {"height": self.heights, "pressure": self.pressure, "gap": self.gap}
+        if self.problem.law.highest < math.inf:
+            fields["plastic_depth"] = self.plastic_depth
         described = {name: (("x", "y"), values, {"description": FIELDS[name][1]}) for name, values in fields.items()}
         return xarray.Dataset(described, {"x": x[:, 0], "y": y[0]}, self.numbers)
 

@@ -124,10 +124,11 @@ class MeasuredContact:
         """The fields (nx_local, ny) of this load, of those in `schema.FIELDS`, that `names` lists."""
         fields = {}
         for name in names:
-            if name in ("pressure", "gap"):
+            if name in ("pressure", "gap", "plastic_depth"):
                 fields[name] = getattr(self.solution, name)
             elif name == "displacement":
                 position = self.solution.gap + self.surface.heights
+                position -= self.solution.plastic_depth
                 fields[name] = position - self.grid.reduction.sum(position) / self.grid.size
             elif name == "labels":
                 fields[name] = self.labels(connectivity).label_field()

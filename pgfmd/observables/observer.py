@@ -85,6 +85,7 @@ class Observer:
             "contact_line": float(contact.line is not None),
             "kappa": contact.kappa,
             "mean_gap": solution.mean_gap,
+            "mean_plastic_depth": solution.mean_plastic_depth,
             "elastic_energy": solution.elastic_energy,
             "certified_error": solution.certified_error,
             "pressure_error": solution.pressure_error,

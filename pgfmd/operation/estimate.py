@@ -16,6 +16,7 @@ from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
 from pgfmd.solvers.cost import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
+PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth
 WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, perhaps scaled too, and strips
 BASE_BYTES = 1.95e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
@@ -122,7 +123,8 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     slabs.
     """
     costs = solving_costs(job, slabs) + measuring_costs(job)
-    return FIELD_BYTES + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
+    plastic = PLASTIC_BYTES if job.wall.highest < math.inf else 0.0
+    return FIELD_BYTES + plastic + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
 
 
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:

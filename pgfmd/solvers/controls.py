@@ -183,8 +183,7 @@ class MeanGap(Control):
     def __init__(self, problem: ContactProblem, load: Load):
         super().__init__(problem, load)
         least, most = problem.law.ends
-        overlap = problem.law.highest < math.inf
-        self.begin, self.limit = -most, math.inf if overlap else self.summit - least
+        self.begin, self.limit = -most, self.summit - least
         self.closed = least if least > -math.inf else 0.0  # gap of the hard wall with which it is compared
 
     def approach(self, target: float) -> float:
@@ -192,8 +191,8 @@ class MeanGap(Control):
         return self.summit - target
 
     def reached(self, found: ContactSolution) -> float:
-        """Approach of a solution."""
-        return found.approach
+        """Approach of a solution, counted to the mean gap: what has yielded leaves no gap."""
+        return found.approach - found.mean_plastic_depth
 
     def check_target(self, target: float) -> None:
         """Raises InputError for full contact, where any load is possible, and for a gap beyond the law's last under one
@@ -241,10 +240,14 @@ class MeanGap(Control):
 
         It is relative to the approach since first contact with a hard wall at the law's smallest gap, or to the
         distance from an end if that is less.  Under a law with a range it is relative to that if it is more, but never
-        to more than the rms height: a range grows without limit where the pressure hardly depends on the gap.
+        to more than the rms height: a range grows without limit where the pressure hardly depends on the gap.  Under
+        one that limits the pressure, a displacement is relative also to what is open and what has yielded: where both
+        are 0, any load has it.
         """
         law, approach = self.problem.law, self.approach(target)
         size = min(abs(approach + self.closed), approach - self.begin, self.limit - approach)
+        if law.highest < math.inf and not self.mean_compliance:
+            size = min(size, found.mean_gap + found.mean_plastic_depth)
         if law.reach > 0:
             size = min(max(size, law.range_at(found.mean_pressure)), self.rms_height)
         size = max(size, abs(self.reached(found) - approach), TINY)  # far from the target, size may be 0
@@ -272,18 +275,21 @@ class MeanGap(Control):
 
         Under a law that limits the pressure to σ_Y, p may not be multiplied: w = min(p, σ_Y − p) is added or taken away
         instead.  Then A = ½⟨w, Gw⟩, P is Σ w, and the terms ±s Σ w(g − λ), which vanish for w = p, are at most 2s√(AB):
-        the bound is (4√(AB) + B)/Σ w.
+        the bound is (4√(AB) + B)/Σ w.  The plastic depth d is that of λ p̄ − σ_Y⟨d⟩, the slope of J* as the load and
+        σ_Y grow by one factor, to which p may be multiplied: its error is at most 2√(AB) + B per point, with A = ½⟨p,
+        Gp⟩.  The mean gap, ⟨d⟩ − λ, then errs by (1 − p̄/σ_Y) times the error of λ, and that over σ_Y.
         """
         energy, change, law, grid = found.elastic_energy, found.mean_pressure, self.problem.law, self.grid
         above, highest = 2 * energy * max(found.certified_error, LEAST_ERROR), law.highest
         curvature = energy + grid.reduction.sum(law.softness(found.pressure)) / grid.size / 2
-        roots = 2
+        scaled, roots = 2 * math.sqrt(above * curvature) + above, 2
         if highest < math.inf:
             curvature, change = self._energy(np.minimum(found.pressure, highest - found.pressure))
             roots = 4
         if change == 0:  # every point is at a bound: the level may lie anywhere between their gaps
             return math.inf
-        return (roots * math.sqrt(above * curvature) + above) / change
+        level = (roots * math.sqrt(above * curvature) + above) / change
+        return max(level, (1 - found.mean_pressure / highest) * level + scaled / highest)
 
     def _energy(self, pressure: np.ndarray) -> tuple[float, float]:
         """½⟨p, Gp⟩ per point, without the mode q = 0, and the mean of a pressure (nx_local, ny).  Collective."""
@@ -303,7 +309,7 @@ class Displacement(MeanGap):
 
     def __init__(self, problem: ContactProblem, load: Load):
         super().__init__(problem, load)
-        if self.mean_compliance:
+        if self.mean_compliance or problem.law.highest < math.inf:
             self.limit = math.inf
 
     def approach(self, target: float) -> float:
@@ -313,6 +319,14 @@ class Displacement(MeanGap):
     def reached(self, found: ContactSolution) -> float:
         """Displacement of the far side."""
         return self.displacement(found)
+
+    def check_target(self, target: float) -> None:
+        """Raises InputError also where all points bear the highest pressure.  Collective."""
+        super().check_target(target)
+        if (highest := self.problem.law.highest) < math.inf:
+            limit = self.top - self.lowest + highest * self.mean_compliance
+            if target >= limit:
+                raise InputError(f"load.displacement = {target:g}: must be below {limit:g}, where all points yield")
 
 
 CONTROLS: dict[str, type[Control]] = {

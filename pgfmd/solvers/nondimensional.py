@@ -123,11 +123,16 @@ class Dimensionless:
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
         lowered, work = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
         lost = work / (2 * energy * units.pressure * units.height) if work else 0.0
+        depth, sunk = np.zeros(gap.shape), 0.0  # pages that are not written take no memory
+        if law.highest < math.inf:
+            depth = np.maximum(-gap, 0.0)
+            np.maximum(gap, 0.0, out=gap)
+            sunk = grid.reduction.sum(depth) / grid.size
         return ContactSolution(
             pressure=pressure,
             gap=gap,
             mean_pressure=self.physical.mean_pressure,
-            mean_gap=units.offset - level * units.height + lowered,
+            mean_gap=units.offset - level * units.height + lowered + sunk,
             elastic_energy=energy * units.pressure * units.height,
             certified_error=error + (1 + SUMS) * lost,
             max_violation=violation * (units.height / self._heights.rms),
@@ -137,6 +142,8 @@ class Dimensionless:
             threshold=self.physical.law.contact_above(mean, square) * units.pressure,
             approach=(level + self._heights.top) * units.height - units.offset,
             pressure_error=state.pressure_error,
+            plastic_depth=depth,
+            mean_plastic_depth=sunk,
         )
 
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:

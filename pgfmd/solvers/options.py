@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -80,7 +81,7 @@ class Load(Section):
         number(above=0, below=1),
         1e-4,
         "of mean_gap and displacement, relative to a length. Hard wall: the approach since first contact, or the mean "
-        "gap if that is less. Exponential wall: that "
+        "gap if that is less (limited hardness: plus the mean plastic depth for displacement). Exponential wall: that "
         "approach, or zeta if that is more, but at most the rms height. Formula: the approach since first contact at "
         "the smallest of gaps, or the way to either end of gaps if that is less; or −p/(dp/dgap) at the mean pressure "
         "if that is more, but at most the rms height. Displacement of a slab on a rigid base: itself in place of the "
@@ -104,6 +105,13 @@ class Load(Section):
             raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which touches everywhere")
         if self.pressure and not max(self.pressure) < law.highest:
             raise wrong(self, "pressure", f"must be below {law.highest:g}, the most the wall bears")
+        loading = sorted(self.targets, reverse=self.control == "mean_gap")
+        if law.highest < math.inf and list(self.targets) != loading:
+            back = "rise" if self.control == "mean_gap" else "fall"
+            raise wrong(
+                self, self.control, f"must not {back} from entry to entry with wall.kind = {kind}, which keeps the "
+                "shape to which it has yielded; to unload, solve for the heights less the field plastic_depth"
+            )  # fmt: skip
 
     @property
     def control(self) -> str:

@@ -34,15 +34,16 @@ Monitor = Callable[[SlabGrid, SolverState], None]
 class ContactSolution:
     """Solved contact at one load.  Fields are slabs (nx_local, ny); numbers are the same on all ranks.
 
-    pressure ≥ 0 (exactly 0 outside hard contact); gap = u − h (zero in hard contact, ≤ 0 where a limited hardness is
-    reached); mean_pressure p̄; mean_gap ⟨gap⟩; elastic_energy E_el = ½⟨p u⟩ per unit area, without the q = 0 mode;
-    certified_error, a rigorous bound on J(p) − J(p*) over 2 E_el, J the energy that the solution p* minimises
+    pressure ≥ 0 (exactly 0 outside hard contact); gap = u − h + plastic_depth (zero in hard contact); plastic_depth, by
+    how much a wall of limited hardness has yielded (0 elsewhere and under other walls); mean_pressure p̄; mean_gap
+    ⟨gap⟩ and mean_plastic_depth of the whole surface; elastic_energy E_el = ½⟨p u⟩ per unit area, without the q = 0
+    mode; certified_error, a rigorous bound on J(p) − J(p*) over 2 E_el, J the energy that the solution p* minimises
     (`physics.laws.law`; errors of gaps and of E_el are of first order in p − p*, and the active set computes them in
     single precision where that certifies p); max_violation, the largest violation of the law over the rms height;
     iterations and transforms (pairs, in double-precision equivalents of the finest grid); seconds of wall time;
     threshold, the pressure above which a point counts as in contact (0 but under laws that touch everywhere); approach
-    of the solid from where the undeformed one touches the highest point; pressure_error, an estimate of
-    ‖p − p*‖₂/‖p*‖₂ (NaN where the solver gives none).
+    of the solid from where the undeformed one touches the highest point; pressure_error, an estimate of ‖p − p*‖₂/‖p*‖₂
+    (NaN where the solver gives none).
     """
 
     pressure: np.ndarray
@@ -58,6 +59,12 @@ class ContactSolution:
     threshold: float = 0.0
     approach: float = math.nan
     pressure_error: float = math.nan
+    plastic_depth: np.ndarray = None  # type: ignore[assignment]  # zeros, if not given
+    mean_plastic_depth: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.plastic_depth is None:
+            self.plastic_depth = np.zeros(self.pressure.shape)  # pages that are not written take no memory
 
     def pressure_in_contact(self) -> np.ndarray:
         """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none."""

@@ -190,6 +190,8 @@ def _load(chance, stress: float, size: float, shape, wall: dict) -> dict:
             if way > 0.9:
                 value *= -1 if chance.random() < 0.5 else 10 ** chance.uniform(0, 40)
         targets.append(float(value))
+    if wall.get("kind") == "hardness":  # others are refused
+        targets.sort(reverse=control == "mean_gap")
     table = {control: targets[0] if count == 1 and chance.random() < 0.5 else targets}
     if chance.random() < 0.15:
         name = "area_tolerance" if control == "contact_area" else "gap_tolerance"

@@ -1,7 +1,11 @@
-"""The wall of limited hardness: 0 ≤ p ≤ σ_Y, as if asperities yielded, and gap = 0 where 0 < p < σ_Y.
+"""The wall of limited hardness: 0 ≤ p ≤ σ_Y, as if asperities yielded, and gap = 0 where p > 0.
 
 The pressure minimises the same energy as under the hard wall, over 0 ≤ p ≤ σ_Y, where φ(p) = 0.  Where p = σ_Y the
-solid may overlap the wall: the gap is ≤ 0.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
+wall gives way: there u − h ≤ 0, and its opposite is the plastic depth.  To solvers this is a gap ≤ 0; a solution has
+it as a field of its own.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
+
+That is right while the load increases.  A wall that has yielded keeps its shape, heights less plastic depth: under a
+lower load it is this shape that touches, without further yielding up to the largest load so far.
 """
 
 from __future__ import annotations
