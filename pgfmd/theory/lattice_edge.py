@@ -25,11 +25,21 @@ radicand is the distance d to the edge of the continuum.  At β = 1 the last lin
 where fold maps a wave number into the first Brillouin zone; the integral holds for any direction.  So a pixel is in
 contact if its centre lies less than δ outside the true edge, and counting pixels overestimates an area by δ times the
 length of its edge.
+
+To long waves a slab on a rigid base is a Winkler foundation: its stiffness K(q) has a limit K₀ > 0 at q → 0.  Farther
+from the edge than its thickness, pressures and gaps are linear in d, in place of its powers 1/2 and 3/2.  S = 1/K(q)
+has no singularity: log(K₀S) = ρ(κ) − ρ(0).  The exponents −3/2 and −5/2 above become −2, and p_s ∝ s + 1 + r − β far
+inside.  In the continuum p ∝ d + X there, X = (1/π) ∫_0^∞ log(K(t)/K₀) dt/t², so that δ = X − hr.  For every solid
+
+    δ = (1/π) ∫_0^∞ log(K(t)/K(|fold(t n)|)) dt/t²,
+
+which vanishes for a slab much thinner than a pixel.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,9 +50,14 @@ over offsets and directions: ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ.  Comput
 alone, doi:10.1016/j.triboint.2017.04.023, gives 0.118."""
 
 
+Stiffness = Callable[[np.ndarray], np.ndarray]
+LONG, SHORT = 1e-5, 1e6  # wave numbers times the spacing, between which the integral X is computed
+
+
 @dataclass(frozen=True)
 class LatticeEdge:
-    """A straight edge with normal along (m/ax, k/ay); lengths in the unit of the spacing, K = E' = 1.
+    """A straight edge with normal along (m/ax, k/ay); lengths in the unit of the spacing.  E' and the stress intensity
+    K are 1; for a slab, far from the edge, dp/dd = 1.
 
     pressure, gap: (2, count), p_s = pressure[0, s] − β pressure[1, s], g_{−s} = gap[0, s] + β gap[1, s]
     """
@@ -65,16 +80,23 @@ class LatticeEdge:
 
 
 def lattice_edge(
-    m: int, k: int, spacing: tuple[float, float] = (1.0, 1.0), count: int = 64, points: int = 2048
+    m: int,
+    k: int,
+    spacing: tuple[float, float] = (1.0, 1.0),
+    count: int = 64,
+    points: int = 2048,
+    stiffness: Stiffness | None = None,
 ) -> LatticeEdge:
     """Solve the edge problem for the direction (m, k), without common factor, on the first `count` lines each side.
 
-    points: of the quadrature over κ; δ is then right to 2e-4 of a spacing.
+    points: of the quadrature over κ; δ is then right to 2e-4 of a spacing.  stiffness: K(q) of a slab on a rigid base,
+    pressure per displacement for arrays of wave numbers q > 0; None: a half-space.
     """
     step = 1 / math.hypot(m / spacing[0], k / spacing[1])
     kappa = 2 * np.pi * (np.arange(points) + 0.5) / points
     q = np.hypot(_wrap(m * kappa) / spacing[0], _wrap(k * kappa) / spacing[1])
-    harmonics = np.fft.fft(np.log(2 * np.sin(kappa / 2) / (step * q))) / points
+    symbol = 2 * np.sin(kappa / 2) / (step * q) if stiffness is None else 1 / stiffness(q)
+    harmonics = np.fft.fft(np.log(symbol)) / points
     rho = (harmonics * np.exp(-1j * np.pi * np.arange(points) / points)).real
     rho[0] = rho[points // 2 :] = 0
     r, one = float(np.arange(points) @ rho), math.exp(rho.sum())  # one = R(1)
@@ -86,18 +108,32 @@ def lattice_edge(
         n = np.arange(1, count)
         return np.convolve(np.concatenate([[1], np.cumprod((n + exponent - 1) / n)]), series)[:count]
 
-    inside = math.sqrt(np.pi * step) / 2 * one  # √s ∼ (√π/2) (1−z)^(−3/2)
-    outside = math.sqrt(np.pi) * step**1.5 / one  # (4/3) s^(3/2) ∼ √π (1−z)^(−5/2)
+    if stiffness is None:
+        powers, shift = (1.5, 2.5), step * (0.25 - r)
+        inside = math.sqrt(np.pi * step) / 2 * one  # √s ∼ (√π/2) (1−z)^(−3/2)
+        outside = math.sqrt(np.pi) * step**1.5 / one  # (4/3) s^(3/2) ∼ √π (1−z)^(−5/2)
+    else:
+        powers, shift = (2.0, 2.0), onset(stiffness) - step * r
+        inside, outside = step * one, step / one / float(stiffness(np.array([LONG]))[0])
     gap = np.zeros((2, count))
-    gap[0, 2:] = outside * product(2.5, forward)[:-2]
-    gap[1, 1:] = outside * product(1.5, forward)[:-1]
+    gap[0, 2:] = outside * product(powers[1], forward)[:-2]
+    gap[1, 1:] = outside * product(powers[1] - 1, forward)[:-1]
     return LatticeEdge(
         normal=(m / spacing[0] * step, k / spacing[1] * step),
         step=step,
-        shift=step * (0.25 - r),
-        pressure=inside * np.array([product(1.5, inverse), product(0.5, inverse)]),
+        shift=shift,
+        pressure=inside * np.array([product(powers[0], inverse), product(powers[0] - 1, inverse)]),
         gap=gap,
     )
+
+
+def onset(stiffness: Stiffness) -> float:
+    """X = (1/π) ∫_0^∞ log(K(t)/K₀) dt/t²: far inside, the pressure of a slab is that of a Winkler foundation whose edge
+    is at −X.
+    """
+    t = np.exp(np.linspace(math.log(LONG), math.log(SHORT), 8000))
+    log = np.log(stiffness(t) / stiffness(t[:1]))
+    return float(np.trapezoid(log / t, np.log(t)) + (log[-1] + 1) / t[-1]) / math.pi
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:
