@@ -17,6 +17,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import interpolate
 from pgfmd.io.ensemble import Ensemble
 from pgfmd.io.results import Results
 from pgfmd.job.job import Job, load, parse, tables_as_toml
@@ -40,6 +41,7 @@ from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
+from pgfmd.surfaces.refined import refined_heights
 
 log = logging.getLogger("pgfmd")
 Tables = Mapping[str, Mapping[str, Any]]
@@ -62,6 +64,7 @@ class Options(TypedDict, total=False):
     area_tolerance: float
     gap_tolerance: float
     start: np.ndarray | None
+    refine: int
     comm: MPI.Comm | None
     threads: int | None
     progress: bool | None
@@ -116,6 +119,7 @@ def solve(
     area_tolerance: float = 0.005,
     gap_tolerance: float = 1e-4,
     start: np.ndarray | None = None,
+    refine: int = 1,
     comm: MPI.Comm | None = None,
     threads: int | None = None,
     progress: bool | None = None,
@@ -135,7 +139,9 @@ def solve(
     spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; zeta: the range of an exponential
     wall with σ_ref = contact_modulus; neither: a hard wall.  thickness, base ("bonded" if None), poisson: a slab
     instead of a half-space; or solid: a solid, or its keys as in [solid], instead of these and contact_modulus.
-    method: see `solvers.options`.  start: a pressure to begin with, split like the heights.
+    method: see `solvers.options`.  start: a pressure to begin with, split like the fields of the answer.  refine: those
+    are on a grid with so many times the points each way, onto which the heights of a periodic surface are interpolated
+    by their Fourier modes.
     tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
     this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.
 
@@ -156,16 +162,22 @@ def solve(
     with raise_together(comm):
         heights = _surface(heights)
         name, targets, single = _targets(imposed)
+        refine = _checked("refine", refine, integer(1))
         solid = _solid(contact_modulus, thickness, base, poisson, solid)
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
-        if start is not None:
+    _agree(comm, (name, targets, single, solid, law, options, closeness, refine, start is None))
+    grid = _grid(comm, heights, spacing, threads)
+    if refine > 1:
+        own, grid = grid, grid.like(comm, (refine * grid.shape[0], refine * grid.shape[1]), grid.lengths)
+        with own.freed():
+            heights = interpolate(own, grid, heights)
+    if start is not None:
+        with raise_together(comm):
             like = _like("start", start, heights)
             start = like if single else _kept(like, start)  # a list is solved later
-    _agree(comm, (name, targets, single, solid, law, options, closeness, start is None))
-    grid = _grid(comm, heights, spacing, threads)
     solid.prepare(grid)
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
@@ -374,9 +386,9 @@ def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None)
     if isinstance(job, Mapping):
         job = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": 1.0}} | dict(job)
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
-    grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
+    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform)
     with grid.freed():
-        return job.surface.heights(grid, job.output.length_unit)
+        return refined_heights(job.surface, job.grid, grid, job.output.length_unit)
 
 
 def run(

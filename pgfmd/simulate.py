@@ -39,6 +39,7 @@ from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.heights_file import digest
+from pgfmd.surfaces.refined import refined_heights
 
 log = logging.getLogger("pgfmd")
 HELD_BACK = 5.0  # seconds for which a run of an ensemble may hold back finished loads, to write them together
@@ -78,7 +79,7 @@ def simulate(
     memory = from_root(comm, estimate, job, comm.size, math.inf, here).node / here  # may read the surface's table
     if alone:
         machine.refuse_too_large(comm, memory)
-    grid = SlabGrid(comm, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
+    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform)
     output = job.output
     inputs = {source[0]: digest(comm, source) for source in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
@@ -98,7 +99,7 @@ def simulate(
     ):
         preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
-            heights = job.surface.heights(grid, job.output.length_unit)
+            heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
             job.solid.prepare(grid)
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))

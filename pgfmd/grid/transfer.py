@@ -1,4 +1,4 @@
-"""From one grid to another of the same cell: spectral and local restriction, local interpolation."""
+"""From one grid to another of the same cell: spectral and local restriction and interpolation."""
 
 from __future__ import annotations
 
@@ -42,6 +42,33 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
 
     if coarse.grid is not None:
         coarse.grid.make_field(copy, sink(out))
+    return out
+
+
+def interpolate(coarse: SlabGrid, fine: SlabGrid, field: np.ndarray) -> np.ndarray:
+    """A field (nx_local, ny) of a coarse grid on a finer one of the same cell and ranks (nx_fine_local, ny_fine): it
+    keeps its modes and gets no others.  Half of a Nyquist mode goes to either sign of its wave number.  Collective.
+    """
+    nx, ny = coarse.shape
+    starts = slab_starts(ny // 2 + 1, coarse.comm.size)
+    low, high = (min(ky, starts[-1]) for ky in (fine.columns.start, fine.columns.stop))
+    spectrum = Layout(coarse.comm, starts).fetch(coarse.forward(field), low, high, coarse.threads)
+    spectrum /= coarse.size
+    if ny % 2 == 0 and low <= ny // 2 < high:
+        spectrum[ny // 2 - low] /= 2
+    positive, negative = (nx + 1) // 2, (nx - 1) // 2  # modes kx ≥ 0 and kx < 0, less that of Nyquist
+    out = np.empty(fine.local_shape)
+
+    def copy(block: np.ndarray, first: int, stop: int) -> None:
+        part = spectrum[first:stop]
+        block[...] = 0
+        inner = block[: len(part)]
+        inner[:, :positive] = part[:, :positive]
+        inner[:, block.shape[1] - negative :] = part[:, nx - negative :]
+        if nx % 2 == 0:
+            inner[:, nx // 2] = inner[:, -(nx // 2)] = part[:, nx // 2] / 2
+
+    fine.make_field(copy, sink(out))
     return out
 
 

@@ -49,6 +49,11 @@ class Job:
         self.load.check_law(self.wall)
 
     @property
+    def cell(self) -> Cell:
+        """The grid on which contacts are solved."""
+        return self.grid.refined
+
+    @property
     def sources(self) -> dict[str, tuple[str, str | None]]:
         """The files that sections name, each with the dataset in it: section → `Section.source`."""
         found = {name: getattr(self, name).source for name in SECTIONS}

@@ -47,7 +47,7 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).  per_node: ranks
     of the fullest node; None: all.
     """
-    points = job.grid.n[0] * job.grid.n[1]
+    points = math.prod(job.cell.n)
     surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks, room)
     here = min(per_node or ranks, ranks)
     ranks //= groups  # of one surface, in the smallest group
@@ -75,7 +75,7 @@ def _memory(job: Job, ranks: int, here: int, gathered: int) -> tuple[float, floa
     strip for each of these, and its own rows, packed.
     """
     nodes = -(-ranks // here)
-    shares, of_node = (largest_shares(job.grid.n, ranks, of) for of in (1, here))
+    shares, of_node = (largest_shares(job.cell.n, ranks, of) for of in (1, here))
     workspace = WORKSPACE[job.solver.transform]
     blocked = workspace * (job.solver.transform == "blocked")
     packed = blocked * (1 - 1 / nodes)
@@ -101,7 +101,7 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
 
     A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as its slabs have `LEAST_SLAB` points.
     """
-    (nx, ny), surfaces = job.grid.n, len(job.surface.seeds)
+    (nx, ny), surfaces = job.cell.n, len(job.surface.seeds)
     if surfaces == 0:
         return 1
 
@@ -130,7 +130,7 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     """What each load costs to solve; memory of the fullest of so many slabs."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    slope, cell = job.surface.known_slope() or 0.0, job.grid
+    slope, cell = job.surface.known_slope() or 0.0, job.cell
     # rms slope times spacing and length bound the rms height of what has mean 0
     moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
     scaled = job.wall.reach > 0 or not (job.surface.centred and moderate)
@@ -140,7 +140,7 @@ def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
 
 def measuring_costs(job: Job) -> list[Cost]:
     """What the observables that are asked for cost, for one load."""
-    return [observable.cost(job.grid, job.surface.cutoff(job.grid)) for observable in job.output.asked]
+    return [observable.cost(job.cell, job.surface.cutoff(job.grid)) for observable in job.output.asked]
 
 
 def contact_areas(job: Job) -> list[float]:
@@ -163,7 +163,7 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     unit = job.output.length_unit
     understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface, job.solid)}
     found, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
-    nx, ny = job.grid.shape
+    nx, ny = job.cell.shape
     loads = len(job.load.targets)
     lines = {
         "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",

@@ -11,6 +11,7 @@ from pgfmd.job.job import Job
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.load_control import LoadControl
+from pgfmd.surfaces.refined import refined_heights
 
 LARGEST = 2**22  # points of the surfaces that are made for this: a few seconds
 
@@ -25,12 +26,13 @@ def doubts(job: Job) -> list[str]:
         return []  # any surface takes it
     seeds = job.surface.seeds
     surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
-    if math.prod(job.grid.shape) * len(surfaces) > LARGEST:
+    if math.prod(job.cell.shape) * len(surfaces) > LARGEST:
         return [f"whether each {job.load.control} can be reached is tested up to {LARGEST} points only"]
     found: dict[str, None] = {}
     for surface in surfaces:
-        grid = SlabGrid(ALONE, job.grid.shape, job.grid.lengths)
-        problem = ContactProblem(grid, surface.heights(grid, job.output.length_unit), job.solid, job.wall)
+        grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths)
+        heights = refined_heights(surface, job.grid, grid, job.output.length_unit)
+        problem = ContactProblem(grid, heights, job.solid, job.wall)
         control = LoadControl(job.load, problem).control
         for target in job.load.targets:
             control.check_target(target)
