@@ -11,13 +11,15 @@ from mpi4py import MPI
 from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.line import LARGEST_RATIO, SMOOTH, contact_line, line_of
+from pgfmd.observables.contact_line.line import LARGEST_RATIO, contact_line
 from pgfmd.observables.contact_line.pairs import Tables, locate
 from pgfmd.observables.contact_line.table import edge_table
+from pgfmd.observables.observer import Observer
 from pgfmd.observables.patches.labelling import label_patches
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import lattice_edge as theory
 from pgfmd.theory.exact import Westergaard
@@ -33,7 +35,7 @@ def solve(grid, heights, load, modulus=1.0, tolerance=1e-12):
 
 def measure(grid, pressure, gap, modulus=1.0):
     """Area inside the line, and its length."""
-    area, length = contact_line(grid, pressure, gap, modulus).total()
+    area, length = contact_line(grid, pressure, gap, elastic(modulus)).total()
     return grid.reduction.sum(pressure > 0) * grid.pixel_area + area, length
 
 
@@ -212,7 +214,7 @@ def test_patches_share_the_line(comm):
     """
     grid = SlabGrid(comm, (96, 64))
     pressure, gap = solve(grid, rough(grid), 0.05)
-    line = contact_line(grid, pressure, gap, 1.0)
+    line = contact_line(grid, pressure, gap, elastic(1.0))
     for connectivity in (4, 8):
         labels = label_patches(comm, pressure > 0, grid.starts, connectivity)
         found = [grid.reduction.sum(part) for part in line.of_patches(labels)]
@@ -225,7 +227,7 @@ def test_nothing_and_everything(comm):
     grid = SlabGrid(comm, (8, 12))
     for pressure in (0.0, 1.0):
         fields = np.full(grid.local_shape, pressure), np.full(grid.local_shape, 1 - pressure)
-        assert contact_line(grid, *fields, 1.0).total() == (0.0, 0.0)
+        assert contact_line(grid, *fields, elastic(1.0)).total() == (0.0, 0.0)
 
 
 @pytest.mark.skipif(SIZE > 1, reason="once is enough")
@@ -240,10 +242,15 @@ def test_pressures_and_gaps_that_vanish():
         assert np.abs(offset).max() <= 2 and cosine.min() >= 0 and cosine.max() <= 2
 
 
-def test_no_line_where_roughness_goes_down_to_the_pixel(comm):
-    """Up to SMOOTH points to the shortest wave there is none."""
-    grid = SlabGrid(comm, (8, 8))
-    problem = ContactProblem(grid, np.zeros(grid.local_shape), elastic(1.0), HardWall(), 1.0)
-    found = solve_hard_wall(problem, 1e-6)
-    assert line_of(problem, found, 2 * math.pi / 2.0) is None
-    assert line_of(problem, found, 2 * math.pi / (1.01 * SMOOTH)) is not None
+@pytest.mark.parametrize(("wavelength", "resolved"), [(1.0, False), (2.0, False), (3.0, True)])
+@pytest.mark.parametrize("hurst", [0.3, 0.9])
+def test_no_line_where_roughness_goes_down_to_the_pixel(comm, hurst, wavelength, resolved):
+    """The spectrum tells whether the grid resolves a surface, of which nothing else is known: from three points to its
+    shortest wave on there is a line.  On a slab much thinner than a pixel there always is.
+    """
+    grid = SlabGrid(comm, (64, 64))
+    heights = self_affine(grid, hurst, wavelength, 0.1, 3)
+    for thickness, expected in ((math.inf, resolved), (0.1, True)):
+        problem = ContactProblem(grid, heights, elastic(1.0, thickness), HardWall(), 0.01)
+        contact = Observer(problem).contact(solve_hard_wall(problem, 1e-6))
+        assert (contact.line is not None) == expected

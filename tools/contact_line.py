@@ -85,7 +85,7 @@ def limit() -> None:
                     problem = ContactProblem(grid, heights, solid, HardWall(), fraction * math.pi * number)
                     found = solve_hard_wall(problem, 1e-12)
                     exact = n * n * 2 / math.pi * math.asin(math.sqrt(fraction)) - np.count_nonzero(found.pressure)
-                    line = contact_line(grid, found.pressure, found.gap, 1.0)
+                    line = contact_line(grid, found.pressure, found.gap, problem.solid)
                     areas = [dataclasses.replace(line, bound=bound).total()[0] for bound in bounds]
                     misses = (np.array(areas) - exact) / (2 * n * n * number)
                     errors.setdefault((wavelength, fraction), []).append(misses)

@@ -1,10 +1,16 @@
 """Discretisation errors of contacts, and the quality of their error bars, on new surfaces.
 
     python tools/discretisation.py bars [--seed 1] [--across 16] [--finest 64]
+    python tools/discretisation.py held FILE.csv [--seed 1] [--count 200]
     python tools/discretisation.py area FILE.csv [--seed 1] [--across 32] [--finest 128] [--places 1] [--only H AREA]
 
 bars: for each number and λ_s/a, how many of the bars are at least as large as the error against λ_s = finest · a, and
 the median of bar over error.
+
+held: errors and bars of contacts drawn at random: λ_s from 1 to 64 pixels, 128² to 512² points, tolerances 1e-4 …
+1e-8, half-spaces and slabs; against the same heights interpolated onto eight times the points each way and solved to
+1e-10.  Rows that are in FILE.csv are not computed again.  Prints for each number the share of bars that hold, and the
+median of bar over error.
 
 area: the contact area of four surfaces for each Hurst exponent and load, raw and inside the contact line, from λ_s = 4a
 to finest · a; rows that are in FILE.csv are not computed again.  With --places k, areas are means over k × k
@@ -32,6 +38,7 @@ from mpi4py import MPI
 from scipy.ndimage import fourier_shift
 from scipy.special import erfinv
 
+import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import OBSERVABLES
@@ -39,6 +46,8 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.controls import ContactArea
+from pgfmd.solvers.options import Load
 from pgfmd.surfaces.self_affine import self_affine
 
 TOLERANCE = 1e-11  # at 1e-7 the areas of the finest grids are .3 % off
@@ -97,6 +106,90 @@ def bars(seed: int, across: int, finest: int) -> None:
             print(f"{name:25s} {label:>5s}  {len(values):5d}  {held:4.2f}  {np.median(values):8.2f}")
 
 
+FINER, TIGHT = 8, 1e-10  # grid and tolerance of what `held` compares with
+DRAWN = "number n lambda_s hurst area tolerance base thickness poisson".split()
+MEASURED = "line roughness pixels edges pressure_error".split()
+
+
+def held(path: Path, seed: int, count: int) -> None:
+    """Computes missing rows of the table, and prints how good the bars are.
+
+    seed: of all draws; contact k of one seed is the same whatever the count.
+    """
+    columns = [*DRAWN, *MEASURED, *(f"{name}{what}" for name in NUMBERS for what in ("", "_error", "_true"))]
+    if not path.exists():
+        path.write_text(",".join(columns) + "\n")
+    done = {int(row["number"]) for row in _table(path)}
+    for number in sorted(set(range(count)) - done):
+        with open(path, "a", newline="") as file:
+            row = _drawn(seed, number)
+            texts = [f"{value:.8g}" if isinstance(value, float) else value for value in row.values()]
+            csv.writer(file).writerow(texts)
+    rows = [row for row in _table(path) if int(row["number"]) < count]
+    kinds = {
+        "all": rows,
+        "line": [row for row in rows if float(row["line"])],
+        "staircase": [row for row in rows if not float(row["line"])],
+        "half-space": [row for row in rows if not row["base"]],
+        "slab < 1 pixel": [row for row in rows if float(row["thickness"]) < 1],
+        "slab ≥ 1 pixel": [row for row in rows if row["base"] and float(row["thickness"]) >= 1],
+        "tolerance > 1e-6": [row for row in rows if float(row["tolerance"]) > 1e-6],
+        "λ_s < 3 pixels": [row for row in rows if float(row["lambda_s"]) < 3],
+        "λ_s > 16 pixels": [row for row in rows if float(row["lambda_s"]) > 16],
+    }
+    print("number                  contacts          cases   nan  held  bar/error (median)")
+    for name in NUMBERS:
+        for kind, some in kinds.items() if name == NUMBERS[0] else [("all", rows)]:
+            found = ([float(row[name + what]) for row in some] for what in ("", "_error", "_true"))
+            value, bar, true = map(np.array, found)
+            known = np.isfinite(bar)
+            error, bar = np.abs(value - true)[known], bar[known]
+            ratio = np.median(bar / np.maximum(error, 1e-300))
+            share = np.mean(error <= bar)
+            print(f"{name:23s} {kind:17s} {len(some):5d} {np.sum(~known):5d} {share:5.3f}  {ratio:8.2f}")
+
+
+def _drawn(seed: int, number: int) -> dict[str, float | str]:
+    """A row of the table: one contact, its bars, and its numbers on a finer grid."""
+    rng = np.random.default_rng([seed, number])
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+    n, lambda_s = int(rng.choice([128, 256, 512], p=[0.6, 0.3, 0.1])), between(1, 64)
+    hurst, area, tolerance = float(rng.uniform(0.3, 0.9)), between(0.01, 0.7), between(1e-8, 1e-4)
+    base = str(rng.choice(["", "bonded", "sliding"], p=[0.5, 0.25, 0.25]))
+    thickness = between(0.02, 64) if base else math.inf
+    poisson = float(rng.uniform(0.0, 0.45))
+    grid = SlabGrid(MPI.COMM_SELF, (n, n))
+    heights = self_affine(grid, hurst, lambda_s, 0.1, int(rng.integers(2**31)))
+    solid = Homogeneous(contact_modulus=1.0, thickness=thickness, base=base or "bonded", poisson=poisson)
+    control = ContactArea(ContactProblem(grid, heights, solid, HardWall()), Load(contact_area=(area,)))
+    load = math.exp(control.guess(area))
+    options = {"thickness": thickness, "base": base or None, "poisson": poisson}
+    contact = pgfmd.solve(heights, load, tolerance=tolerance, **options)
+    finer = pgfmd.solve(heights, load, tolerance=TIGHT, refine=FINER, **options)
+    observer = Observer(contact.problem)
+    measured = observer.contact(contact)
+    bars = contact.observables("discretisation")["discretisation"]
+    found = measured.area
+    row: dict[str, float | str] = dict(zip(DRAWN + MEASURED, (
+        number, n, lambda_s, hurst, area, tolerance, base, thickness, poisson, contact.numbers["contact_line"],
+        measured.surface.roughness, found.pixels, found.edges_x + found.edges_y, contact.pressure_error,
+    ), strict=True))  # fmt: skip
+    numbers, true = (
+        each.numbers | {"mean_square_pressure": float(np.mean(each.pressure**2))} for each in (contact, finer)
+    )
+    for name in NUMBERS:
+        row |= {name: numbers[name], f"{name}_error": float(bars[f"{name}_error"]), f"{name}_true": true[name]}
+    return row
+
+
+def _table(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
 COLUMNS = "hurst area seed across points places contact_area contact_area_corrected".split()
 FIRST = 16  # λ_s/a of the coarsest grid of the fit, which has three grids at least
 Rows = dict[tuple[float, ...], tuple[float, float]]  # (raw, inside the line) by the other columns
@@ -153,8 +246,7 @@ def _limit(rows: Rows, key: tuple[float, ...]) -> float:
 
 
 def _rows(path: Path) -> Rows:
-    with open(path, newline="") as file:
-        table = [tuple(float(row[name]) for name in COLUMNS) for row in csv.DictReader(file)]
+    table = [tuple(float(row[name]) for name in COLUMNS) for row in _table(path)]
     return {row[:6]: (row[6], row[7]) for row in table}
 
 
@@ -162,6 +254,10 @@ def main(arguments: list[str] | None = None) -> int:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="what", required=True)
+    command = commands.add_parser("held")
+    command.add_argument("path", type=Path, metavar="FILE.csv")
+    command.add_argument("--seed", type=int, default=1, help="of all draws")
+    command.add_argument("--count", type=int, default=200, help="contacts")
     for name, across, finest in (("bars", 16, 64), ("area", 32, 128)):
         command = commands.add_parser(name)
         if name == "area":
@@ -172,7 +268,9 @@ def main(arguments: list[str] | None = None) -> int:
         command.add_argument("--across", type=int, default=across, help="λ_s to a side of the cell")
         command.add_argument("--finest", type=int, default=finest, help="λ_s/a of the finest grid")
     options = parser.parse_args(arguments)
-    if options.what == "bars":
+    if options.what == "held":
+        held(options.path, options.seed, options.count)
+    elif options.what == "bars":
         bars(options.seed, options.across, options.finest)
     else:
         first = Case(math.nan, math.nan, options.seed, options.across)

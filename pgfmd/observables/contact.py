@@ -66,12 +66,18 @@ class Contact(ContactSolution):
         return self.mean_pressure * math.prod(self.problem.grid.lengths)
 
     @cached_property
+    def _measured(self) -> tuple[dict[str, float], float]:
+        """The numbers, and the error of the area."""
+        observer = Observer(self.problem)
+        contact = observer.contact(self)
+        row = {"displacement": self.displacement} | observer.row(contact)
+        self.problem.grid.free()
+        return {name: row[name] for name in LOADS if name in row}, contact.area_error
+
+    @property
     def numbers(self) -> dict[str, float]:
         """The numbers that a run writes for each load, by their names in its table.  Collective on first use."""
-        observer = Observer(self.problem)
-        row = {"displacement": self.displacement} | observer.row(observer.contact(self))
-        self.problem.grid.free()
-        return {name: row[name] for name in LOADS if name in row}
+        return self._measured[0]
 
     @property
     def contact_area(self) -> float:
@@ -80,16 +86,15 @@ class Contact(ContactSolution):
 
     @property
     def contact_area_corrected(self) -> float:
-        """Relative area inside the contact line between pixels.  Collective on first use."""
+        """Relative area inside the contact line between pixels; where the grid does not resolve the surface, that of
+        the pixels less their staircase (`numbers["contact_line"]` is then 0).  Collective on first use.
+        """
         return self.numbers["contact_area_corrected"]
 
-    @cached_property
+    @property
     def contact_area_error(self) -> float:
-        """Error bar of `contact_area_corrected`: its estimated error by the grid, from a second contact on half as many
-        points each way; NaN where roughness goes down to the pixel.  Collective on first use.
-        """
-        found = self.observables("discretisation").get("discretisation", {})
-        return self.problem.grid.comm.bcast(float(found.get("contact_area_corrected_error", math.nan)))
+        """Error bar of `contact_area_corrected`, by the grid and by the solver.  Collective on first use."""
+        return self._measured[1]
 
     def observables(self, *names: str, **options: Mapping[str, Any]) -> Groups:
         """Curves and tables, group → dataset → array, as `Results` gives those of a load; on rank 0.  Collective.

@@ -32,8 +32,7 @@ def _solve(refinement: int) -> tuple:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact_line.line import SMOOTH, contact_line
-    from pgfmd.observables.statistics.contact_area import contact_area
+    from pgfmd.observables.observer import Observer
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
@@ -45,11 +44,10 @@ def _solve(refinement: int) -> tuple:
     n = RATIO * refinement
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (LENGTH, LENGTH))
     heights = self_affine(grid, HURST, LENGTH / RATIO, RMS_SLOPE, SEED)
-    solution = solve_hard_wall(
-        ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), PRESSURE), 1e-9
-    )
-    line = contact_line(grid, solution.pressure, solution.gap, CONTACT_MODULUS) if refinement > SMOOTH else None
-    area = contact_area(grid, solution.pressure, line)
+    solid = Homogeneous(contact_modulus=CONTACT_MODULUS)
+    problem = ContactProblem(grid, heights, solid, HardWall(), PRESSURE)
+    solution = solve_hard_wall(problem, 1e-9)
+    area = Observer(problem).contact(solution).area
     second = float(np.mean(solution.pressure**2)) / PRESSURE**2
     gap = solution.mean_gap / float(np.std(heights))
     return refinement, n, area.fraction, area.corrected, gap, second, solution.elastic_energy

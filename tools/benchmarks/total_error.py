@@ -89,7 +89,7 @@ def _ours(case: Case, heights, mean_pressure, recorder: AreaRecorder, tolerance:
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)
     problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=CONTACT_MODULUS), HardWall(), mean_pressure)
     solution = solve_hard_wall(problem, tolerance)
-    line = contact_line(grid, solution.pressure, solution.gap, CONTACT_MODULUS)
+    line = contact_line(grid, solution.pressure, solution.gap, problem.solid)
     area = contact_area(grid, solution.pressure, line).corrected
     recorder.note_area(area, time.perf_counter(), time.process_time())
     grid.free()

@@ -1,6 +1,7 @@
 """Where the contact line crosses the pairs of neighbours of which one is in contact, for many pairs at a time.
 
-`signed` is the pressure of a pixel in contact and minus its gap, as the pressure E' g/a, outside.  `around` (8, pairs)
+`signed` is the pressure of a pixel in contact and minus its gap, as the pressure kg, outside: k is E'/a on a half-space
+(a: the spacing), see `table.EdgeTable` for thin slabs.  `around` (8, pairs)
 are the values about each pair of neighbours, a contact pixel and an open one:
 
     around[0 … 3]    along the pair, outward: the pixel before the contact pixel, the pair, the pixel after the open one
@@ -31,14 +32,15 @@ def _distance(relative: np.ndarray) -> np.ndarray:
     return np.multiply(x, x, out=found, where=x > 0)
 
 
-def describe(around: np.ndarray, ratio: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-    """(share of the pressure in p + E'g/a at the pair, angle between the pair and the apparent normal, 0 … π/2).
+def describe(around: np.ndarray, ratio: np.ndarray | float, linear: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(share of the pressure in p + kg at the pair, angle between the pair and the apparent normal, 0 … π/2).
 
-    ratio: spacing across the pair over that along it.
+    ratio: spacing across the pair over that along it.  linear: whether pressures and gaps are
+    linear in the distance to the edge, as on a thin slab.
     """
     scale = around[1] - around[2]
     with np.errstate(over="ignore"):  # of what is clipped
-        far = _distance(around / scale)
+        far = around / scale if linear else _distance(around / scale)
     along = far[1] - far[2] + (far[4] - far[6]) + (far[5] - far[7])
     across = np.abs((far[5] + far[7]) - (far[4] + far[6])) / (4 * ratio)
     return around[1] / scale, np.arctan2(across, np.maximum(along / 3, 1e-9))
@@ -54,7 +56,8 @@ def _bracket(at: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 class Tables:
     """Two tables (angles, shares, quantities), for pairs along x and along y, to look up in."""
 
-    def __init__(self, tables: tuple[np.ndarray, np.ndarray]) -> None:
+    def __init__(self, tables: tuple[np.ndarray, np.ndarray], linear: bool = False) -> None:
+        self.linear = linear
         self.angles, self.shares, _ = tables[0].shape
         self.flat = np.moveaxis(np.stack(tables), -1, 0).reshape(tables[0].shape[-1], -1)
 
@@ -82,9 +85,9 @@ def locate(
     Near the edge p = K√d (1 + αd + βd²) and g = (4K/3E') |d|^1.5 (1 − ⅗α|d| + 3/7 β|d|²).  The table is exact for
     α = β = 0.  g/p at the pair is first reduced to this case: it is multiplied by P^a G^b, where P and G are p₂/p and
     g₂/g over their values at α = β = 0.  a and b cancel the terms of first and second order.  P and G are clipped to
-    1/bound … bound.
+    1/bound … bound.  On a thin slab p = k(d + αd² + βd³), g = |d| − αd² + β|d|³, and a = −b = ½.
     """
-    share, angle = describe(around, ratio)
+    share, angle = describe(around, ratio, tables.linear)
     rows, pressure, gap = tables.rows(axis, angle), around[1], -around[2]
     with np.errstate(over="ignore"):  # of what is clipped
         inward, outward = np.maximum(around[0], 0.0) / pressure, np.maximum(-around[3], 0.0) / np.maximum(gap, 1e-300)
@@ -95,10 +98,14 @@ def locate(
         t, inner, outer = tables.look((PLACE, INNER, OUTER), known[4:], before)
         with np.errstate(over="ignore"):
             inner, outer = (np.log(np.clip(x * y, 1 / bound, bound)) for x, y in ((inner, inward), (outer, outward)))
-        t = np.clip(t, -0.2, 1.0)
-        first = 0.6 + 0.4 * t
-        b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
-        now = p / (p + g * np.exp((first + 0.6 * b) * inner + b * outer))
+        if tables.linear:
+            change = (inner - outer) / 2
+        else:
+            t = np.clip(t, -0.2, 1.0)
+            first = 0.6 + 0.4 * t
+            b = (t * t - 3 / 7 * (1 - t) ** 2 - first * (2 * t + 1)) / (0.6 * (2 * t + 1) + 3 / 7 * (3 - 2 * t))
+            change = (first + 0.6 * b) * inner + b * outer
+        now = p / (p + g * np.exp(change))
         share[moving] = now
         open_yet = np.abs(now - before) >= 1e-4
         moving, known = moving[open_yet], known[:, open_yet]
@@ -117,7 +124,7 @@ def lines_of_pixels(fields: Fields, lookup: Lookup, first: int, stop: int) -> tu
     corners.  Each cosine is a length in spacings across the pair.
 
     fields: pressure, gap (nx_local, ny) and their two more rows before and after the slab (2, 4, ny)
-    lookup: (E'/spacing, spacing across the pair over that along it), each for pairs along x and along y; their tables;
+    lookup: (k, spacing across the pair over that along it), each for pairs along x and along y; their tables;
     `bound` of `locate`
     corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
     over a patch is the number of its outer outlines less that of its holes.

@@ -10,10 +10,15 @@ from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
-from pgfmd.observables.contact_line.line import line_of
+from pgfmd.observables.contact_line.line import RESOLVED, line_of
+from pgfmd.observables.contact_line.table import staircase
 from pgfmd.observables.statistics.contact_area import contact_area
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Solve
+
+BANDWIDTH = 2.0
+"""Assumed ratio of the highest wave number to √(Σ q⁴|h̃|² / Σ q²|h̃|²).  For broad self-affine spectra it is
+√((4−2H)/(2−2H)): 1.6 for H = .3, 2.4 for H = .8."""
 
 
 def lowpass_areas(
@@ -61,8 +66,10 @@ def _areas(
         if solution is None:
             areas[index] = np.nan
             continue
-        line = line_of(smooth, solution, cutoff)
-        area = contact_area(grid, solution.pressure_in_contact(), line, smooth.least_area)
+        per_pixel = cutoff * max(grid.spacing)
+        line = line_of(smooth, solution, per_pixel <= RESOLVED)
+        steps = staircase(grid.spacing, smooth.solid, per_pixel / BANDWIDTH) if smooth.law.releases else 0.0
+        area = contact_area(grid, solution.pressure_in_contact(), line, smooth.least_area, steps)
         areas[index] = area.fraction, area.corrected
         before = solution.pressure if start is None else start
     return areas
