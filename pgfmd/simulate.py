@@ -7,7 +7,7 @@ import logging
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -147,7 +147,7 @@ def simulate(
             interruptions.load_done()
             interruptions.resumption = "--restart"
             progress.end()
-            _report(progress, row, groups.get("discretisation"))
+            _report(progress, row, f"{contact.correction} {contact.area.corrected:.5f} ± {contact.area_error:.5f}")
         if unreachable and len(unreachable) == len(pending):  # nothing was solved: earlier results stay
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:
@@ -213,13 +213,12 @@ class _Steps:
         self.checkpoints.save(self.index, np.multiply(pressure, unit, dtype=np.float64))
 
 
-def _report(progress: Progress, row: dict, errors: Mapping | None) -> None:
+def _report(progress: Progress, row: dict, corrected: str) -> None:
     if progress.active:
-        bar = "" if errors is None else f" ± {errors['contact_area_corrected_error']:.5f}"
         log.info(
-            "%s  pressure %.6g  area %.5f (corrected %.5f%s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s%s",
-            progress.label, row["mean_pressure"], row["contact_area"], row["contact_area_corrected"], bar,
-            row["kappa"], row["certified_error"], row["transforms"], row["seconds"], progress.left(),
+            "%s  pressure %.6g  area %.5f (%s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s%s",
+            progress.label, row["mean_pressure"], row["contact_area"], corrected, row["kappa"], row["certified_error"],
+            row["transforms"], row["seconds"], progress.left(),
         )  # fmt: skip
 
 

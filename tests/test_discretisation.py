@@ -6,8 +6,10 @@ from functools import partial
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 from solids import elastic
 
+import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
@@ -63,7 +65,6 @@ def test_long_waves_are_fourier_coefficients(comm):
     heights = self_affine(grid, 0.5, 10, 0.05, 5)
     row, bars, contact = measured(grid, heights, 0.01, 2 * np.pi / 10)
     found = long_waves(contact.problem, contact.solution, contact.line)
-    assert found["area"][0].real == pytest.approx(row["contact_area_corrected"], rel=1e-12, abs=0)
     assert found["perimeter"][0].real == pytest.approx(row["contact_perimeter"], rel=1e-12, abs=0)
     pressure, gap, heights = (
         grid.fetch(field, 0, 40) for field in (contact.solution.pressure, contact.solution.gap, heights)
@@ -79,11 +80,69 @@ def test_long_waves_are_fourier_coefficients(comm):
     assert all(bars[f"{name}_error"] > 0 for name in (*NUMBERS, "kappa"))
 
 
-def test_no_bars_where_the_grid_belongs_to_the_surface(comm):
-    """Where roughness goes down to the pixel there is no finer grid to compare with."""
-    grid = SlabGrid(comm, (32, 32))
-    _, bars, _ = measured(grid, self_affine(grid, 0.5, 1, 0.05, 5), 0.01, None)
-    assert all(np.isnan(value) for name, value in bars.items() if name.endswith("_error"))
+def bars_of(contact):
+    """The error bars of a contact, on every rank."""
+    found = contact.observables("discretisation").get("discretisation")
+    return contact.problem.grid.comm.bcast(found and {name: float(value) for name, value in found.items()})
+
+
+def rough(n, wavelength, hurst=0.8, seed=1):
+    """The heights of a rough surface on n² points of one process, whose shortest wave has so many pixels."""
+    return self_affine(SlabGrid(MPI.COMM_SELF, (n, n)), hurst, wavelength, 0.1, seed)
+
+
+def numbers_of(contact):
+    """The numbers that have an error bar."""
+    return contact.numbers | {"mean_square_pressure": float(np.mean(contact.pressure**2))}
+
+
+@pytest.mark.parametrize("wavelength", [1.0, 1.5, 2.0])
+def test_bars_hold_where_roughness_reaches_the_pixel(wavelength):
+    """On the same heights, interpolated onto a grid eight times finer, areas are within their bars, and so are the
+    other numbers but for one of sixteen, which is what one in 20 leaves.  The areas are right to 3 %, where pixels
+    count 7 to 40 % too much.
+    """
+    held = []
+    for hurst, load in [(0.8, 0.001), (0.8, 0.02), (0.3, 0.005), (0.3, 0.05)]:
+        heights = rough(128, wavelength, hurst)
+        contact, finer = (pgfmd.solve(heights, load, tolerance=1e-9, refine=refine) for refine in (1, 8))
+        bars, found, right = bars_of(contact), numbers_of(contact), numbers_of(finer)
+        errors = {name: abs(found[name] - right[name]) for name in NUMBERS}
+        assert found["contact_line"] == 0 and found["contact_area"] > 1.07 * right["contact_area_corrected"]
+        assert errors["contact_area_corrected"] < min(0.03 * contact.contact_area, contact.contact_area_error)
+        assert bars["contact_area_corrected_error"] == contact.contact_area_error < 0.06 * contact.contact_area
+        held += [errors[name] <= bars[f"{name}_error"] for name in NUMBERS[1:]]
+    assert len(held) == 16 and sum(held) >= 15
+
+
+@pytest.mark.parametrize("base", ["bonded", "sliding"])
+@pytest.mark.parametrize("thickness", [0.03, 0.1, 0.25, 0.5])
+@pytest.mark.parametrize("wavelength", [4.0, 2.0])
+def test_area_on_slabs_thinner_than_a_pixel(base, thickness, wavelength):
+    """There the edge of a contact is that of the slab.  At λ_s = 4 pixels the area is right to .4 %, where the edge of
+    a half-space gave 1 to 11 % too much; it is within its bar.
+    """
+    solid = elastic(1.0, thickness, base, 0.25)
+    heights = rough(64, wavelength)
+    load = 0.3 * float(solid.stiffness(np.array(1.0))) * heights.std() * 0.1
+    options = {"thickness": thickness, "base": base, "poisson": 0.25, "tolerance": 1e-9}
+    contact, finer = (pgfmd.solve(heights, load, refine=refine, **options) for refine in (1, 8))
+    assert 0.01 < contact.contact_area < 0.2
+    error = abs(contact.contact_area_corrected - finer.contact_area_corrected)
+    assert error <= contact.contact_area_error
+    assert error < (0.004 if wavelength == 4 else 0.02) * contact.contact_area
+
+
+@pytest.mark.parametrize("wavelength", [16.0, 64.0])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+def test_bars_contain_the_error_of_the_solver(wavelength, tolerance):
+    """The numbers of a contact solved to any tolerance are within their bars of those solved to 1e-12."""
+    heights = rough(256, wavelength, seed=2)
+    for load in (0.002, 0.01, 0.03):
+        contact, tight = (pgfmd.solve(heights, load, tolerance=each) for each in (tolerance, 1e-12))
+        bars, found, right = bars_of(contact), numbers_of(contact), numbers_of(tight)
+        for name in NUMBERS:
+            assert abs(found[name] - right[name]) <= bars[f"{name}_error"], name
 
 
 def test_bars_are_printed(comm, tmp_path):

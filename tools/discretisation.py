@@ -175,7 +175,7 @@ def _drawn(seed: int, number: int) -> dict[str, float | str]:
     found = measured.area
     row: dict[str, float | str] = dict(zip(DRAWN + MEASURED, (
         number, n, lambda_s, hurst, area, tolerance, base, thickness, poisson, contact.numbers["contact_line"],
-        measured.surface.roughness, found.pixels, found.edges_x + found.edges_y, contact.pressure_error,
+        measured.surface.roughness, found.pixels, found.edges, contact.pressure_error,
     ), strict=True))  # fmt: skip
     numbers, true = (
         each.numbers | {"mean_square_pressure": float(np.mean(each.pressure**2))} for each in (contact, finer)

@@ -54,9 +54,8 @@ class Discretisation(Observable):
         if contact.surface.is_smooth:
             errors = grid_errors(problem, solution, contact.line, contact.solve)
         else:
-            perimeter = area.perimeter / math.prod(problem.grid.lengths)
-            errors = band_errors(solution, perimeter, contact.surface.roughness, square)
-        others = solver_errors(problem, solution, area.edges_x + area.edges_y, contact.pressure_error, square)
+            errors = band_errors(problem.grid, solution, area, contact.surface.roughness, square)
+        others = solver_errors(problem, solution, area, contact.pressure_error, square)
         both = {name: math.hypot(error, others[name]) for name, error in errors.items()}
         per_area = contact.kappa / (area.fraction or math.nan)
         found = {

@@ -60,8 +60,15 @@ class MeasuredContact:
         return contact_area(self.grid, self.pressure, self.line, self.problem.least_area, steps)
 
     @property
+    def correction(self) -> str:
+        """How the corrected area is measured: "inside the line", "less the staircase", or "as counted"."""
+        if self.line is not None:
+            return "inside the line"
+        return "less the staircase" if self.problem.law.releases else "as counted"
+
+    @property
     def area_error(self) -> float:
-        """Error of the corrected area, by the grid and the solver."""
+        """Error of the corrected area, by the grid and the solver.  Collective."""
         way = "staircase" if self.line is None else "line on a thin slab" if self.line.is_thin else "line"
         shift = self.pressure_error * math.sqrt(self.area.pixels)  # b the rms pressure in contact
         if way == "line on a thin slab" and shift:

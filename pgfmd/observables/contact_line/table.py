@@ -22,8 +22,8 @@ NEARLY_HALF_SPACE = 0.98  # the same for the mean of δ: nearer to 1, δ is that
 ROUGHNESS = 0.048
 """Where roughness reaches the pixel, so do the curvatures of contacts, and counts exceed areas by more than along
 straight lines.  Fitted to 137 contacts on half-spaces (λ_s = 1 … 3 pixels, H = .3 … .95, s = .8 … 2.3),
-where .1017 (1 + .048 s²) is .105 to .128.  The rms residual is .4 pixels times the root of the number of edges.  Geometry
-alone gives .118, doi:10.1016/j.triboint.2017.04.023."""
+where .1017 (1 + .048 s²) is .105 to .128.  The rms residual is .4 pixels times the root of the number of edges.
+Geometry alone gives .118, doi:10.1016/j.triboint.2017.04.023."""
 _SLOPES = (
     Fraction(0), *(Fraction(1, n) for n in (64, 32, 20, 16, 12, 10, 8)), *(Fraction(k, 16) for k in range(3, 17)),
 )  # fmt: skip

@@ -43,12 +43,17 @@ class Area:
     corrected: float  # f_c inside the contact line; less the staircase where there is none; at least p̄/σ_Y
     perimeter: float  # length of the contact line; `edge_length` where there is none
 
+    @property
+    def edges(self) -> int:
+        """Number of edges between contact and non-contact pixels."""
+        return self.edges_x + self.edges_y
+
     def error(self, way: str, roughness: float, shift: float) -> float:
         """Error of `corrected`, which is larger in one case of 20.
 
         way: to correct the area, of FACTORS;  roughness: s, radians per pixel;  shift: η ‖p‖/b
         """
-        edges = self.edges_x + self.edges_y
+        edges = self.edges
         if not edges:  # full contact, or none: to one pixel
             return self.fraction / max(self.pixels, 1)
         random, systematic, solver = FACTORS[way]

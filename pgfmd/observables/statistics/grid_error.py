@@ -29,9 +29,9 @@ for 38 of them 32a), compared with λ_s = 64a, for 32a with 128a, such that the 
 `tools/discretisation.py bars` checks it on others.
 
 **Band.** Where roughness reaches the pixel, the coarser grid lacks a part of it.  The errors against the same heights,
-interpolated onto a grid eight times finer, are then estimated from the roughness s of the surface (`rough_surface`): a
-part BAND s³ of ⟨p²⟩, of E_el, and of E_el/p̄ for the mean gap; a quarter of the perimeter.  BAND: so that errors are
-smaller in 19 of 20 of 116 contacts on half-spaces with λ_s = 1 … 2.5 pixels.
+interpolated onto a grid eight times finer, are then estimated from the roughness s of the surface (`rough_surface`) and
+the number e of edges per pixel in contact: BAND times s³ E_el and s³ E_el/p̄ (mean gap), (s e)^1.5 ⟨p²⟩, and the
+perimeter.  BAND: so that errors are smaller in 19 of 20 of 213 contacts with λ_s = 1 … 3 pixels.
 
 **Solver.** With the certified energy error B, the mean gap is right to b/p̄ and the elastic energy to b,
 b = 2√(B(E_el + ζp̄/2)) + B (`solvers.controls`); the errors are that large if the error of the pressure has the shape of
@@ -51,6 +51,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.observables.contact_line.line import ContactLine, contact_line
+from pgfmd.observables.statistics.contact_area import Area
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Solve
@@ -64,35 +65,38 @@ FACTORS = {
 }
 """1/(2^q − 1) and c of each number."""
 
-BAND = {"mean_gap": 0.0019, "elastic_energy": 0.0011, "mean_square_pressure": 0.013}
-BAND_PERIMETER = 0.25
+BAND = {"perimeter": 0.25, "mean_gap": 0.0019, "elastic_energy": 0.0015, "mean_square_pressure": 0.015}
 SOLVER = {"perimeter": 2.2, "mean_gap": 0.32, "elastic_energy": 0.32, "mean_square_pressure": 0.21}
 """Of the number of points that change sides, to the power ½, of b, and of 2η⟨p²⟩."""
 
 
-def band_errors(solution: ContactSolution, perimeter: float, roughness: float, square: float) -> dict[str, float]:
+def band_errors(
+    grid: SlabGrid, solution: ContactSolution, area: Area, roughness: float, square: float
+) -> dict[str, float]:
     """Estimated errors by the grid of the numbers of FACTORS where it does not resolve the surface.
 
-    perimeter: per area of the cell;  roughness: s, radians per pixel;  square: ⟨p²⟩
+    roughness: s, radians per pixel;  square: ⟨p²⟩
     """
-    energy = solution.elastic_energy
-    scales = energy / (solution.mean_pressure or math.nan), energy, square
-    errors = {name: part * roughness**3 * scale for (name, part), scale in zip(BAND.items(), scales, strict=True)}
-    return errors | {"perimeter": BAND_PERIMETER * perimeter}
+    energy = roughness**3 * solution.elastic_energy
+    scales = {
+        "perimeter": area.perimeter / math.prod(grid.lengths),
+        "mean_gap": energy / (solution.mean_pressure or math.nan),
+        "elastic_energy": energy,
+        "mean_square_pressure": (roughness * area.edges / max(area.pixels, 1)) ** 1.5 * square,
+    }
+    return {name: BAND[name] * scale for name, scale in scales.items()}
 
 
 def solver_errors(
-    problem: ContactProblem, solution: ContactSolution, edges: int, pressure_error: float, square: float
+    problem: ContactProblem, solution: ContactSolution, area: Area, pressure_error: float, square: float
 ) -> dict[str, float]:
-    """Estimated errors by the solver of the numbers of FACTORS.
-
-    edges: of pixels, between contact and non-contact;  pressure_error: η;  square: ⟨p²⟩
+    """Estimated errors by the solver of the numbers of FACTORS.  pressure_error: η;  square: ⟨p²⟩
     """
     grid, energy = problem.grid, solution.elastic_energy
     bound = 2 * energy * solution.certified_error
     work = 2 * math.sqrt(bound * (energy + problem.law.range * solution.mean_pressure / 2)) + bound
     scales = {
-        "perimeter": math.sqrt(pressure_error * edges * grid.pixel_area) / math.prod(grid.lengths),
+        "perimeter": math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths),
         "mean_gap": work / (solution.mean_pressure or math.nan),
         "elastic_energy": work,
         "mean_square_pressure": 2 * pressure_error * square,
