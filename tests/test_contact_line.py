@@ -62,6 +62,29 @@ def test_shift_has_two_forms(m, k, spacing):
     assert edge.shift == pytest.approx(shift_by_quadrature(math.atan2(*edge.normal[::-1]), spacing), abs=5e-4)
 
 
+@pytest.mark.parametrize(("base", "poisson"), [("bonded", 0.0), ("bonded", 0.4), ("sliding", 0.25)])
+@pytest.mark.parametrize("thickness", [0.1, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize(("m", "k"), [(1, 0), (3, 1), (1, 1)])
+def test_shift_on_a_slab_has_two_forms(m, k, thickness, base, poisson):
+    """So does the stiffness K of a slab give one δ: by the series, and as (1/π) ∫ log(K(t)/K(|fold(t n)|)) dt/t²."""
+    stiffness = elastic(1.0, thickness, base, poisson).stiffness
+    edge = theory.lattice_edge(m, k, stiffness=stiffness)
+    t = np.pi * 400_000 / (np.arange(400_000) + 0.5) / 1.05
+    folded = [part * t - 2 * np.pi * np.round(part * t / (2 * np.pi)) for part in edge.normal]
+    expected = np.mean(np.log(stiffness(t) / stiffness(np.hypot(*folded)))) * 1.05 / np.pi**2
+    assert edge.shift == pytest.approx(expected, abs=5e-4)
+
+
+@pytest.mark.parametrize(("m", "k"), [(1, 0), (2, 1)])
+def test_edge_of_a_winkler_foundation(m, k):
+    """With one stiffness for all waves pressures and gaps are linear in the distance, and pixels count right."""
+    edge = theory.lattice_edge(m, k, stiffness=lambda q: np.full_like(q, 5.0))
+    lines = np.arange(-20, 20)
+    distance = edge.distance(lines, 0.3)
+    np.testing.assert_allclose(edge.signed(lines, 0.3), np.where(distance > 0, distance, distance / 5), atol=1e-6)
+    assert edge.shift == pytest.approx(0, abs=1e-6)
+
+
 @pytest.mark.parametrize(("m", "k"), [(1, 0), (2, 1), (4, 3)])
 def test_edge_is_continuous_and_tends_to_the_continuum(m, k):
     """Moving the edge by one line of the grid is renumbering the lines; far inside p → √d, far outside
@@ -125,6 +148,27 @@ def test_straight_edges(comm, direction):
             lengths.append(perimeter)
     assert np.mean(lengths) == pytest.approx(length, rel=0.02)
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
+
+
+@pytest.mark.parametrize("direction", [(1, 0), (9, 1), (3, 2), (4, 4)])
+def test_straight_edges_on_a_thin_slab(comm, direction):
+    """A slab of .02 pixels answers a wave Δ cos(qx) like springs: p = k Δ (cos qx − cos φ) for |qx| < φ, p̄ =
+    k Δ (sin φ − φ cos φ)/π.  The edges lie within .01 a of φ/q (rms); half-space edges lay .13 a outside.
+    """
+    n, rng = 128, np.random.default_rng(12)
+    number = 2 * np.pi * math.hypot(*direction) / n
+    grid, solid = SlabGrid(comm, (n, n)), elastic(1.0, 0.02)
+    x, y = coordinates(grid)
+    errors = []
+    for half in (0.6, 1.3, 2.2):
+        for phase in rng.random(2):
+            heights = np.cos(2 * np.pi * (direction[0] * x / n + direction[1] * y / n + phase))
+            load = float(solid.stiffness(np.array(number))) * (math.sin(half) - half * math.cos(half)) / math.pi
+            found = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), load), 1e-12)
+            beyond, _ = contact_line(grid, found.pressure, found.gap, solid).total()
+            area = grid.reduction.sum(found.pressure > 0) + beyond
+            errors.append((area - n * n * half / math.pi) / (n * n * number / math.pi))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.01
 
 
 def test_stretched_pixels(comm):

@@ -10,7 +10,7 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid import holders, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import Interpolation, restrict, restrict_locally
+from pgfmd.grid.transfer import Interpolation, interpolate, restrict, restrict_locally
 from pgfmd.parallel.collectives import await_all, slab_starts
 from pgfmd.parallel.layout import Layout
 
@@ -201,6 +201,24 @@ def test_restriction_keeps_the_long_waves(comm, monkeypatch, fine, coarse, least
         return long + (np.cos(2 * np.pi * (fine[0] // 2 - 1) * x) if also else 0)
 
     assert np.abs(restrict(big, small, waves(big, True)) - waves(small, False)).max(initial=0) < 1e-12
+
+
+@pytest.mark.parametrize("shape", [(12, 8), (9, 7), (6, 1), (5, 2)])
+@pytest.mark.parametrize("factor", [2, 3])
+def test_fourier_interpolation_keeps_points_and_modes(comm, shape, factor):
+    """The finer field has the points of the coarser one, and none of its modes lies beyond the coarser Nyquist
+    frequencies, on which it has as much at either sign.
+    """
+    coarse, fine = (SlabGrid(comm, (k * shape[0], k * shape[1]), (3.0, 4.0)) for k in (1, factor))
+    whole = field(shape)
+    found = fine.fetch(interpolate(coarse, fine, whole[coarse.rows].copy()), 0, fine.shape[0])
+    np.testing.assert_allclose(found[::factor, ::factor], whole, atol=1e-12)
+    spectrum = np.fft.fft2(found)
+    kx, ky = np.meshgrid(*(np.abs(np.fft.fftfreq(n, 1 / n)) for n in fine.shape), indexing="ij")
+    assert np.abs(spectrum[(kx > shape[0] / 2) | (ky > shape[1] / 2)]).max(initial=0) < 1e-9
+    mirrored = np.roll(spectrum[::-1], 1, 0)
+    edge = (kx == shape[0] / 2) & (ky < shape[1] / 2)
+    np.testing.assert_allclose(spectrum[edge], mirrored[edge], atol=1e-9)
 
 
 @pytest.mark.parametrize(("fine", "coarse"), [((64, 48), (32, 24)), ((33, 30), (17, 15)), ((37, 41), (19, 21))])

@@ -16,7 +16,7 @@ heights = pgfmd.surface({"grid": {"n": 256}, "surface": rough})
 # %% Solve: in a notebook, a bar shows the progress
 contact = pgfmd.solve(heights, contact_area=0.1, contact_modulus=1.0)
 print(contact)
-print(f"area {contact.contact_area_corrected:.4f} ± {contact.contact_area_error:.4f} (error of the grid)")
+print(f"area {contact.contact_area_corrected:.4f} ± {contact.contact_area_error:.4f}")
 print(f"energy certified to {contact.certified_error:.1e}")
 
 # %% Look
