@@ -94,10 +94,11 @@ def solver_errors(
     """
     grid, energy = problem.grid, solution.elastic_energy
     bound = 2 * energy * solution.certified_error
-    work = 2 * math.sqrt(bound * (energy + problem.law.range * solution.mean_pressure / 2)) + bound
+    mean = solution.mean_pressure
+    work = 2 * math.sqrt(bound * (energy + problem.law.range_at(mean) * mean / 2)) + bound
     scales = {
         "perimeter": math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths),
-        "mean_gap": work / (solution.mean_pressure or math.nan),
+        "mean_gap": work / (mean or math.nan),
         "elastic_energy": work,
         "mean_square_pressure": 2 * pressure_error * square,
     }
