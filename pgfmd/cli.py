@@ -24,7 +24,6 @@ import io
 import logging
 import os
 import sys
-import time
 import traceback
 import warnings
 from pathlib import Path
@@ -33,9 +32,8 @@ from typing import NoReturn
 from pgfmd import __version__
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
 from pgfmd.options.text import printable
-from pgfmd.parallel.mpi import MPI, launched_rank, world
+from pgfmd.parallel.mpi import MPI, launched_rank, patiently, world
 
-PATIENCE = 10.0  # seconds that a failed rank waits for the others to fail with it
 INTERRUPTED = 130
 REPAIR = "; remove a damaged file of fields, and a run with --restart writes it again"
 
@@ -221,14 +219,11 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _end_all_ranks(comm: MPI.Comm, error: BaseException) -> int:
-    """End all ranks with the error's exit code; rank 0 prints the error.  Aborts after PATIENCE.  Collective."""
-    request = comm.Ibarrier()
-    deadline = time.monotonic() + PATIENCE
-    while not request.Test():
-        if time.monotonic() > deadline:
-            _complain(error)
-            comm.Abort(_code(error))
-        time.sleep(1e-3)
+    """End all ranks with the error's exit code; rank 0 prints the error.  Collective; aborts if other ranks do not come.
+    """
+    if vars(error).get("ranks") == 0 or not patiently(comm, comm.Ibarrier().Test):  # 0: it is known to be alone
+        _complain(error)
+        comm.Abort(_code(error))
     if comm.rank == 0:
         _complain(error)
     comm.Barrier()  # a rank that left before rank 0 has printed would make mpirun end the others

@@ -32,7 +32,7 @@ from pgfmd.operation.progress import Progress
 from pgfmd.operation.stop import Interruptions
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
-from pgfmd.parallel.collectives import from_root
+from pgfmd.parallel.collectives import from_root, shared
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
@@ -134,6 +134,8 @@ def simulate(
                     solution = control.solution(target)
                     steps.solved(solution)
             except Unreachable as failure:
+                if not shared(comm, failure):
+                    raise
                 unreachable[index] = failure
                 progress.end()
                 continue

@@ -48,7 +48,8 @@ module = types.ModuleType("pgfmd.simulate")
 module.run_job = simulate
 sys.modules["pgfmd.simulate"] = module
 from pgfmd import cli
-cli.PATIENCE = 1.0
+from pgfmd.parallel import mpi
+mpi.PATIENCE = 1.0
 sys.exit(cli.main())
 """
 

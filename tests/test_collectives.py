@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable
-from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel import collectives, mpi
+from pgfmd.parallel.collectives import from_root, raise_together, shared
 
 pytestmark = pytest.mark.mpi
 
@@ -33,3 +34,46 @@ def test_an_unknown_error_names_its_rank(comm):
         if comm.rank == comm.size - 1:
             raise ArithmeticError("lost")
     assert comm.rank == comm.size - 1 or str(caught.value) == f"rank {comm.size - 1}: ArithmeticError: lost"
+
+
+@pytest.mark.parametrize("kind", [InputError, SolverError, OSError])
+def test_errors_of_all_ranks_are_shared(comm, kind):
+    """What `raise_together` and `from_root` raise is shared by all ranks; also an InputError or SolverError that each
+    raises with the same text, such as one that follows from a sum over all ranks.
+    """
+
+    def fails():
+        raise kind("no such load")
+
+    with pytest.raises(kind) as caught, raise_together(comm):
+        if comm.rank == comm.size - 1:
+            fails()
+    assert shared(comm, caught.value)
+    with pytest.raises(kind) as caught:
+        from_root(comm, fails)
+    assert shared(comm, caught.value)
+    assert shared(comm, kind("alike")) == (kind is not OSError or comm.size == 1)
+
+
+def test_an_error_of_one_rank_is_not_shared(comm, monkeypatch):
+    """An error that one rank raises, or each with another text, is not shared: whoever handled it by collective calls
+    would wait for ever.  Ranks without an error are not disturbed, and one that is alone waits once only.
+    """
+    if comm.size == 1:
+        pytest.skip("one rank shares all of its errors")
+    monkeypatch.setattr(mpi, "PATIENCE", 0.2)
+    if comm.rank == comm.size - 1:
+        error = SolverError("no descent")
+        assert not shared(comm, error)
+        monkeypatch.setattr(mpi, "PATIENCE", 1e6)
+        assert not shared(comm, error)
+    comm.Barrier()
+    while comm.iprobe(tag=collectives.FAILED):  # what the run would have been aborted with
+        comm.recv(tag=collectives.FAILED)
+    comm.Barrier()
+    monkeypatch.setattr(mpi, "PATIENCE", 0.2)
+    assert not shared(comm, InputError(f"of rank {comm.rank}"))
+    comm.Barrier()
+    while comm.iprobe(tag=collectives.FAILED):
+        comm.recv(tag=collectives.FAILED)
+    comm.Barrier()

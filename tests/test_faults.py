@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import launching
 import pytest
 from conftest import starts_mpirun
+from job_texts import rough_job
 
 from pgfmd.io.results import Results
 
@@ -20,7 +21,8 @@ LOADS = [5e-4, 1e-3, 2e-3, 4e-3]
 FAULTY = """
 import sys
 from pgfmd import cli
-cli.PATIENCE = 2.0
+from pgfmd.parallel import mpi
+mpi.PATIENCE = 2.0
 from mpi4py import MPI
 {fault}
 sys.exit(cli.main())
@@ -74,6 +76,37 @@ def test_failure_on_one_rank_ends_all(tmp_path, where):
     while Results(tmp_path / "out").status == "running" and time.monotonic() < deadline:
         time.sleep(0.1)
     assert Results(tmp_path / "out").status in ("failed", "interrupted")
+
+
+FAULTY_SEED = """
+import pgfmd.grid.transpose
+from pgfmd.errors import InputError, SolverError
+from pgfmd.operation import ensemble
+ensemble.rank_groups = lambda *_: {groups}
+owner, calls = pgfmd.grid.transpose.SharedStrips, []
+original = owner.put
+def failing(*arguments):
+    calls.append(1)
+    if MPI.COMM_WORLD.rank == 1 and len(calls) == 60:
+        raise {error}
+    return original(*arguments)
+owner.put = failing
+"""
+
+
+@pytest.mark.parametrize(("kind", "ranks"), [("OSError", 4), ("InputError", 2), ("SolverError", 4)])
+def test_failure_on_one_rank_of_a_group_ends_an_ensemble(tmp_path, kind, ranks):
+    """A rank fails while another of its group waits for it in the solver: whatever the error, the run ends, with one
+    message.  It is not a seed that failed, since the group cannot go on to the next.
+    """
+    script = tmp_path / "faulty.py"
+    script.write_text(FAULTY.format(fault=FAULTY_SEED.format(error=f"{kind}('the last straw')", groups=ranks // 2)))
+    surface = {"lambda_s": 8.0, "rms_slope": 0.03, "seed": [1, 2, 3]}
+    (tmp_path / "job.toml").write_text(rough_job(64, surface, load={"pressure": LOADS}))
+    run = launching.start(ranks, "run", tmp_path / "job.toml", "--output", tmp_path / "out", script=(script,))
+    code, stderr = launching.wait(run, 120)  # fails if it hangs
+    assert code not in (0, 75) and sum(line.startswith("pgfmd: ") for line in stderr.splitlines()) == 1, stderr
+    assert "the last straw" in stderr
 
 
 FAULTY_SOLVE = """

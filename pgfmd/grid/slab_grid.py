@@ -22,7 +22,7 @@ from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
-from pgfmd.parallel.collectives import TOGETHER, Reduction, slab, slab_starts
+from pgfmd.parallel.collectives import Reduction, shared, slab, slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads, threads_per_rank
@@ -212,7 +212,7 @@ class SlabGrid:
         try:
             yield
         except BaseException as error:
-            if self.comm.size == 1 or isinstance(error, (*TOGETHER, GeneratorExit)):
+            if isinstance(error, GeneratorExit) or shared(self.comm, error):
                 self.free()
             raise
         self.free()

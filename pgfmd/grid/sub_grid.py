@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 
 from pgfmd.grid.holders import LEAST_ROWS, holders
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel.collectives import TOGETHER, await_all
+from pgfmd.parallel.collectives import await_all, mark_shared, shared
 from pgfmd.parallel.layout import Layout, Range, RowWindow
 from pgfmd.parallel.teams import team_of
 
@@ -59,8 +59,8 @@ class SubGrid:
         """`work(grid)` on the ranks that hold the grid; the others receive `without_rows` of the value of rank 0.
         Collective.
 
-        Errors of `work` that its ranks raise together (`TOGETHER`) are raised on all ranks; any other at once by the
-        rank that has it, since the others may wait for it in `work`.
+        Errors that all ranks of `work` raise are raised on all ranks; a rank that fails alone raises its error at once,
+        since the others may wait for it in `work`.
         """
         if self.grid is not None and self.grid.comm.size == self.comm.size:
             return work(self.grid)
@@ -70,7 +70,7 @@ class SubGrid:
             try:
                 value = work(self.grid)
             except Exception as error:
-                if self.grid.comm.size > 1 and not isinstance(error, TOGETHER):
+                if not shared(self.grid.comm, error):
                     raise
                 failure = error
         await_all(self.comm)
@@ -78,7 +78,7 @@ class SubGrid:
         sent = self.comm.bcast(sent if self.comm.rank == 0 else None)
         failure = sent[1] if failure is None else failure
         if failure is not None:
-            raise failure
+            raise mark_shared(self.comm, failure)
         return value if self.grid is not None else sent[0]  # type: ignore[return-value]  # one of them is a T
 
     def free(self) -> None:

@@ -20,6 +20,7 @@ from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.spectra import Spectra
 from pgfmd.observables.statistics.correlations import lag_rings
 from pgfmd.observables.table import OBSERVABLES
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
@@ -70,6 +71,8 @@ class Observer:
         try:
             return self._given_solve(problem, **options)
         except (InputError, SolverError) as failure:
+            if not shared(self.problem.grid.comm, failure):
+                raise
             if self.problem.grid.comm.rank == 0:
                 log.warning("an observable lacks a contact that it asks for: %s", failure)
             return None

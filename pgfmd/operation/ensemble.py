@@ -23,7 +23,7 @@ from pgfmd.operation.estimate import estimate, rank_groups
 from pgfmd.operation.progress import STEP
 from pgfmd.operation.stop import Interruptions
 from pgfmd.options.text import printable
-from pgfmd.parallel.collectives import from_root, raise_together
+from pgfmd.parallel.collectives import from_root, raise_together, shared
 from pgfmd.parallel.mpi import MPI, library
 
 log = logging.getLogger("pgfmd")
@@ -170,8 +170,8 @@ def _run_seeds(
                         interruptions.batch_stop_file.touch()  # other groups may have got no signal
                 break
             except (InputError, SolverError, OSError, MemoryError) as error:
-                if isinstance(error, MemoryError) and group.size > 1:
-                    raise  # perhaps on one rank only, while the others wait for it
+                if not shared(group, error):
+                    raise  # the others of the group wait for this rank
                 failed[seed] = _without_frames(error)
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
                                  _reason(error))  # fmt: skip

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from pgfmd.errors import NoProgress, Stopped
+from pgfmd.parallel.collectives import shared
 from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
@@ -106,7 +107,7 @@ class Interruptions:
                 save()
                 self._progress |= self._steps > 0
             except OSError as error:
-                if verdict == STOP:
+                if verdict == STOP or not shared(self.comm, error):
                     raise
                 log.warning("no checkpoint could be written, the run goes on: %s", error)
             self._last_save = self.now()

@@ -8,21 +8,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable
-from pgfmd.parallel.mpi import MPI
+from pgfmd.parallel.mpi import MPI, patiently
 
 T = TypeVar("T")
 
 BUSY_WAIT = 0.05  # seconds for which a rank polls without sleeping
 SLEEP, LONGEST_SLEEP = 0.02, 0.05  # of the time waited; seconds.  A barrier may be late by log₂ P sleeps
 
-TOGETHER = (InputError, SolverError)
-"""Errors that all ranks raise together; one rank alone may raise any other."""
+FAILED = 32000  # tag of messages between ranks that have failed, below the least upper bound in the MPI standard
 
 
 def slab(count: int, size: int, rank: int) -> slice:
@@ -111,7 +112,42 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
     if first == comm.size:
         return
     found = comm.bcast(None if failure is None else _for_others(failure, comm.rank), first)
-    raise found if failure is None else failure
+    raise mark_shared(comm, found if failure is None else failure)
+
+
+def mark_shared(comm: MPI.Comm, error: Exception) -> Exception:
+    """The error, marked as one that all ranks of `comm` raise."""
+    vars(error)["ranks"] = comm.size
+    return error
+
+
+def shared(comm: MPI.Comm, error: BaseException) -> bool:
+    """Whether all ranks of `comm` raise this error, so that they may handle it by collective calls.  If not, the caller
+    must raise it on: the other ranks may wait in a collective call, from which only an abort of the run frees them.
+
+    Errors of `raise_together` and `from_root` are shared.  An InputError or SolverError without their mark may follow
+    from numbers that all ranks have: the ranks compare its text, if all arrive here while they wait `patiently`.  Any
+    other error belongs to the rank that raises it.
+    """
+    ranks = vars(error).get("ranks", 1)
+    if 0 < ranks < comm.size and isinstance(error, (InputError, SolverError)):
+        ranks = comm.size if _all_raise(comm, f"{type(error).__name__}: {error}") else 0
+        vars(error)["ranks"] = ranks  # 0: alone; nobody need wait for the others again
+    return comm.size == 1 or ranks >= comm.size
+
+
+def _all_raise(comm: MPI.Comm, text: str) -> bool:
+    """Whether all ranks call this, with the same text.  If not, some rank never calls it, or waits in vain."""
+    own = crc32(text.encode())
+    if comm.rank > 0:
+        request = comm.isend(own, 0, FAILED)
+        return patiently(comm, partial(comm.iprobe, 0, FAILED)) and (request.wait(), comm.recv(None, 0, FAILED))[1]
+    for rank in range(1, comm.size):
+        if not patiently(comm, partial(comm.iprobe, rank, FAILED)) or comm.recv(None, rank, FAILED) != own:
+            return False
+    for rank in range(1, comm.size):
+        comm.send(True, rank, FAILED)
+    return True
 
 
 def _for_others(failure: Exception, rank: int) -> Exception:
@@ -133,5 +169,5 @@ def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
             failure = error
     value, failure = comm.bcast((value, failure))
     if failure is not None:
-        raise failure
+        raise mark_shared(comm, failure)
     return value

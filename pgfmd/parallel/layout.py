@@ -140,7 +140,7 @@ class Exchange:
             messages += ((rank, each) for each in (parts if whole is None else [whole]))
             if whole is not None and len(parts) > 1:
                 self._joined.append((whole, parts))
-        self.requests = [self.comm.Irecv(_items(rows), rank) for rank, rows in messages if rows.size]
+        self.requests = [self.comm.Irecv(_items(rows), rank, 0) for rank, rows in messages if rows.size]
         for rank, parts in self._sent.items():
             whole = _one_message(parts)
             if whole is not None and len(parts) > 1:

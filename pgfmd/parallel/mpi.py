@@ -10,6 +10,8 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
+from collections.abc import Callable
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +23,7 @@ from pgfmd.parallel import alone
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 _LOCAL_RANKS = ("OMPI_COMM_WORLD_LOCAL_RANK", "MPI_LOCALRANKID", "SLURM_LOCALID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
+PATIENCE = 10.0  # seconds that a failed rank 0 waits for the others to fail with it
 
 
 class _Chosen:
@@ -59,6 +62,18 @@ def world() -> MPI.Intracomm:
 def launched() -> MPI.Intracomm:
     """All ranks that were launched together; this process alone, without initialising MPI, if it was started alone."""
     return world() if "mpi4py.MPI" in sys.modules or _launched(_SIZES, 1) > 1 else ALONE
+
+
+def patiently(comm: MPI.Comm, is_done: Callable[[], bool]) -> bool:
+    """Poll until `is_done()`, or until the patience of this rank ends; whether it is done.  Higher ranks have more
+    patience, up to twice that of rank 0, so that of several failed ranks the first aborts and speaks for all.
+    """
+    deadline = time.monotonic() + PATIENCE * (1 + comm.rank / comm.size)
+    while not is_done():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(1e-3)
+    return True
 
 
 def for_library(comm: MPI.Comm) -> MPI.Comm:

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
@@ -54,6 +55,8 @@ def solve_contact(
         return _certified(solver, options.tolerance, start)
     except SolverError as failure:
         if overwrite_heights or start is None and not rescued or isinstance(failure, Uncertifiable):
+            raise
+        if not shared(problem.grid.comm, failure):
             raise
         again = "without the start" if start is not None else "by dynamics, slower but always convergent"
         if problem.grid.comm.rank == 0:

@@ -159,7 +159,8 @@ class LoadControl:
                 asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
             elif tolerance > self.tolerance:
                 asked = f"not even a certified error of {tolerance:g} is reached on the way"
-            raise type(failure)(f"load.{self.name} = {target:g}: {asked}: {failure}") from None
+            failure.args = (f"load.{self.name} = {target:g}: {asked}: {failure}",)
+            raise
 
 
 class _Search:

@@ -12,6 +12,7 @@ from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict_locally
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
@@ -73,8 +74,9 @@ class NestedIteration(Generic[StateType]):
             return self.coarsest(problem, exact), 0.0
         try:
             found, transforms = self._solve_coarse(problem, coarse)
-        except SolverError:  # on all ranks
-            coarse.place.free()
+        except SolverError as failure:
+            if shared(problem.grid.comm, failure):
+                coarse.place.free()
             raise
         iterations = found.iterations
         transforms *= coarse.place.size / problem.grid.size

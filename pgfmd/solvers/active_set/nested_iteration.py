@@ -10,6 +10,7 @@ from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
@@ -118,7 +119,9 @@ class ActiveSetIteration(NestedIteration[State]):
         while True:
             try:
                 state = solver.relax(state, self.tolerance, self.watch(problem))
-            except SolverError as failure:  # on all ranks
+            except SolverError as failure:
+                if not shared(problem.grid.comm, failure):
+                    raise
                 solver.free()
                 if isinstance(failure, Uncertifiable) or isinstance(solver, Descent):
                     raise

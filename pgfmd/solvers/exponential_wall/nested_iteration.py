@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 
 import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.transfer import Interpolation
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import kernels
@@ -29,9 +29,9 @@ class NewtonIteration(NestedIteration[LawState]):
         """Newton from that state; should it fail, by continuation in ζ from a uniform pressure."""
         try:
             return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
-        except Uncertifiable:
-            raise
-        except SolverError:
+        except SolverError as failure:
+            if isinstance(failure, Uncertifiable) or not shared(problem.grid.comm, failure):
+                raise
             state.pressure[...] = 1.0
         return self.continuation(problem, state, exact)
 
@@ -57,13 +57,16 @@ class NewtonIteration(NestedIteration[LawState]):
         tolerance, watch = self.goal(exact), self.watch(problem)
         *softer, last = softer_walls(problem)
         for soft in softer:
-            with suppress(SolverError):  # what is reached only starts the next
+            try:
                 Newton(soft).relax(state, LOOSE)
+            except SolverError as failure:  # what is reached only starts the next
+                if not shared(problem.grid.comm, failure):
+                    raise
         try:
             return Newton(last).relax(state, tolerance, watch)
-        except Uncertifiable:
-            raise
-        except SolverError:
+        except SolverError as failure:
+            if isinstance(failure, Uncertifiable) or not shared(problem.grid.comm, failure):
+                raise
             return descend(softer, last, state, tolerance, watch)
 
     def goal(self, exact: bool) -> float:
