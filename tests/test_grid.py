@@ -1,5 +1,6 @@
 """Slab transforms and the grid hierarchy, against NumPy on one process and mpi4py-fft on all."""
 
+import os
 import time
 
 import numpy as np
@@ -7,11 +8,12 @@ import pytest
 from mpi4py import MPI
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid import holders, transpose
+from pgfmd.grid import aligned, holders, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import Interpolation, interpolate, restrict, restrict_locally
-from pgfmd.parallel.collectives import await_all, slab_starts
+from pgfmd.parallel import mpi
+from pgfmd.parallel.collectives import await_all, raise_together, shared, slab_starts
 from pgfmd.parallel.layout import Layout
 
 pytestmark = pytest.mark.mpi
@@ -55,6 +57,47 @@ def test_transforms_between_nodes(comm, monkeypatch, shape, dtype):
         assert np.allclose(grid.backward(spectrum), whole[grid.rows], rtol=0, atol=100 * EXACT[dtype])
         grid.free()
     pair.Free()
+
+
+class Node:
+    """Rank 0 of as many ranks as a node has, or of as many nodes, whose messages are kept."""
+
+    def __init__(self, size: int):
+        self.size, self.rank = size, 0
+
+    def Alltoallv(self, *messages) -> None:
+        self.messages = messages
+
+
+@pytest.mark.parametrize(("n", "nodes"), [(65536, 2), (131072, 2), (131072, 8)])
+@pytest.mark.parametrize("kind", ["c8", "c16"])
+def test_messages_between_nodes_have_32_bit_counts(tmp_path, monkeypatch, n, nodes, kind):
+    """Of grids that fill two nodes, counts and displacements are below 2³¹, in blocks of items that make up whole
+    rows: of this rank's rows those columns that each other node has, one node after another; and rows of the strip
+    where they belong.
+    """
+    ranks, path, pieces = 64 * nodes, tmp_path / "memory", []
+
+    def allocate(self, node, count):
+        path.touch()
+        os.truncate(path, count)  # a sparse file: no byte is touched
+        pieces.append(np.memmap(path, np.uint8, "r+"))
+        self.node, self.flat = node, pieces[0]
+
+    monkeypatch.setattr(transpose.ExchangedStrips, "_allocate", allocate)
+    monkeypatch.setattr(transpose, "datatype", lambda dtype, count: count)
+    strips = transpose.ExchangedStrips(Node(ranks), (n, n), Node(64), Node(nodes))
+    dtype = np.dtype(kind)
+    strips._exchange(dtype, False)
+    columns, rows = slab_starts(n // 2 + 1, ranks)[::64], slab_starts(n, ranks)
+    widths = [aligned.row_stride(int(width), dtype.itemsize) for width in np.diff(columns)]
+    (packed, sizes, begins, block), (strip, of_peers, places, same) = strips.peers.messages
+    assert max(map(np.max, (sizes, begins, of_peers, places))) < 2**31 and block == same
+    assert packed.ctypes.data - strip.ctypes.data == strips._packed and strip.ctypes.data == pieces[0].ctypes.data
+    assert list(block * sizes) == [0, *(int(rows[1]) * width for width in widths[1:])]
+    assert list(block * begins)[1:] == [int(rows[1]) * sum(widths[1:node]) for node in range(1, nodes)]
+    assert list(block * of_peers) == [0, *(np.diff(rows)[64::64] * widths[0])]
+    assert list(block * places) == list(rows[:-1:64] * widths[0])
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -300,11 +343,27 @@ def test_fields_do_not_share_cache_lines_of_a_page():
     assert all(field.shape == (512, 512) and field.dtype == float and field.flags.c_contiguous for field in fields)
 
 
+@pytest.mark.parametrize("kind", [SolverError, MemoryError])
+def test_error_of_all_ranks_of_a_smaller_grid(comm, kind):
+    """An error that the ranks with rows raise together is raised on all ranks, of its kind."""
+    place = SubGrid(SlabGrid(comm, (32, 2100)), (32, 2100), (1.0, 1.0))  # on two ranks
+
+    def work(grid):
+        with raise_together(grid.comm):
+            if grid.comm.rank == grid.comm.size - 1:
+                raise kind("together")
+
+    with pytest.raises(kind, match="together") as caught:
+        place.on_all(work)
+    assert shared(comm, caught.value)
+
+
 @pytest.mark.parametrize("error", [SolverError, MemoryError])
-def test_error_of_one_rank_of_a_smaller_grid(comm, error):
-    """An error that only the last of the ranks with rows has is raised there, not lost.  If it is none that they raise
-    together, it is raised without a message to the others: in a solution these would wait for it elsewhere.
+def test_error_of_one_rank_of_a_smaller_grid(comm, monkeypatch, error):
+    """An error that only the last of the ranks with rows has is raised there, not lost, and without a message to the
+    ranks that would wait for it elsewhere.
     """
+    monkeypatch.setattr(mpi, "PATIENCE", 0.1)
     place = SubGrid(SlabGrid(comm, (32, 2100)), (32, 2100), (1.0, 1.0))  # on two ranks
 
     def work(grid):
@@ -316,6 +375,6 @@ def test_error_of_one_rank_of_a_smaller_grid(comm, error):
         return
     with pytest.raises(error, match="alone"):
         place.on_all(work)
-    if error is MemoryError and place.grid.comm.size < comm.size:
+    if 1 < place.grid.comm.size < comm.size:
         await_all(comm)  # for which the others wait
         comm.bcast(None)

@@ -36,7 +36,7 @@ class Silent(alone.Comm):
     def Alltoallv(self, send, receive) -> None:
         """Nothing comes."""
 
-    def Irecv(self, message, source: int) -> alone.Request:
+    def Irecv(self, message, source: int, tag: int) -> alone.Request:
         """Zeros."""
         message[0][...] = 0
         return alone.Request()

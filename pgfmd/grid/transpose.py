@@ -29,7 +29,7 @@ TILE = 256  # bytes of a row in one tile: more favours the passes along rows, le
 WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part
 WORD = np.dtype(np.int64)  # type of copies, whatever the numbers are
 Counts = tuple[np.ndarray, np.ndarray]
-"""Items of each rank's part of a buffer, and where the parts begin."""
+"""Blocks of each rank's part of a buffer, and where the parts begin."""
 
 
 class Parts(NamedTuple):
@@ -187,8 +187,8 @@ class ExchangedStrips(Strips):
         self.peers, self.node_number = peers, peers.rank
         self.node_starts = self.column_starts[:: node.size]
         self.first_column = int(self.column_starts[comm.rank] - self.node_starts[self.node_number])
-        self._known: dict[int, tuple[Counts, Counts]] = {}  # layouts by itemsize
         self._strides = {kind: self._stride(kind) for kind in (8, 16)}  # of each node's strip: items from row to row
+        self._blocks = {kind: int(np.gcd.reduce(strides)) for kind, strides in self._strides.items()}
         sizes = [[counts * kind for counts in self._sizes(kind)] for kind in (8, 16)]
         strip, packed = (max(each) for each in zip(*sizes, strict=True))
         self._packed = strip + node.rank * packed  # bytes before this rank's packed rows
@@ -205,22 +205,23 @@ class ExchangedStrips(Strips):
         counts = self.nx * int(strides[self.node_number]), most * int(strides.sum() - strides[self.node_number])
         return -(-counts[0] // lines) * lines, -(-counts[1] // lines) * lines
 
-    def _layout(self, dtype: np.dtype) -> tuple[Counts, Counts]:
-        """The parts of this rank's packed rows, one for each node, and of the strip, one for the rows of each peer."""
-        if dtype.itemsize in self._known:
-            return self._known[dtype.itemsize]
-        strides = self._strides[dtype.itemsize]
+    def _layout(self, itemsize: int) -> tuple[Counts, Counts]:
+        """The parts of this rank's packed rows, one for each node, and of the strip, one for the rows of each peer.
+
+        Counted in blocks of items, the largest of which all strides are multiples, from the first packed row and from
+        the begin of the strip: MPI libraries take no count and no displacement above 2³¹ − 1.
+        """
+        strides = self._strides[itemsize] // self._blocks[itemsize]
         mine = slice(self.node.rank, self.comm.size, self.node.size)
         rows, first = np.diff(self.row_starts)[mine], self.row_starts[mine]
         packed, strip = self.rows * strides, rows * strides[self.node_number]
         packed[self.node_number] = strip[self.node_number] = 0  # `put` writes them straight into the strip
-        begin = self._packed // dtype.itemsize
-        found = (packed, begin + np.cumsum(packed) - packed), (strip, first * strides[self.node_number])
-        return self._known.setdefault(dtype.itemsize, found)
+        return (packed, np.cumsum(packed) - packed), (strip, first * strides[self.node_number])
 
     def parts(self, dtype: np.dtype) -> Parts:
         """The packed rows for the other nodes, and this rank's rows of the strip."""
-        offsets, strides = self._layout(dtype)[0][1].copy(), self._strides[dtype.itemsize]
+        strides, packed = self._strides[dtype.itemsize], self._layout(dtype.itemsize)[0]
+        offsets = self._packed // dtype.itemsize + packed[1] * self._blocks[dtype.itemsize]
         offsets[self.node_number] = self.row_starts[self.comm.rank] * strides[self.node_number]
         table = np.stack([self.node_starts[:-1], self.node_starts[1:], offsets, np.maximum(strides, 1)], axis=1)
         return Parts(_items(self.flat, WORD), table * (dtype.itemsize // WORD.itemsize), self.rows)
@@ -232,20 +233,20 @@ class ExchangedStrips(Strips):
 
     def to_columns(self, dtype: np.dtype) -> None:
         """Packed rows to strips.  Collective."""
-        packed, strip = self._layout(dtype)
-        self._alltoall(packed, strip, dtype)
+        self._exchange(dtype, False)
         self.meet()
 
     def to_rows(self, dtype: np.dtype) -> None:
         """Strips to packed rows.  Collective."""
-        packed, strip = self._layout(dtype)
         self.meet()
-        self._alltoall(strip, packed, dtype)
+        self._exchange(dtype, True)
 
-    def _alltoall(self, sent: Counts, received: Counts, dtype: np.dtype) -> None:
-        # Counted in items, not bytes: counts above 2³¹ are refused by most MPI libraries.
-        items, kind = _items(self.flat, dtype), datatype(dtype)
-        self.peers.Alltoallv([items, *sent, kind], [items, *received, kind])
+    def _exchange(self, dtype: np.dtype, back: bool) -> None:
+        """Send packed rows to strips, or back.  Collective."""
+        (packed, strip), block = self._layout(dtype.itemsize), datatype(dtype, self._blocks[dtype.itemsize])
+        messages = [self.flat[self._packed :], *packed, block], [self.flat, *strip, block]
+        if self.peers.size > 1:
+            self.peers.Alltoallv(*(reversed(messages) if back else messages))
 
 
 def _items(raw: np.ndarray, dtype: np.dtype) -> np.ndarray:

@@ -12,9 +12,11 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from functools import cache
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
@@ -102,10 +104,13 @@ def library() -> str:
     return str(MPI.Get_library_version()).split("\n")[0].split(",")[0].strip("\0 ")
 
 
-def datatype(dtype: DTypeLike) -> Any:
-    """MPI's datatype of NumPy's `dtype`, for messages counted in items."""
-    if "mpi4py.MPI" not in sys.modules:
-        return None
+def datatype(dtype: DTypeLike, count: int = 1) -> Any:
+    """MPI's datatype of blocks of `count` items of NumPy's `dtype`; None without MPI."""
+    return _blocks(np.dtype(dtype), count) if "mpi4py.MPI" in sys.modules else None
+
+
+@cache
+def _blocks(dtype: np.dtype, count: int) -> Any:
     from mpi4py.util import dtlib
 
-    return dtlib.from_numpy_dtype(dtype)
+    return dtlib.from_numpy_dtype(dtype).Create_contiguous(count).Commit()
