@@ -6,7 +6,7 @@ import os
 import random
 import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import launching
 import pytest
@@ -204,6 +204,22 @@ def test_full_disk(tmp_path):
 def test_full_disks(tmp_path):
     """The same ten times, at 512²."""
     fill_disks(tmp_path, 512, 10, 2)
+
+
+@pytest.mark.parametrize("cause", ["none", "small"])
+def test_without_shared_memory(tmp_path, cause):
+    """Where the MPI library has no shared windows, or a file system that is too small for them, ranks exchange
+    messages: one line says so, and the pressures are those of one rank.
+    """
+    job = launching.write_job(tmp_path / "job.toml", 256, lambda_s=16, pressures=LOADS[:2])
+    assert launching.wait(launching.start(1, "run", job, "--output", tmp_path / "one"))[0] == 0
+    with small_disk(tmp_path / "disk", 2**19) if cause == "small" else nullcontext() as disk:
+        name = "OMPI_MCA_osc" + "_sm_backing_directory" * (cause == "small")
+        environment = {name: "^sm" if disk is None else str(disk)}
+        run = launching.start(3, "run", job, "--output", tmp_path / "out", environment=environment)
+        code, stderr = launching.wait(run, 120)
+        assert code == 0 and stderr.count("they exchange messages") == 1, stderr
+    assert launching.distance(tmp_path / "out", tmp_path / "one")[1] < 1e-10
 
 
 @pytest.mark.parametrize("what", ["folder", "file"])

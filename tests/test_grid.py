@@ -59,6 +59,24 @@ def test_transforms_between_nodes(comm, monkeypatch, shape, dtype):
     pair.Free()
 
 
+def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
+    """One node lacks shared memory: strips of all ranks are exchanged, and one line on rank 0 says so, however many
+    grids there are.
+    """
+    if comm.size == 1:
+        pytest.skip("one rank shares with nobody")
+    transpose._warn.cache_clear()
+    free = 100.0 if comm.rank == comm.size - 1 else 1e9
+    monkeypatch.setattr(transpose, "shared_memory", lambda: ("/dev/shm", free))
+    for shape in ((9, 8), (12, 10)):
+        whole, grid = field(shape), SlabGrid(comm, shape)
+        expected = np.fft.rfft2(whole).T[grid.columns]
+        assert np.abs(grid.forward(whole[grid.rows]) - expected).max(initial=0) <= EXACT[np.float64] * 1e2
+        assert isinstance(grid._strips, transpose.ExchangedStrips) and grid._strips.window is None
+        grid.free()
+    assert caplog.text.count("/dev/shm is too small") == (comm.rank == 0)
+
+
 class Node:
     """Rank 0 of as many ranks as a node has, or of as many nodes, whose messages are kept."""
 

@@ -12,22 +12,25 @@ exchanged strip is one tile.
 
 from __future__ import annotations
 
+import logging
 import math
 import mmap
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import ALIGNMENT, aligned_bytes, row_stride
 from pgfmd.parallel.collectives import slab_starts
-from pgfmd.parallel.mpi import MPI, datatype
+from pgfmd.parallel.mpi import MPI, datatype, shared_memory
 from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part
 WORD = np.dtype(np.int64)  # type of copies, whatever the numbers are
+log = logging.getLogger("pgfmd")
 Counts = tuple[np.ndarray, np.ndarray]
 """Blocks of each rank's part of a buffer, and where the parts begin."""
 
@@ -41,6 +44,10 @@ class Parts(NamedTuple):
     flat: np.ndarray
     table: np.ndarray
     height: int
+
+
+class NoSharedMemory(Exception):
+    """Ranks of a node cannot share memory, or not so much; the message says why."""
 
 
 class Strips(ABC):
@@ -63,15 +70,29 @@ class Strips(ABC):
         self.window: MPI.Win | None = None
 
     def _allocate(self, node: MPI.Comm, count: int) -> None:
-        """Allocate `count` bytes, shared with the node.  Collective over the node.
+        """Allocate `count` bytes, shared with the node.  Collective.
 
         Sets flat: the memory of all its ranks, and begins: where that of each rank begins in it, on a cache line.
+        Raises NoSharedMemory on all ranks if those of some node cannot share so much.
         """
         self.node = node
         if node.size == 1:
             self.flat, self.begins = aligned_bytes(count), np.zeros(1, np.int64)
             return
-        self.window = window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=MPI.Intracomm(node))
+        # Asked before: where the memory does not suffice, some libraries fail on one rank, and the others wait for it.
+        folder, free = shared_memory()
+        if self.comm.allreduce(node.allreduce(count + ALIGNMENT) > free, MPI.LOR):
+            raise NoSharedMemory(f"{folder} is too small")
+        failure = ""
+        try:
+            self.window = MPI.Win.Allocate_shared(count + ALIGNMENT, 1, comm=MPI.Intracomm(node))
+        except MPI.Exception as error:
+            failure = str(error)
+        if reason := max(self.comm.allgather(failure)):
+            if self.window is not None:
+                self.window.Free()
+            raise NoSharedMemory(reason)
+        window: Any = self.window
         window.Lock_all(MPI.MODE_NOCHECK)
         buffers = [window.Shared_query(rank)[0] for rank in range(node.size)]
         spans = np.array([(buffer.address, buffer.address + buffer.nbytes) for buffer in buffers])
@@ -262,7 +283,18 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> 
     if not shared:
         return ExchangedStrips(comm, shape, MPI.COMM_SELF, comm)
     node = node_of(comm)
-    if node.size == comm.size:
-        return SharedStrips(comm, shape)
-    peers = peers_of(comm, node)
-    return ExchangedStrips(comm, shape, *((MPI.COMM_SELF, comm) if peers is None else (node, peers)))
+    try:
+        if node.size == comm.size:
+            return SharedStrips(comm, shape)
+        peers = peers_of(comm, node)
+        return ExchangedStrips(comm, shape, *((MPI.COMM_SELF, comm) if peers is None else (node, peers)))
+    except NoSharedMemory as failure:
+        if comm.rank == 0:
+            _warn(str(failure))
+        return make_strips(comm, shape, shared=False)
+
+
+@cache
+def _warn(reason: str) -> None:
+    """A line in the log, once in a process."""
+    log.warning("no memory that the ranks of a node could share (%s): they exchange messages, which is slower", reason)

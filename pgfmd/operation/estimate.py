@@ -12,6 +12,7 @@ from pgfmd.job.job import Job
 from pgfmd.operation.memory import readable
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
+from pgfmd.parallel.mpi import shared_memory
 from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
 from pgfmd.solvers.cost import cost as solver_cost
 
@@ -174,11 +175,25 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
         "memory": f"about {readable(found.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "
         f"rank, of which {readable(LIBRARY_BYTES)} are shared, and {bytes_per_point(job):.0f} bytes per grid point)",
         "of a rank": f"up to {readable(found.memory)}, where what ranks of a node share counts for each" * (ranks > 1),
+        "shared": shortage(job, ranks, here),
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {counted(ranks, 'core')}",
     }
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
+
+
+def shortage(job: Job, ranks: int, here: int) -> str:
+    """What happens if the memory that `here` of the ranks share on this machine is too small for their strips, else "".
+    """
+    groups = rank_groups(job, ranks)
+    points = math.prod(job.grid.n) * here / ranks * groups
+    need = WORKSPACE["blocked"] * points * (here > 1 and ranks > groups and job.solver.transform == "blocked")
+    folder, free = shared_memory()
+    return "" if need <= free else (
+        f"{folder} has {readable(free)} of about {readable(need)} that ranks of a node share: they would exchange "
+        "messages instead, which is slower; make it larger (docker run --shm-size)"
+    )  # fmt: skip
 
 
 def duration(seconds: float) -> str:

@@ -8,6 +8,7 @@ start `mpirun`, which an initialised Open MPI forbids its children.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import sys
 import time
@@ -25,6 +26,7 @@ from pgfmd.parallel import alone
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 _LOCAL_RANKS = ("OMPI_COMM_WORLD_LOCAL_RANK", "MPI_LOCALRANKID", "SLURM_LOCALID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
+USABLE = 0.9  # of the free shared memory: Open MPI 4 refuses above 0.95 of it, and adds a little of its own
 PATIENCE = 10.0  # seconds that a failed rank 0 waits for the others to fail with it
 
 
@@ -97,6 +99,16 @@ def first_of_node() -> bool:
 
 def _launched(names: tuple[str, ...], otherwise: int) -> int:
     return next((int(os.environ[name]) for name in names if os.environ.get(name, "").isdigit()), otherwise)
+
+
+def shared_memory() -> tuple[str, float]:
+    """The folder in which ranks of a node share memory, and the bytes that they can have there; inf if not known."""
+    folder = os.environ.get("OMPI_MCA_osc_sm_backing_directory", "/dev/shm")
+    try:
+        found = os.statvfs(folder)
+    except OSError:
+        return folder, math.inf
+    return folder, USABLE * found.f_bavail * found.f_frsize
 
 
 def library() -> str:
