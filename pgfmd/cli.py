@@ -219,8 +219,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _end_all_ranks(comm: MPI.Comm, error: BaseException) -> int:
-    """End all ranks with the error's exit code; rank 0 prints the error.  Collective; aborts if other ranks do not come.
-    """
+    """End all ranks with the error's exit code; rank 0 prints the error.  Aborts if some do not come.  Collective."""
     if vars(error).get("ranks") == 0 or not patiently(comm, comm.Ibarrier().Test):  # 0: it is known to be alone
         _complain(error)
         comm.Abort(_code(error))

