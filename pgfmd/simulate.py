@@ -7,14 +7,14 @@ import logging
 import math
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from pgfmd.errors import SolverError, Unreachable
+from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.provenance import Origin, command_line
@@ -107,7 +107,7 @@ def simulate(
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         observer = Observer(problem, job.output.asked, cutoff)
         control = LoadControl(job.load, problem, job.solver.tolerance)
-        control.check_targets(job.load.targets)
+        impossible = _impossible(control, job.load.targets, alone)
         checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job), job.run.io_hints)
         with phases("write"):
             if writer.replacing:  # earlier results and their checkpoint stay until the first load is written;
@@ -119,11 +119,12 @@ def simulate(
             log_file.open(writer.directory, f"{command_line()}, on {counted(comm.size, 'rank')}")
             if "height" in job.output.fields and not writer.earlier.has_height:
                 writer.write_heights(heights)
-        pending, unreachable, count = writer.pending, {}, len(job.load.targets)
+        pending, count = writer.pending, len(job.load.targets)
+        unreachable: dict[int, Exception] = {index: impossible[index] for index in pending if index in impossible}
         progress = Progress(comm.rank, len(pending), grid.shape, job.solver.tolerance)
         steps = _Steps(grid, interruptions, checkpoints, progress)
         control.solver = partial(solve, job, steps)
-        for index in pending:
+        for index in [index for index in pending if index not in impossible]:
             target = job.load.targets[index]
             try:
                 progress.begin(f"load {index + 1}/{count}")
@@ -157,6 +158,24 @@ def simulate(
         writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
     if unreachable:
         raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")
+
+
+def _impossible(control: LoadControl, targets: Sequence[float], alone: bool) -> dict[int, InputError]:
+    """The targets that are wrong input on this surface, by index; for a surface that is `alone`, or without another
+    target, InputError is raised.  A seed of an ensemble solves the others, so that no load's mean lacks a seed that can
+    reach it.  Collective.
+    """
+    found: dict[int, InputError] = {}
+    for index, target in enumerate(targets):
+        try:
+            control.check_targets([target])
+        except InputError as error:
+            if not shared(control.grid.comm, error):
+                raise
+            found[index] = error
+    if found and (alone or len(found) == len(targets)):
+        raise next(iter(found.values()))
+    return found
 
 
 def of_first_load(job: Job) -> str:

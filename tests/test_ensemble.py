@@ -22,6 +22,7 @@ from pgfmd.io.writer import ResultWriter
 from pgfmd.job.job import as_toml, parse, tables_as_toml
 from pgfmd.operation import ensemble as ensembles
 from pgfmd.operation.estimate import rank_groups
+from pgfmd.operation.reachability import doubts
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -147,6 +148,33 @@ def test_a_seed_that_fails_does_not_stop_the_others(comm, shared_tmp_path, monke
     monkeypatch.undo()
     again = pgfmd.run(JOB, shared_tmp_path / "out", comm=comm, restart=True)
     assert again.status == "complete" and not again.failed and len(again) == 10
+
+
+def test_a_load_that_a_seed_cannot_reach_costs_it_no_other(comm, shared_tmp_path):
+    """A displacement beyond the full contact of the lower surfaces: each seed solves the other load, whose mean is over
+    all of them.  The table, the file and the figure say over how many seeds each mean is; so does `check`.
+    """
+    heights = {seed: pgfmd.surface(with_seeds(seed)) for seed in (3, 4, 5)}
+    low, mid, high = sorted(float(field.max() - field.mean()) for field in heights.values())
+    job = with_seeds([3, 4, 5], load={"displacement": [0.3 * low, (mid + high) / 2]})
+    with pytest.raises(SolverError, match="2 of 3 seeds failed"):
+        pgfmd.run(job, shared_tmp_path / "out", comm=comm)
+    found = pgfmd.Ensemble(shared_tmp_path / "out")
+    assert list(solved_runs(found.runs)) == [3, 1] and len(found.failed) == 2
+    assert all("must be below" in message for message in found.failed.values())
+    areas = [run.loads["contact_area"][0] for run in found.runs]
+    assert mean_loads(found.runs)["contact_area"].mean[0] == pytest.approx(np.mean(areas), rel=1e-14)
+    rows = [line.split() for line in summary_of_ensemble(found).splitlines()]
+    title = next(row for row in rows if row[:2] == ["load", "seeds"])
+    assert [row[1] for row in rows[rows.index(title) + 2 :]] == ["3", "1"]
+    assert len(doubts(parse(tables_as_toml(job)))) == 2
+    if comm.size == 1 and pytest.importorskip("matplotlib"):
+        from pgfmd import cli
+
+        printed = cli._plot(["area_load", str(shared_tmp_path / "out"), "--output", str(shared_tmp_path / "pictures")])
+        assert "not all of 3 seeds have solved each load, which biases the means (load 1: 1)" in printed
+        table = (shared_tmp_path / "pictures" / "area_load_means.csv").read_text().splitlines()
+        assert [line.rpartition(",")[2] for line in table] == ["seeds", "3", "1"]
 
 
 def test_more_seeds_are_added_by_restart(comm, shared_tmp_path):

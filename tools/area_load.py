@@ -27,6 +27,7 @@ dashed: their limits at low load. Bars: standard error over seeds."""
 NEEDS = ("area", "roughness")
 OPTIONS = {"--area": {"type": float, "help": "contact area at which κ is reported (default 0.08)"}}
 
+MEANS = ("setting", "reduced_pressure", "area", "area_corrected", "kappa", "kappa_error", "seeds")
 AREAS = {
     "raw": lambda load: load.area,
     "corrected": lambda load: load.corrected_area,
@@ -39,11 +40,13 @@ def draw(loads: list[Load], area: float = 0.08) -> Sheet:
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
         name = group.name
-        load, raw, corrected, kappa, error = columns(group)
+        load, raw, corrected, kappa, error, seeds = columns(group)
         filled, bare = style(number), style(number, filled=False)
         sheet.curve(0, load, corrected, name, ls="none", **filled)
         sheet.curve(1, corrected, kappa, name, error=error, ls="none", **filled)
         sheet.curve(1, raw, raw / load, f"{name}, raw", label=False, ls="none", **bare)
+        for row in zip(load, raw, corrected, kappa, error, seeds.astype(int), strict=True):
+            sheet.keep("means", MEANS, (name, *row))
         report(sheet, group, area, name)
     _draw_theory(sheet, loads)
     sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area $f_c$", scale="log", legend=False)
@@ -59,7 +62,9 @@ def reduced(load: Load) -> float:
 
 
 def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
-    """Means over the seeds at each load: p̄/(E'g), f_c raw and corrected, κ corrected and its standard error."""
+    """Means over the seeds at each load: p̄/(E'g), f_c raw and corrected, κ corrected and its standard error, number
+    of seeds.
+    """
     rows, targets = [], sorted({load.target for load in group})
     for target in targets:
         same = [load for load in group if load.target == target]
@@ -67,7 +72,7 @@ def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
         error = standard_error(kappas)
         means = [np.mean([value(load) for load in same]) for value in
                  (reduced, lambda load: load.area, lambda load: load.corrected_area)]  # fmt: skip
-        rows.append((*means, np.mean(kappas), 0.0 if error is None else error))
+        rows.append((*means, np.mean(kappas), 0.0 if error is None else error, len(same)))
     return tuple(np.array(sorted(rows)).T)
 
 

@@ -57,8 +57,20 @@ def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = 
     drawn = module(figure)
     found, left_out = choosing.suitable(choosing.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
     sheet = drawn.draw(found, **options)
-    sheet.notes[:0] = left_out
+    sheet.notes[:0] = left_out + [note for folder in folders if (note := _lacking(folder))]
     return sheet
+
+
+def _lacking(folder: Path | str) -> str:
+    """How many seeds of an ensemble have solved each load, if not all have; else ""."""
+    from pgfmd.io import ensemble
+
+    if not ensemble.is_ensemble(folder):
+        return ""
+    found = ensemble.Ensemble(folder)
+    counts, asked = ensemble.solved_runs(found.runs).tolist(), len(found.seeds)
+    listed = ", ".join(f"load {index}: {count}" for index, count in enumerate(counts) if count < asked)
+    return f"{folder}: not all of {asked} seeds have solved each load, which biases the means ({listed})" * bool(listed)
 
 
 def listing() -> str:

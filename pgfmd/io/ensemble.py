@@ -275,10 +275,11 @@ def _put(group: h5py.Group, found: Mapping[str, Column]) -> None:
 
 
 def table(ensemble: Ensemble) -> str:
-    """The means of all numbers as aligned text, one row per load, with their standard errors."""
+    """The means of all numbers as aligned text, one row per load, with the number of seeds and standard errors."""
     means = mean_loads(ensemble.runs)
     if not means:
         return "no load was completed"
-    units = {name: column.about["units"] for name, column in means.items()}
-    values = {name: column.mean for name, column in means.items()}
-    return text_table(values, units, {name: column.error for name, column in means.items()})
+    units = {"seeds": ""} | {name: column.about["units"] for name, column in means.items()}
+    values = {"seeds": solved_runs(ensemble.runs)} | {name: column.mean for name, column in means.items()}
+    errors = {"seeds": np.zeros(len(values["seeds"]))} | {name: column.error for name, column in means.items()}
+    return text_table(values, units, errors)

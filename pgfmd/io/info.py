@@ -99,7 +99,8 @@ def summary_of_ensemble(found: Ensemble) -> str:
         **_origin(found.provenance),
     }
     lines |= {f"seed {seed}": f"failed: {message}" for seed, message in found.failed.items()}
-    return "\n".join([_listed(lines), "", "mean over the seeds ± standard error:", ensemble.table(found)])
+    title = "mean over the seeds that solved the load ± standard error:"
+    return "\n".join([_listed(lines), "", title, ensemble.table(found)])
 
 
 def _origin(about: Mapping[str, Any]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from pgfmd.errors import Unreachable
+from pgfmd.errors import InputError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.job.job import Job
 from pgfmd.parallel.mpi import ALONE
@@ -17,8 +17,8 @@ LARGEST = 2**22  # points of the surfaces that are made for this: a few seconds
 
 
 def doubts(job: Job) -> list[str]:
-    """A line for each target of a job that no load gives; or one that says that the surface has too many points for
-    this test.  The surface is made in this process alone.
+    """A line for each target of a job that no load gives, or that a seed of an ensemble refuses; or one that says that
+    the surface has too many points for this test.  The surface is made in this process alone.
 
     Raises InputError for a target, and for a surface, that a run would refuse before its first solution.
     """
@@ -29,16 +29,20 @@ def doubts(job: Job) -> list[str]:
     if math.prod(job.cell.shape) * len(surfaces) > LARGEST:
         return [f"whether each {job.load.control} can be reached is tested up to {LARGEST} points only"]
     found: dict[str, None] = {}
-    for surface in surfaces:
+    for seed, surface in zip(seeds or (0,), surfaces, strict=True):
         grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths)
         heights = refined_heights(surface, job.grid, grid, job.output.length_unit)
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         control = LoadControl(job.load, problem).control
         for target in job.load.targets:
-            control.check_target(target)
             try:
+                control.check_target(target)
                 control.check_reachable(target)
             except Unreachable as failure:
                 found[str(failure)] = None
+            except InputError as failure:
+                if not seeds:
+                    raise
+                found[f"seed {seed}: {failure}"] = None  # its other loads are solved
         grid.free()
     return list(found)
