@@ -187,7 +187,7 @@ def shortage(job: Job, ranks: int, here: int) -> str:
     """What happens if the memory that `here` of the ranks share on this machine is too small for their strips, else "".
     """
     groups = rank_groups(job, ranks)
-    points = math.prod(job.grid.n) * here / ranks * groups
+    points = math.prod(job.cell.n) * here / ranks * groups
     need = WORKSPACE["blocked"] * points * (here > 1 and ranks > groups and job.solver.transform == "blocked")
     folder, free = shared_memory()
     return "" if need <= free else (
