@@ -152,7 +152,7 @@ def test_a_small_shared_memory_is_told_of(monkeypatch):
 
     def said(ranks, per_node=None, **solver):
         tables = {"grid": {"n": 4096}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "load": {"pressure": 0.1}}
-        large = job.parse(job.tables_as_toml(tables | {"solver": solver}))
+        large = job.parse(job.tables_as_toml(tables | {"solver": solver, "solid": {"contact_modulus": 1.0}}))
         return "/dev/shm" in estimate.report(large, ranks, per_node)
 
     monkeypatch.setattr(estimate, "shared_memory", lambda: ("/dev/shm", 64e6))
