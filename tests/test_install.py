@@ -44,6 +44,9 @@ def wheel(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     unwanted = shutil.ignore_patterns(".*", "*.egg-info", "build", "__pycache__", "results", "figures")
     shutil.copytree(ROOT, folder / "source", ignore=unwanted)
+    left = folder / "source" / "build" / "lib" / "pgfmd"  # by a pip of before
+    left.mkdir(parents=True)
+    (left / "removed.py").touch()
     pip = (sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", folder)
     done = call(*pip, folder / "source", folder=folder)
     if any(sign in done.stderr for sign in NO_NETWORK):
@@ -54,8 +57,8 @@ def wheel(tmp_path_factory) -> Path:
 
 
 def test_what_the_wheel_holds(wheel):
-    """Every module of the package, the mark that it is typed, and in its metadata the extras, the licence, the command
-    and the README."""
+    """Every module of the package and no other, the mark that it is typed, and in its metadata the extras, the licence,
+    the command and the README."""
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         (info,) = {name.split("/")[0] for name in names if ".dist-info/" in name}
@@ -63,6 +66,7 @@ def test_what_the_wheel_holds(wheel):
         entry_points = archive.read(f"{info}/entry_points.txt").decode()
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "pgfmd").rglob("*.py")}
     assert modules | {"pgfmd/py.typed"} <= names
+    assert {name for name in names if name.startswith("pgfmd/") and name.endswith(".py")} == modules
     assert "pgfmd = pgfmd.cli:main" in entry_points
     for line in ("Provides-Extra: mpi", "Provides-Extra: fft", "Provides-Extra: plot", "License-Expression: MIT"):
         assert line in metadata
