@@ -1,11 +1,11 @@
 #!/usr/bin/env bash
 # From nothing to a picture: sets everything up, solves a rough contact on two ranks, draws it.
 #
-#   bash jobs/quickstart.sh
+#   bash jobs/quickstart.sh [--parallel-hdf5]     # takes wheels; with it, the system's MPI and, compiled, HDF5 with MPI
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-bash tools/setup.sh
+bash tools/setup.sh "$@"
 source tools/env.sh
 mpirun -n 2 .venv/bin/python -m mpi4py -m pgfmd run jobs/quickstart.toml --output results/quickstart --overwrite
 .venv/bin/pgfmd plot overview results/quickstart

@@ -14,8 +14,8 @@ from conftest import ROOT
 BASIC = "as bash cat cc cut dirname env flock grep head id ld mkdir mktemp mv rm sed sha256sum sort tail touch tr"
 
 
-def _setup(root, **environment):
-    return subprocess.run(["bash", str(root / "tools" / "setup.sh")], cwd="/", env=os.environ | environment,
+def _setup(root, *words, **environment):
+    return subprocess.run(["bash", str(root / "tools" / "setup.sh"), *words], cwd="/", env=os.environ | environment,
                           stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -27,7 +27,7 @@ def _copy(folder):
     return root
 
 
-@pytest.mark.skipif(not (ROOT / ".venv" / ".ready" / "run").exists(), reason="this checkout was not set up")
+@pytest.mark.skipif(not (ROOT / ".venv" / ".ready").exists(), reason="this checkout was not set up")
 def test_nothing_to_do_is_quick_and_silent():
     """Where nothing changed, the set-up says nothing and ends within 5 s (0.3 s on an idle machine)."""
     first = _setup(ROOT)  # may have something to do, if a file was edited since
@@ -45,7 +45,7 @@ def test_missing_packages_are_named(tmp_path):
         if found := shutil.which(name):
             (tools / name).symlink_to(found)
     root = _copy(tmp_path)
-    done = _setup(root, PATH=str(tools), PGFMD_PYTHON=sys.executable)
+    done = _setup(root, "--parallel-hdf5", PATH=str(tools), PGFMD_PYTHON=sys.executable)
     assert done.returncode == 1
     assert "openmpi-bin libopenmpi-dev" in done.stderr
     assert "apt-get install" in done.stderr

@@ -3,6 +3,10 @@
 # Everything is set through the environment, so that a plain `mpirun -n P …` works as root, in a container, and with
 # more ranks than cores.  What the caller has set already is kept.
 
+# An Open MPI that pip brought into .venv/ is the one that Python there uses.
+pgfmd_bin=$(cd "$(dirname "${BASH_SOURCE[0]:-$0}")/.." && pwd)/.venv/bin
+[ ! -x "$pgfmd_bin/mpirun" ] || PATH=$pgfmd_bin:$PATH
+
 # Open MPI refuses to run as root unless told twice; version 5 reads the PRTE names.
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 export PRTE_ALLOW_RUN_AS_ROOT=1 PRTE_ALLOW_RUN_AS_ROOT_CONFIRM=1

@@ -1,16 +1,19 @@
 #!/usr/bin/env bash
 # Makes .venv/ in this checkout, ready to run pgfmd; every installation goes through this script.
 #
-#   bash tools/setup.sh [test] [bench] [EXTRA …]
+#   bash tools/setup.sh [--parallel-hdf5] [test] [bench] [EXTRA …]
 #
-# Without a word: what runs jobs and draws figures.  EXTRA: of pyproject.toml, in addition.  test: what the tests need,
-# among it programs that read results (VTK, h5grove, netCDF4, a notebook's kernel) or instruments' files, that solve the
-# same contacts (tamaas, ContactMechanics), that build the documentation, and a browser.  bench: what jobs/benchmark.sh
-# compares with; compiles for some minutes.
+# Without a word: what runs jobs and draws figures, in wheels, among them Open MPI.  EXTRA: of pyproject.toml, in addition.
+# --parallel-hdf5: the system's MPI and, compiled against it, h5py and mpi4py-fft; once made so, .venv/ stays so.
+# test, bench: --parallel-hdf5, and
+#   test   what the tests need, among it programs that read results (VTK, h5grove, netCDF4, a notebook's kernel) or
+#          instruments' files, that solve the same contacts (tamaas, ContactMechanics), that build the documentation,
+#          and a browser;
+#   bench  what jobs/benchmark.sh compares with; compiles for some minutes.
 #
 # If nothing has changed it ends at once.  Missing Debian packages are installed if allowed (root, or sudo without a
-# password), else listed.  Compiled packages (h5py with MPI, mpi4py-fft) are kept outside the checkout in
-# ${PGFMD_WHEELS:-~/.cache/pgfmd/wheels}, for the next clone.  PGFMD_PYTHON chooses another Python than python3.
+# password), else listed.  Compiled packages are kept outside the checkout in ${PGFMD_WHEELS:-~/.cache/pgfmd/wheels}, for
+# the next clone.  PGFMD_PYTHON chooses another Python than python3.
 set -euo pipefail
 
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -56,7 +59,7 @@ print(digest.hexdigest())' "$root"
 
 ready() {
     local extra
-    for extra in run "$@"; do
+    for extra in $mode "$@"; do
         [ "$(cat "$stamps/$extra" 2>/dev/null)" = "$print" ] || return 1
     done
     [ -x "$venv/bin/python" ]
@@ -84,9 +87,10 @@ parallel_hdf5() {
 # Debian packages for what is not there, whatever brought the rest (packages, environment modules, conda).
 missing_packages() { # EXTRAS…
     local mpi
+    "$python" -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
+    [ $mode = parallel ] || return 0
     mpi=$(mpi_flavour)
     command -v cc >/dev/null && has_header stdio.h || echo gcc libc6-dev
-    "$python" -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
     "$python" -c 'import os, sysconfig; open(os.path.join(sysconfig.get_path("include"), "Python.h"))' 2>/dev/null ||
         echo python3-dev
     command -v mpicc >/dev/null && [ "$mpi" != none ] || echo openmpi-bin libopenmpi-dev
@@ -141,13 +145,20 @@ pip() { "$venv/bin/python" -m pip --disable-pip-version-check --no-input "$@"; }
 
 make_venv() {
     local version
-    version=$("$python" -c 'import sys; print(sys.version)')
-    if [ "$(cat "$venv/.python" 2>/dev/null)" != "$version $root" ] || ! pip --version >/dev/null 2>&1; then
+    version="$("$python" -c 'import sys; print(sys.version)') $root"
+    [ $mode = parallel ] || version+=" $mode"
+    if [ "$(cat "$venv/.python" 2>/dev/null)" != "$version" ] || ! pip --version >/dev/null 2>&1; then
         say "making .venv with $("$python" --version)"
         "$python" -m venv --clear "$venv" || fail "$python cannot make a virtual environment in $venv"
-        printf '%s' "$version $root" >"$venv/.python"
+        printf '%s' "$version" >"$venv/.python"
     fi
     printf '*\n' >"$venv/.gitignore"
+}
+
+# Everything in wheels.
+wheels_only() { # EXTRAS…
+    say "installing Python packages (under a minute)"
+    quietly pip install -q --no-compile -e "${root}[$(IFS=,; words=(mpi plot "$@"); echo "${words[*]}")]"
 }
 
 # The folder of the wheel cache for this combination of what compiled code depends on.
@@ -242,13 +253,15 @@ python_packages() {
 # which pip did not make: compiling all that no run ever imports takes longer than the rest of the installation.  That
 # of pgfmd spares each rank .2 s.
 check_mpi() {
-    local seen
-    quietly env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c '
-import h5py, matplotlib.pyplot, mpi4py_fft, numba, pyfftw, scipy.optimize, scipy.special, tqdm'
+    local seen fft=""
+    [ $mode = wheels ] || fft=", mpi4py_fft"
+    source "$root/tools/env.sh" # mpirun may be new
+    quietly env -u PYTHONDONTWRITEBYTECODE "$venv/bin/python" -c "
+import h5py, matplotlib.pyplot, numba, pyfftw, scipy.optimize, scipy.special, tqdm$fft"
     quietly "$venv/bin/python" -m compileall -q "$root/pgfmd"
     seen=$(cd "$venv" && timeout 120 mpirun -n 2 "$venv/bin/python" -c '
 from mpi4py import MPI
-import mpi4py_fft, h5py
+import h5py
 total = MPI.COMM_WORLD.allreduce(1)
 if MPI.COMM_WORLD.rank == 0:  # one alone, or the words of two would be mixed
     print("sum", total, "h5py", "with" if h5py.get_config().mpi else "without")' 2>&1 </dev/null) ||
@@ -262,8 +275,16 @@ if MPI.COMM_WORLD.rank == 0:  # one alone, or the words of two would be mixed
 
 # ---- the order of things --------------------------------------------------------------------------------------------
 
-python=$(find_python)
 exec 9<"$root" && { flock 9 2>/dev/null || true; } # a second set-up at the same time waits here
+mode=wheels extras=()
+[ ! -d "$stamps" ] || [ -e "$stamps/wheels" ] || mode=parallel
+for word in "$@"; do
+    case $word in --parallel-hdf5 | test | bench | fft) mode=parallel ;; esac
+    [ "$word" = --parallel-hdf5 ] || extras+=("$word")
+done
+set -- "${extras[@]}"
+[ $mode = wheels ] || [ ! -e "$stamps/wheels" ] || rm -rf "$venv" # it may be active, with an MPI of its own
+python=$(find_python)
 print=$(fingerprint)
 ready "$@" && exit 0
 
@@ -271,12 +292,16 @@ mkdir -p "$venv" && : >"$log"
 rm -rf "$stamps"
 system_packages "$@"
 case " $* " in *" test "*) browser ;; esac
-hdf5=$(parallel_hdf5)
 make_venv
-python_packages "$@"
+if [ $mode = wheels ]; then
+    wheels_only "$@"
+else
+    hdf5=$(parallel_hdf5)
+    python_packages "$@"
+fi
 check_mpi
 mkdir -p "$stamps"
-for extra in run "$@"; do
+for extra in $mode "$@"; do
     fingerprint >"$stamps/$extra"
 done
 say "ready: $venv ($("$venv/bin/python" -c 'import h5py; print("h5py " + h5py.__version__, "with MPI" if h5py.get_config().mpi else "without MPI")'))"
