@@ -23,6 +23,10 @@ _HOMES["Ensemble"] = "pgfmd.io.ensemble"
 keep_compiled_code()
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

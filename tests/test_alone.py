@@ -91,6 +91,13 @@ def test_ranks_without_mpi_are_refused(tmp_path, rank):
     assert not (tmp_path / "out").exists()
 
 
+def test_the_package_lists_its_public_names():
+    """Also those that are imported when first used: an interactive session completes them."""
+    import pgfmd
+
+    assert set(pgfmd.__all__) <= set(dir(pgfmd)) and {"solve", "run", "Results"} <= set(pgfmd.__all__)
+
+
 def test_package_says_that_it_is_typed():
     """Type checkers use the annotations of an installed package only if it has py.typed (PEP 561)."""
     assert (ROOT / "pgfmd" / "py.typed").exists()

@@ -278,7 +278,7 @@ def test_a_job_that_no_node_can_hold(tmp_path, capsys):
 
 REACHED = [  # under [load]; exit code of check and of the run; what both say
     ("contact_area = [0.3]", 0, 0, ""),
-    ("contact_area = [0.1, 0.3]", 0, 3, "load.contact_area = 0.1: not reachable, 0.25 touches first"),
+    ("contact_area = [0.1, 0.3]", 0, 3, "contact_area = 0.1: not reachable, 0.25 touches first (shares of the cell)"),
     ("mean_gap = [0.1, -1.0]", 2, 2, "load.mean_gap = -1: must be above 0"),
     ("mean_gap = [5.0]", 0, 0, ""),
     ("displacement = [0.1, 100.0]", 2, 2, "load.displacement = 100: must be below 0.75"),

@@ -364,6 +364,13 @@ def test_a_folder_alone_is_an_overview(runs, tmp_path, capsys):
     assert (tmp_path / "overview.png").stat().st_size > 0
 
 
+def test_a_folder_that_is_not_there_is_named(tmp_path, capsys):
+    """Exit code 2 and one line: the word is neither a folder nor a figure."""
+    assert figures.main([str(tmp_path / "typo")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "typo': neither a folder nor a figure" in said
+
+
 def test_every_folder_is_installed():
     """The packages named in pyproject.toml are the folders of pgfmd/ that hold modules, and tools/."""
     plan = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]

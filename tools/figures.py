@@ -41,7 +41,7 @@ FIGURES = (
 def module(figure: str) -> ModuleType:
     """The module of a figure.  Raises InputError if there is no such figure."""
     if figure not in FIGURES:
-        raise InputError(f"{figure!r}: no such figure; there are {', '.join(FIGURES)}")
+        raise InputError(f"{figure!r}: neither a folder nor a figure; figures are {', '.join(FIGURES)}")
     return importlib.import_module(figure)
 
 

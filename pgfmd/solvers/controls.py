@@ -140,7 +140,8 @@ class ContactArea(Control):
         level = self.top - EQUAL * max(abs(self.top), self.summit)
         least = self.grid.reduction.sum(np.count_nonzero(heights >= level)) * pixel
         if target < least * (1 - self.options.area_tolerance) and target < least - pixel:
-            raise Unreachable(f"load.contact_area = {target:g}: not reachable, {least:g} touches first")
+            first = f"{least:g} touches first (shares of the cell)"
+            raise Unreachable(f"load.contact_area = {target:g}: not reachable, {first}")
 
     @property
     def tolerance_text(self) -> str:
