@@ -136,12 +136,12 @@ def solve(
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
     them, each starting from the last if its p̄ is within 5 %.  area_tolerance, gap_tolerance: see [load] of a job.
 
-    spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; zeta: the range of an exponential
-    wall with σ_ref = contact_modulus; neither: a hard wall.  thickness, base ("bonded" if None), poisson: a slab
-    instead of a half-space; or solid: a solid, or its keys as in [solid], instead of these and contact_modulus.
-    method: see `solvers.options`.  start: a pressure to begin with, split like the fields of the answer.  refine: those
-    are on a grid with so many times the points each way, onto which the heights of a periodic surface are interpolated
-    by their Fourier modes.
+    spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; a hard wall if this and zeta are
+    None.  zeta: the range of an exponential wall with σ_ref = contact_modulus.  thickness, base ("bonded" if None),
+    poisson: a slab instead of a half-space.  solid: a solid, or its keys as in [solid], instead of these and
+    contact_modulus.  comm: the ranks that solve together; None: this process alone.  method: see `solvers.options`.
+    start: a pressure to begin with, split like the fields of the answer.  refine: those are on a grid with so many
+    times the points each way, onto which the heights of a periodic surface are interpolated by their Fourier modes.
     tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
     this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.
 

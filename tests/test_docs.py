@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
 import sys
+from dataclasses import fields
 
 import numpy as np
 import pytest
 from conftest import ROOT
+from test_readme import sections
 
 import pgfmd
 from pgfmd.io.results import Results
+from pgfmd.io.schema import LOADS
+from pgfmd.job.job import SECTIONS
+
+sys.path.insert(0, str(ROOT / "tools" / "docs"))
+import generated  # noqa: E402
 
 PAGES = ROOT / "tools" / "docs" / "pages"
 TASKS = re.split(r"^## ", (PAGES / "tasks.md").read_text(), flags=re.MULTILINE)[1:]
@@ -104,14 +112,51 @@ def test_the_same_problem_in_three_programs():
         assert np.linalg.norm(pressure - ours) < 1e-3 * np.linalg.norm(ours), program
 
 
-def test_the_site_is_built_without_a_warning(tmp_path):
-    """`mkdocs build --strict`: every page, link and docstring is found; no page asks for anything from elsewhere."""
-    pytest.importorskip("mkdocs")
-    pytest.importorskip("mkdocstrings")
-    pytest.importorskip("latex2mathml")
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, built with `mkdocs build --strict`: every page, link and docstring is there."""
+    for name in ("mkdocs", "mkdocstrings", "latex2mathml"):
+        pytest.importorskip(name)
+    folder = tmp_path_factory.mktemp("site")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(ROOT / "tools/docs/mkdocs.yml")]
     environment = dict(os.environ, PYTHONPATH=str(ROOT))
-    done = subprocess.run([*command, "-d", str(tmp_path)], capture_output=True, text=True, env=environment)
+    done = subprocess.run([*command, "-d", str(folder)], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stderr[-3000:]
-    for page in tmp_path.rglob("*.html"):
-        assert not re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', page.read_text()), page
+    return folder
+
+
+def test_the_site_is_complete_in_itself(site):
+    """No page asks for anything from elsewhere; every picture is there."""
+    for page in site.rglob("*.html"):
+        text = page.read_text()
+        assert not re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="https?://', text), page
+        assert all((page.parent / name).is_file() for name in re.findall(r'<img[^>]+src="([^":]+)"', text)), page
+
+
+def test_formulas_are_part_of_their_sentences(site):
+    """No $ is left outside code, also where a formula goes on over a line; none that begins a line ends its paragraph.
+    """
+    for page in site.glob("*.html"):
+        text = re.sub(r"<(code|script)\b.*?</\1>", "", page.read_text(), flags=re.DOTALL)
+        assert "$" not in text, page
+        assert not re.findall(r'</p>\s*<math[^>]*display="inline"', text), page
+    theory = (site / "theory.html").read_text()
+    assert theory.count('display="inline"') > 20 and theory.count('display="block"') > 5
+
+
+def test_the_reference_is_that_of_the_source():
+    """`python tools/docs/generated.py` leaves the page as it is."""
+    written = generated.PAGE.read_text()
+    assert written == generated.page(written)
+
+
+def test_search_finds_each_key_and_each_column(site):
+    """Each key of a job and each column of the table of loads is a word of the reference in the index of the search,
+    and the page stands in the navigation.
+    """
+    entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
+    words = {word for entry in entries if entry["location"].startswith("reference.html")
+             for word in re.findall(r"\w+", entry["text"])}  # fmt: skip
+    keys = {field.name for kind in SECTIONS.values() for section in sections(kind) for field in fields(section)}
+    assert len(keys) > 50 and keys | LOADS.keys() <= words
+    assert 'href="reference.html"' in (site / "index.html").read_text()

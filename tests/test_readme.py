@@ -33,11 +33,10 @@ def commands() -> list[list[str]]:
     return [shlex.split(call[1]) for call in calls if call]
 
 
-@pytest.mark.parametrize("text", [text for text in blocks("toml") if "<!--" not in text and "[surface]" in text])
+@pytest.mark.parametrize("text", blocks("toml"))
 def test_jobs_are_valid(text):
-    """Every TOML block that is a whole job is one."""
-    if text != writer.reference(SECTIONS.values()):  # which has several surfaces
-        parse(text)
+    """Every TOML block is a whole job."""
+    parse(text)
 
 
 def test_links_lead_somewhere():
@@ -62,24 +61,28 @@ def test_the_number_of_ranks_matters_within_the_tolerance(page):
     assert said and all("tolerance" in words for words in said), said
 
 
+def test_every_recipe_installs_this_checkout_itself():
+    """`pip install` of this package is editable wherever it is shown: `pgfmd` and `python -m pgfmd` are the same code.
+    """
+    pages = [ROOT / "README.md", *(ROOT / "tools").rglob("*.md"), *(ROOT / "tools").glob("*/*.yml")]
+    pages += (ROOT / "tools").glob("*.sh")
+    recipe = re.compile(r'pip install .*["\s](?:\.|\$\{root\})(?:\[.*|$)', re.MULTILINE)
+    shown = [line for page in pages for line in recipe.findall(page.read_text())]
+    assert len(shown) >= 3 and all(" -e " in line for line in shown), shown
+
+
 def test_there_are_jobs_and_commands():
     """The blocks are found."""
-    assert len(blocks("toml")) >= 3 and len(commands()) >= 6 and len(blocks("python")) >= 2
+    assert len(blocks("toml")) >= 1 and len(commands()) >= 6 and len(blocks("python")) >= 1
 
 
 @pytest.mark.parametrize("words", commands(), ids=" ".join)
 def test_commands_exist(words):
     """Every call of pgfmd names a command and options that it knows."""
     if words[0] == "plot":
-        assert words[1] in cli._plot([])
+        assert len(words) == 2 or words[1] in cli._plot([])
     else:
         assert cli._parser().parse_args(words).command == words[0]
-
-
-def test_reference_is_that_of_the_source():
-    """The reference is what `pgfmd new all` prints."""
-    written = re.search(r"<!-- reference -->\n```toml\n(.*?)```\n<!-- /reference -->", README, re.DOTALL)
-    assert written and written[1] == writer.reference(SECTIONS.values())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -124,9 +127,7 @@ def test_scripts_run(tmp_path):
     job = tmp_path / "job.toml"
     job.write_text(next(text for text in blocks("toml") if "[surface]" in text))
     small = ["--set", "grid.n=64", "--set", "surface.lambda_s=8"]
-    for name, seed in (("quickstart", "1"), ("study", "1..2")):
-        command = [sys.executable, "-m", "pgfmd", "run", str(job), "--output", str(tmp_path / "results" / name), *small]
-        command += ["--set", f"surface.seed={seed}"]
-        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    command = [sys.executable, "-m", "pgfmd", "run", str(job), "--output", str(tmp_path / "results" / "quickstart")]
+    subprocess.run([*command, *small], cwd=ROOT, check=True, capture_output=True)
     script = "\n".join(blocks("python"))
     subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, env=None)

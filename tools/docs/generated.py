@@ -1,0 +1,59 @@
+"""Writes what is generated of pages/reference.md, from the source: python tools/docs/generated.py"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from pgfmd.io.schema import FIELDS, LOADS
+from pgfmd.job.job import SECTIONS
+from pgfmd.observables.table import OBSERVABLES
+from pgfmd.options.reference import reference
+
+PAGE = Path(__file__).parent / "pages" / "reference.md"
+
+
+def generated() -> dict[str, str]:
+    """The parts of the page between <!-- NAME --> and <!-- /NAME -->, by name."""
+    units, *tables = re.split(r"\n(?=\[)", reference(SECTIONS.values()))
+    datasets = (
+        (f"{group}/{name}", dataset.unit, dataset.description)
+        for kind in OBSERVABLES.values()
+        for group, held in kind.layout.items()
+        for name, dataset in held.items()
+    )
+    return {
+        "keys": _code(units) + "".join(f"\n### {_heading(table)}\n\n{_code(table)}" for table in tables),
+        "columns": _table("column", ((name, *about) for name, about in LOADS.items())),
+        "fields": _table("field", ((name, *about) for name, about in FIELDS.items())),
+        "datasets": _table("dataset", datasets),
+    }
+
+
+def page(text: str) -> str:
+    """The page with its generated parts as they have to be."""
+    for name, part in generated().items():
+        before, after = f"<!-- {name} -->", f"<!-- /{name} -->"
+        text = f"{text.partition(before)[0]}{before}\n\n{part}\n{after}{text.partition(after)[2]}"
+    return text
+
+
+def _heading(table: str) -> str:
+    """[surface] kind = "file"."""
+    kind = re.search(r"^kind = .*", table, re.MULTILINE)
+    return " ".join(filter(None, (table.split()[0], kind and kind[0])))
+
+
+def _code(text: str) -> str:
+    return f"```toml\n{text.rstrip()}\n```\n"
+
+
+def _table(what: str, rows: Iterable[tuple[str, str, str]]) -> str:
+    cells = ((f"`{name}`", re.sub("[{}]", "", unit), about.replace("|", "&#124;")) for name, unit, about in rows)
+    lines = (f"| {' | '.join(row)} |" for row in cells)
+    return "\n".join([f"| {what} | unit | |", "|---|---|---|", *lines]) + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text()))
