@@ -151,6 +151,7 @@ def simulate(
             interruptions.resumption = "--restart"
             progress.end()
             _report(progress, row, f"{contact.correction} {contact.area.corrected:.5f} ± {contact.area_error:.5f}")
+            del solution, contact  # before the next load is solved
         if unreachable and len(unreachable) == len(pending):  # nothing was solved: earlier results stay
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:

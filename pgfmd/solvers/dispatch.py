@@ -91,6 +91,7 @@ def _usable(problem: ContactProblem, start: np.ndarray | None) -> np.ndarray | N
     if start is None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
-        start = np.maximum(start, 0.0)
+        if problem.grid.reduction.min(start) < 0:
+            start = np.maximum(start, 0.0)
         total = problem.grid.reduction.sum(start)
     return start if SMALLEST < total < np.inf else None

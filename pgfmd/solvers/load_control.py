@@ -47,7 +47,7 @@ class LoadControl:
         self.control, self.name = CONTROLS[load.control](problem, load), load.control
         self.problem, self.grid, self.tolerance = problem, problem.grid, tolerance
         self.solver = solver or (lambda at, start, tolerance: solve_contact(at, Solver(tolerance=tolerance), start))
-        self.previous: ContactSolution | None = None
+        self.previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution
         self._resumed: np.ndarray | None = None
         self._totals = np.zeros(3)
 
@@ -85,13 +85,14 @@ class LoadControl:
 
     def _solve_at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
         """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  Collective."""
-        before, start = self.previous, self._resumed
+        (before, pressure), start = self.previous or (0.0, None), self._resumed
         self._resumed = self.previous = None
-        if start is None and before is not None and before.mean_pressure > 0 and mean_pressure > 0:
-            if abs(math.log(mean_pressure) - math.log(before.mean_pressure)) <= NEIGHBOURS:
-                start = before.pressure
-        del before
-        self.previous = found = self.solver(self.problem.at(mean_pressure), start, tolerance)
+        near = before > 0 and mean_pressure > 0 and abs(math.log(mean_pressure / before)) <= NEIGHBOURS
+        if start is None and pressure is not None and near:  # kept while the next is solved: in single precision
+            start = np.divide(pressure, before, out=np.empty(pressure.shape, np.float32), casting="same_kind")
+        del pressure
+        found = self.solver(self.problem.at(mean_pressure), start, tolerance)
+        self.previous = found.mean_pressure, found.pressure
         self._totals += found.iterations, found.transforms, found.seconds
         return found
 
@@ -110,7 +111,7 @@ class LoadControl:
                     text = control.tolerance_text
                     log.info("load.%s = %g: met to one pixel, which is more than %s", self.name, target, text)
                 return found
-            if tolerance <= self.tolerance and error <= best[0]:  # of equal ones the last, next to the jump
+            if control.jumps and tolerance <= sharpest and error <= best[0]:  # of equal ones the last, next to the jump
                 best = error, found
             narrow = search.width <= (JUMP if control.jumps else ROUNDING)  # at a jump, or no p̄ left in between
             if narrow and tolerance <= sharpest:
@@ -124,8 +125,9 @@ class LoadControl:
                 tolerance = finer
                 search.restart(1.0 if narrow else search.slope)
                 best = math.inf, None
-                continue  # the sign of its distance to the target is not certain
-            search.add(control.distance(found, target))
+            else:  # otherwise the sign of its distance to the target is not certain
+                search.add(control.distance(found, target))
+            del found  # before the next is solved
         if best[1] is None or not (control.jumps and search.width <= JUMP):
             raise SolverError(f"load.{self.name} = {target:g}: not met to {control.tolerance_text}; allow a larger one")
         if self.grid.comm.rank == 0:

@@ -186,8 +186,9 @@ class Relaxation:
         raise NotImplementedError
 
     def free(self) -> None:
-        """Frees the transforms of the inner solver.  Collective."""
+        """Frees the inner solver and its transforms.  Collective."""
         self.inner.free()
+        del self.inner
 
     def measure(self, state: State) -> None:
         """Sets the state's level, energy and counts from a pressure and its gap, and Σ p².  Collective."""

@@ -42,6 +42,7 @@ class PressureSteps(Relaxation):
         """Frees the transforms of the inner solver.  Collective."""
         super().free()
         self.preconditioner.free()
+        del self.preconditioner
 
     def _begin(self, state: State) -> None:
         """Adapts the start to roughness that only this grid resolves: one iteration with the near part of the response.
