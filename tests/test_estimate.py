@@ -113,6 +113,29 @@ def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
+@LINUX
+@pytest.mark.parametrize("area", [0.05, 0.5])
+def test_memory_of_searches(mpirun, tmp_path, area):
+    """So it is where an area is searched: of the last solution only what may start the next is kept."""
+    text = text_of(2048, 0.01, {}).replace("pressure = [0.01]", f"contact_area = {area}")
+    expected = estimate.estimate(job.parse(text), 1).memory
+    assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
+
+
+def test_the_time_of_thin_free_slabs_is_not_known():
+    """Contacts on a slab much thinner than the cell, under constant pressure below, may take hundreds of transforms."""
+    slabs = (["solid.base=free", f"solid.thickness={thickness}"] for thickness in (19, 20))
+    thin, thick = (estimate.report(job.parse(text_of(64, 0.01, {}), overrides=slab), 1) for slab in slabs)
+    assert "not known" in thin.splitlines()[-1] and "about" in thick.splitlines()[-1]
+
+
+def test_small_grids_take_time_too():
+    """Many loads of few points take what a load takes at least, whatever its grid."""
+    one = job.parse(text_of(64, 0.01, {}))
+    many = job.parse(text_of(64, 0.01, {}).replace("[0.01]", str([0.01 + 1e-6 * i for i in range(2000)])))
+    assert estimate.estimate(many, 1).seconds > estimate.estimate(one, 1).seconds + 1999 * estimate.PER_LOAD
+
+
 @pytest.mark.parametrize(
     "seconds, expected", [(1.234, "1.2 s"), (105, "100 s"), (119, "120 s"), (7000, "120 min"), (5e8, "5790 days")]
 )

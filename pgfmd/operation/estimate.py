@@ -13,6 +13,7 @@ from pgfmd.operation.memory import readable
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
 from pgfmd.parallel.mpi import shared_memory
+from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
 from pgfmd.solvers.cost import cost as solver_cost
 
@@ -25,9 +26,13 @@ AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all 
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
 START = 1.0  # seconds until a run has read its job, on 1 and 2 ranks of the same machine, loops compiled before
+PER_LOAD = 0.03  # seconds that a load takes however small its grid: solved .003, measured .024, written .003
+BESIDES = 2.0, 1.0  # transforms' time in which a contact's area and line are measured, in which heights are made
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
+THIN = 0.3  # thickness over the cell below which contacts on a free base take up to hundreds of transforms
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
-SEARCH_WORK = 4  # work until an area, gap or displacement is met, over that of a given pressure (2.5 … 8 on 128²)
+SEARCH_WORK = 2.4  # work until an area, gap or displacement is met, over that of a given pressure (2.2 … 2.8 at 2048²)
+SEARCH_BYTES = 5.0  # per point: the pressure that starts a solve, in single precision, and a mask
 
 
 @dataclass(frozen=True)
@@ -56,15 +61,16 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
     contacts = loads * (1 if job.load.control == "pressure" else SEARCH_WORK)
-    solving, measuring = max(solving_costs(job), key=lambda cost: cost.memory), measuring_costs(job)
-    work = solving.transforms * job.solid.effort * contacts + sum(cost.transforms for cost in measuring) * loads
+    solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
+    measuring = BESIDES[0] + sum(cost.transforms for cost in measuring_costs(job))
+    work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     rank, node = _memory(job, ranks, min(here, ranks), gathered)
     return Estimate(
         memory=BASE_BYTES + rank,
         node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
         files=surfaces * field_count * points * itemsize,
-        seconds=START + -(-surfaces // groups) * work * points * SECONDS_PER_POINT / ranks,
+        seconds=START + -(-surfaces // groups) * (work / gain(ranks) + PER_LOAD * loads),
     )
 
 
@@ -96,6 +102,11 @@ def peak(shares: list[int], per_point: float) -> float:
     return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
 
 
+def gain(ranks: int) -> float:
+    """Speed of ranks that share a surface over that of one."""
+    return 1.0 if ranks == 1 else SLAB_GAIN * ranks
+
+
 def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
     """Into how many groups ranks are divided, each of which takes one surface at a time: 1 if there is only one; for an
     ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
@@ -108,7 +119,7 @@ def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
 
     def seconds(groups: int) -> float:
         width = min(ranks // groups, max(1, nx * ny // LEAST_SLAB))
-        return -(-surfaces // groups) / (1.0 if width == 1 else SLAB_GAIN * width)
+        return -(-surfaces // groups) / gain(width)
 
     def fits(groups: int) -> bool:
         narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
@@ -124,8 +135,8 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     slabs.
     """
     costs = solving_costs(job, slabs) + measuring_costs(job)
-    plastic = PLASTIC_BYTES if job.wall.highest < math.inf else 0.0
-    return FIELD_BYTES + plastic + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
+    kept = FIELD_BYTES + SEARCH_BYTES * (job.load.control != "pressure") + PLASTIC_BYTES * (job.wall.highest < math.inf)
+    return kept + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
 
 
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
@@ -179,6 +190,9 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {counted(ranks, 'core')}",
     }
+    solid = job.solid
+    if isinstance(solid, Homogeneous) and solid.base == "free" and solid.thickness < THIN * max(job.grid.lengths):
+        lines["time"] = f"not known: on a free base, a slab thinner than {THIN:g} of the cell may take very long"
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
 
