@@ -36,6 +36,8 @@ LABELS = {"other": "other loops", "overhead": "per call, whatever the size", "la
 RANKS = [2**k for k in range(4, 15)]
 STRONG, WEAK = (4096, 16384, 65536), 1024  # points per side; points per side of a rank
 LARGEST = 131072
+COUNTS = Path(__file__).parents[1] / "jobs/benchmark/counts.csv"  # of `benchmark.py counts`
+CASES = {"method": "pgfmd", "lambda_s": "16", "tolerance": "1e-08", "ranks": "1"}  # of those that count
 
 
 class Parts(NamedTuple):
@@ -44,7 +46,8 @@ class Parts(NamedTuple):
     costs[finest or coarser][phase]: seconds of a level, (whatever its size, per point); small: seconds of all levels
     smaller than `SMALLEST`; counts[level]: of a solve, by kind; bytes: sent per point of the grid; imbalance: contact
     of the fullest slab over the mean, by number of slabs; longer: time of a point in transforms of rows and columns of
-    so many points, one rank's share of many, over that on one rank.
+    so many points, one rank's share of many, over that on one rank; growth: transforms of a solve of n × n points, over
+    their mean on grids up to the largest that was solved here.
     """
 
     costs: tuple[dict[str, tuple[float, float]], dict[str, tuple[float, float]]]
@@ -53,6 +56,16 @@ class Parts(NamedTuple):
     bytes: float
     imbalance: dict[int, float]
     longer: dict[int, float]
+    growth: dict[int, float] = {1: 1.0}  # noqa: RUF012  (never changed)
+
+
+def growth_of(largest: int) -> dict[int, float]:
+    """The growth of transforms to 1e-8 with n, on one rank, from `COUNTS`: λ_s = 16a, all H, areas and seeds there."""
+    with open(COUNTS, newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row.items() >= CASES.items()]
+    of = {n: [float(row["transforms"]) for row in rows if int(row["n"]) == n] for n in {int(row["n"]) for row in rows}}
+    here = np.mean([count for n, counts in of.items() if n <= max(largest, min(of)) for count in counts])
+    return {n: float(np.mean(counts) / here) for n, counts in of.items()}
 
 
 def levels_of(n: int) -> list[int]:
@@ -92,7 +105,8 @@ def parts_of(rows: list[dict]) -> Parts:
     longer = {SMALLEST: 1.0} | {n: max(1.0, pair / min(alone)) for (n, ranks), pair in pairs.items() if ranks > 1}
     sent_all = most["bytes"] * most["ranks"] / (most["ranks"] - 1)  # if all went to other ranks
     counts = [each for each in counts if any(each.values())]
-    return Parts(costs, float(np.median(small)), counts, sent_all * most["ranks"] / most["n"] ** 2, imbalance, longer)
+    bytes_, growth = sent_all * most["ranks"] / most["n"] ** 2, growth_of(max(row["n"] for row in one))
+    return Parts(costs, float(np.median(small)), counts, bytes_, imbalance, longer, growth)
 
 
 def _level(name: str) -> int:
@@ -115,11 +129,11 @@ def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[
     """Seconds of the phases of one solve (certified error 1e-6) of n × n points on `ranks` ranks.
 
     The levels follow one another, each on as many ranks as `holders` says.  A rank's points and its contact take the
-    time that they took here on one rank; the fullest slab is waited for.  Where a node has fewer cores than ranks,
-    these take turns.  All-to-alls send one message to each other node and share its port; reductions take 2 log₂ P
-    messages one after the other, halos two.
+    time that they took here on one rank, on the finest grid times the growth of transforms; the fullest slab is waited
+    for.  Where a node has fewer cores than ranks, these take turns.  All-to-alls send one message to each other node
+    and share its port; reductions take 2 log₂ P messages one after the other, halos two.
     """
-    phases = dict.fromkeys(PHASES, 0.0)
+    phases, growth = dict.fromkeys(PHASES, 0.0), _at(known.growth, n)
     nodes = -(-ranks // machine.cores) if machine.costs is None else 1
     for level, side in enumerate(levels_of(n)):
         count = ranks if level == 0 else holders((side, side), ranks)
@@ -130,7 +144,7 @@ def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[
             if phase == "transforms" and count > 1:
                 most = _at(known.longer, side)
             # Ranks with less contact wait for the fullest slab, unless their core has other ranks to run.
-            time = each * share * max(turns, most)
+            time = each * share * max(turns, most) * (1 if level else growth)
             phases["coarse grids" if level else phase] += time
             phases["overhead"] += fixed * turns
         counts = known.counts[min(level, len(known.counts) - 1)]
@@ -152,7 +166,7 @@ def model(n: int, ranks: int, known: Parts, machine: Machine = ASSUMED) -> dict[
     if machine.costs is None:
         on_node = min(ranks, machine.cores)
         port = machine.bandwidth / on_node
-        phases["all-to-alls"] += known.bytes * n * n / ranks * (1 - on_node / ranks) / port
+        phases["all-to-alls"] += known.bytes * growth * n * n / ranks * (1 - on_node / ranks) / port
     return phases
 
 
@@ -246,6 +260,8 @@ def _constants(known: Parts) -> list[dict]:
                "from": here if slabs > 1 else meant} for slabs, value in known.imbalance.items()]  # fmt: skip
     table += [{"constant": f"transforms of {n}² on many ranks", "value": value, "unit": "of one rank's, per point",
                "from": emulated if n != SMALLEST else meant} for n, value in known.longer.items()]  # fmt: skip
+    table += [{"constant": f"transforms of a solve at {n}²", "value": value, "unit": "of those up to the largest here",
+               "from": "jobs/benchmark/counts.csv"} for n, value in sorted(known.growth.items())]  # fmt: skip
     for name, what, unit in (
         ("cores", "cores", "per node"),
         ("bandwidth", "bandwidth of an all-to-all", "B/s per node"),
