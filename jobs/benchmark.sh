@@ -4,8 +4,8 @@
 #   bash jobs/benchmark.sh [DIR] [--all]
 #
 # Tables and pictures go to DIR (default results/benchmark), after each part of what is there by then; jobs/benchmark
-# keeps some.  It takes two hours on two cores, which should have nothing else to do; --all adds every grid, surface and
-# load, for a night.
+# keeps some.  It takes three hours on two cores, which should have nothing else to do; --all adds every grid, surface and
+# load, for a night, and needs 16 GB.
 # Interrupted, it goes on where it was.
 set -euo pipefail
 
@@ -35,7 +35,15 @@ run run --n 4096 --methods pgfmd --lambda-s 1 --hurst 0.3 --repeat 1
 run run --n 2048 --lambda-s 16 n/64 --hurst 0.8 --threads 1 --repeat 1 --budget 300
 run run --n 2048 --lambda-s 1 --hurst 0.3 --threads 1 --repeat 1 --budget 300
 run run --n 2048 --lambda-s 16 --hurst 0.8 --area 0.9 --threads 1 --repeat 1 --budget 300
+# Transforms to a certified error of 1e-8, and to 1e-12, from rough to smooth; time and memory.
+loads=(--hurst 0.3 0.8 --area 0.05 0.2 0.5 0.7)
+run counts --n 1024 2048 4096 --lambda-s 1 2 4 8 16 "${loads[@]}" --seeds 1 2 3
+run counts --n 1024 2048 --lambda-s 1 16 "${loads[@]}" --tolerance 1e-12
+run counts --n 1024 2048 4096 --lambda-s 16 "${loads[@]}" --seeds 1 2 3 --ranks 2
 if [ -n "$all" ]; then
+    run counts --n 8192 --lambda-s 2 4 8 "${loads[@]}" --seeds 1 2 3
+    run counts --n 8192 16384 --lambda-s 16 "${loads[@]}" --seeds 1 2 3 --ranks 1 2
+    run counts --n 8192 16384 --lambda-s 16 --area 0.2 0.5 --methods ASPHER
     for size in 512 1024 2048 4096; do
         run run --n $size --lambda-s 1 16 n/64 --hurst 0.3 0.8 --area 0.01 0.08 0.4 0.9 --repeat 2 --budget 600
     done

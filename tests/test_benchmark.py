@@ -45,6 +45,20 @@ def test_errors_are_relative_two_norms_and_relative_areas():
     assert point["area_error"] == pytest.approx(1 - area / right, rel=1e-12, abs=0)
 
 
+@pytest.mark.parametrize("area", [0.01, 0.2, 0.7, 0.99])
+def test_the_load_of_a_count_is_where_check_expects_that_area(area):
+    """The inverse of what `pgfmd check` takes as the contact area of a mean pressure."""
+    from benchmarks.counts import RMS_SLOPE, pressure_of
+
+    from pgfmd.job.job import parse, tables_as_toml
+    from pgfmd.operation.estimate import contact_areas
+
+    surface = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": RMS_SLOPE}
+    tables = {"grid": {"n": 64}, "surface": surface, "solid": {"contact_modulus": 1.0}}
+    job = parse(tables_as_toml(tables | {"load": {"pressure": pressure_of(area)}}))
+    assert contact_areas(job) == pytest.approx([area], rel=1e-9)
+
+
 def test_pressures_are_certified_where_they_pass_a_level():
     """Once for each of the levels 1e-3, 1e-4, 1e-6 of the pressure error that a point is the first to reach, scaled."""
     seen, reference = [], np.ones((2, 2))

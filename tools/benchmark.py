@@ -6,6 +6,7 @@
     python tools/benchmark.py transforms DIR                                            # an FFT pair, ours and others'
     python tools/benchmark.py cores DIR                                                 # what a second core gains
     python tools/benchmark.py phases DIR --n 4096                                       # a whole run, phase by phase
+    python tools/benchmark.py counts DIR --n 4096 --area .2 .5 --seeds 1 2 --ranks 1 2  # transforms, memory of a solve
     python tools/benchmark.py total DIR --hurst 0.8                                     # to a total error of the area
     python tools/benchmark.py report DIR                                                # tables, pictures once more
 
@@ -62,7 +63,9 @@ PLAN = [  # (method, setting, ranks, threads)
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("run", "resolution", "transforms", "cores", "phases", "total", "report"))
+    parser.add_argument(
+        "what", choices=("run", "resolution", "transforms", "cores", "phases", "counts", "total", "report")
+    )
     parser.add_argument("folder", type=Path, help="for results; made if missing")
     parser.add_argument("--n", type=int, nargs="+", help="points per side (512; transforms, cores, phases: 4096)")
     parser.add_argument("--hurst", type=float, nargs="+", default=[0.8])
@@ -76,7 +79,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--repeat", type=int, default=3, help="repeats, of which the best counts")
     parser.add_argument("--budget", type=float, default=120.0, help="seconds that one solution may take")
     parser.add_argument("--floor", type=float, default=1e-7, help="pressure error at which a method may stop")
-    parser.add_argument("--tolerance", type=float, default=1e-4, help="certified error (cores)")
+    parser.add_argument("--tolerance", type=float, help="certified error (cores: 1e-4; counts: 1e-8)")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="of the surfaces (counts)")
+    parser.add_argument("--ranks", type=int, nargs="+", default=[1], help="processes of a solve (counts)")
     parser.add_argument("--clock", choices=("seconds", "cpu"), default="seconds", help="which time the tables compare")
     parser.add_argument("--keep", action="store_true", help="keep surfaces and references, each 8 bytes per point")
     options = parser.parse_args(arguments)
@@ -99,12 +104,20 @@ def main(arguments: list[str] | None = None) -> int:
         for n, hurst, length, area in itertools.product(
             options.n or [4096], options.hurst, options.lambda_s or ["n/64"], options.area
         ):
-            cores(options.folder, n, hurst, _wavelength(length, n), area, options.tolerance, options.repeat)
+            cores(options.folder, n, hurst, _wavelength(length, n), area, options.tolerance or 1e-4, options.repeat)
     elif options.what == "phases":
         from benchmarks.phases import phases
 
         for n, length, ranks in itertools.product(options.n or [4096], options.lambda_s or ["16"], options.threads):
             phases(options.folder, n, _wavelength(length, n), ranks, options.repeat)
+    elif options.what == "counts":
+        from benchmarks.counts import counts
+
+        for n, length in itertools.product(options.n or [4096], options.lambda_s or ["16"]):
+            case = {"n": [n], "lambda_s": [_wavelength(length, n)], "hurst": options.hurst, "area": options.area}
+            more = {"seed": options.seeds, "tolerance": [options.tolerance or 1e-8], "ranks": options.ranks}
+            more["method"] = options.methods or ["pgfmd"]
+            counts(options.folder, case | more)
     elif options.what == "total":
         from benchmarks.total_error import total
 
@@ -112,7 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
         plan = [p[:2] for p in PLAN if p[2:] == (1, 1) and p[0] in (options.methods or peers)]
         for surface in itertools.product(options.hurst, options.across):
             total(options.folder, surface, plan, options.budget, options.clock)
-    if options.what not in ("transforms", "cores", "phases", "total"):
+    if options.what not in ("transforms", "cores", "phases", "counts", "total"):
         from benchmarks.report import report
 
         report(options.folder, options.clock)

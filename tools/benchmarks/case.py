@@ -100,16 +100,16 @@ def _load_for(area: float, measure, within: float = 0.01) -> float:
         found = measure(pressure)
         if abs(found - area) <= within * min(area, 1 - area):
             break
-        factor *= _inverse_erf(min(found, 1 - 1e-9)) / _inverse_erf(area)
+        factor *= inverse_erf(min(found, 1 - 1e-9)) / inverse_erf(area)
     return pressure
 
 
 def likely_pressure(area: float, factor: float = LIKELY_FACTOR) -> float:
     """The mean pressure that gives about that contact area: Persson's law with a factor."""
-    return _inverse_erf(area) / factor * CONTACT_MODULUS * RMS_SLOPE / math.sqrt(2)
+    return inverse_erf(area) / factor * CONTACT_MODULUS * RMS_SLOPE / math.sqrt(2)
 
 
-def _inverse_erf(x: float) -> float:
+def inverse_erf(x: float) -> float:
     from scipy.special import erfinv
 
     return float(erfinv(x))

@@ -1,0 +1,118 @@
+"""Counts of transforms and iterations, time and memory of single solves, each in a process of its own.
+
+Surfaces are self-affine, rms slope .1, E' = 1; the load is that of the wanted contact area by Persson's theory with the
+factor that `pgfmd check` takes.  A small contact is solved first: it loads libraries and compiled code.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from .case import CONTACT_MODULUS, Case, inverse_erf
+from .launch import launch
+from .methods import METHODS
+from .recorder import Recorder
+
+KEYS = ("n", "lambda_s", "hurst", "area", "seed", "tolerance", "ranks", "method")
+MEASURED = "mean_pressure found_area transforms iterations seconds cpu bytes_per_point certified_error errors".split()
+RMS_SLOPE = 0.1
+WARM_UP = {"n": 512, "lambda_s": 4.0, "hurst": 0.8, "seed": 1, "tolerance": 1e-8}
+
+
+def counts(folder: Path, cases: dict[str, list]) -> None:
+    """Solve each combination of the values of `KEYS` that DIR/counts.csv does not have, and append its row."""
+    path = folder / "counts.csv"
+    fresh = not path.exists()
+    with open(path, "a+", newline="") as file:
+        file.seek(0)
+        done = {tuple(row[key] for key in KEYS) for row in csv.DictReader(file)}
+        writer = csv.DictWriter(file, (*KEYS, *MEASURED))
+        if fresh:
+            writer.writeheader()
+        for values in itertools.product(*(cases[key] for key in KEYS)):
+            case = dict(zip(KEYS, values, strict=True))
+            if tuple(map(_shown, values)) in done:
+                continue
+            output, errors = launch("counts", [json.dumps(case)], case["ranks"], 1).communicate()
+            row = json.loads(output.strip().splitlines()[-1]) if output.strip() else {"errors": errors.strip()[-200:]}
+            writer.writerow({name: _shown(value) for name, value in (case | row).items()})
+            file.flush()
+            print(*(f"{name}={_shown(value)}" for name, value in (case | row).items()), flush=True)
+
+
+def _shown(value) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def pressure_of(area: float) -> float:
+    """The mean pressure for a contact area A by theory: A = a (1 + c (1 − a)), a = erf(√2 p̄/(E' g))."""
+    from pgfmd.operation.estimate import AREA_EXCESS as c
+
+    persson = (1 + c - math.sqrt((1 + c) ** 2 - 4 * c * area)) / (2 * c)
+    return inverse_erf(persson) * RMS_SLOPE / math.sqrt(2)
+
+
+class Last(Recorder):
+    """Keeps the last pressure that a method notes, without a reference."""
+
+    def __init__(self) -> None:
+        self.start = self.add_tail = lambda: None
+
+    def note(self, pressure, transforms, scale=1.0, may_stop=False) -> None:
+        self.pressure, self.row = pressure * scale, {"transforms": transforms}
+
+
+def solve(case: dict, comm, pressure: float) -> dict:
+    """The row of one case: peak memory above what the process had before, all ranks together.  Collective."""
+    import pgfmd
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.laws.hard import HardWall
+    from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.solids.homogeneous import Homogeneous
+    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+
+    n, before, errors = case["n"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, []
+    surface = {name: case[name] for name in ("lambda_s", "hurst", "seed")}
+    surface |= {"kind": "self-affine", "rms_slope": RMS_SLOPE}
+    heights = pgfmd.surface({"grid": {"n": n}, "surface": surface, "solid": {"contact_modulus": 1.0}}, comm)
+    grid, last, began, cpu = SlabGrid(comm, (n, n), threads=1), Last(), time.perf_counter(), time.process_time()
+    if case["method"] == "pgfmd":
+        problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), HardWall(), pressure)
+
+        def watch(level, state) -> None:
+            errors.append(f"{state.error:.1e}" * (level is grid))
+
+        found = solve_hard_wall(problem, case["tolerance"], monitor=watch, overwrite_heights=True)
+        last.pressure, last.row = found.pressure, {"transforms": found.transforms, "iterations": found.iterations}
+        last.row["certified_error"] = found.certified_error
+    else:
+        of = Case(n, case["hurst"], case["lambda_s"], 0.0)
+        METHODS[case["method"]](of, heights, pressure * CONTACT_MODULUS, last, case["tolerance"], 1)
+    seconds, cpu = time.perf_counter() - began, time.process_time() - cpu
+    peak = comm.allreduce(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    if "certified_error" not in last.row:
+        last.row["certified_error"] = pgfmd.certify(heights, last.pressure, pressure).certified_error
+    area = comm.allreduce(int(np.count_nonzero(last.pressure > 0))) / n**2
+    return last.row | {
+        "mean_pressure": pressure, "found_area": area, "seconds": seconds, "cpu": comm.allreduce(cpu),
+        "bytes_per_point": peak * 1024 / n**2, "errors": " ".join(filter(None, errors)),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    from mpi4py.MPI import COMM_WORLD
+
+    asked = json.loads(sys.argv[1])
+    solve(asked | WARM_UP, COMM_WORLD, pressure_of(asked["area"]))
+    result = solve(asked, COMM_WORLD, pressure_of(asked["area"]))
+    if COMM_WORLD.rank == 0:
+        print(json.dumps(result))
