@@ -11,7 +11,6 @@ import importlib
 from typing import Any
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.parallel.private_cache import keep_compiled_code
 
 __version__ = "0.1.0"
 __all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify", "run", "solve", "surface"]
@@ -19,8 +18,6 @@ __all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify"
 _HOMES = {name: "pgfmd.api" for name in ("certify", "run", "solve", "surface")}
 _HOMES |= {name: "pgfmd.io.results" for name in ("Results", "Runs")}
 _HOMES["Ensemble"] = "pgfmd.io.ensemble"
-
-keep_compiled_code()
 
 
 def __dir__() -> list[str]:

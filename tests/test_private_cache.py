@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import os
 import pickle
 import shutil
@@ -19,9 +19,10 @@ from pgfmd.parallel.private_cache import is_private, private_folder
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
 
 SOLVE = """
-import numpy as np, pgfmd, numba, sys
+import numpy as np, pgfmd
+from pgfmd.parallel.private_cache import private_folder
 x = np.cos(2 * np.pi * np.arange(16) / 16)
-print(pgfmd.solve(x[:, None] + x, 0.1).certified_error < 1e-6, numba.config.CACHE_DIR)
+print(pgfmd.solve(x[:, None] + x, 0.1).certified_error < 1e-6, private_folder())
 """
 
 
@@ -106,15 +107,62 @@ def test_a_user_without_home_can_solve(tmp_path):
     command = [*become.split(), sys.executable, "-c", SOLVE]
     done = subprocess.run(command, env=environment, cwd="/", capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.startswith("True"), done.stderr
-    assert done.stdout.split()[1] == "/tmp/pgfmd-54321/kernels"
+    assert done.stdout.split()[1] == "/tmp/pgfmd-54321"
 
 
 def test_nowhere_to_keep_anything():
     """Where no folder can be had nothing is kept, and the answer is the same."""
-    code = "import os\nos.access = lambda *_: False\n" + SOLVE
-    environment = dict(os.environ) | {"NUMBA_CACHE_DIR": "/proc/nowhere"}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True)
+    code = "import pgfmd.parallel.private_cache as cache\ncache.is_private = lambda _: False\n" + SOLVE
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stdout == "True None\n", done.stderr
+
+
+@pytest.mark.parametrize("how", ["full", "full later", "read-only"])
+def test_a_cache_that_cannot_be_written_is_named(tmp_path, how):
+    """A disk without space, from the start or from some file on, or that may not be written: the log names the folder
+    once, and the answer is the same.
+    """
+    if subprocess.run(["unshare", "-m", "true"], capture_output=True).returncode != 0:
+        pytest.skip("may not mount a small disk")
+    size = 200 if how == "full later" else 8  # kB; the loops take 700
+    mount = f"mount -t tmpfs -o size={size}k,mode=700 small {tmp_path} && mkdir -m 700 {tmp_path}/pgfmd"
+    then = {"full": f"cp /dev/zero {tmp_path}/fill 2>/dev/null", "read-only": f"mount -o remount,ro {tmp_path}"}
+    script = f'{mount}; {then.get(how, "true")}; exec "$@"'
+    command = ["unshare", "-m", "sh", "-c", script, "-", sys.executable, "-c", SOLVE]
+    environment = os.environ | {"PGFMD_CACHE": str(tmp_path), "HOME": str(tmp_path), "XDG_CACHE_HOME": ""}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stdout.startswith("True"), done.stderr
+    lines = [line for line in done.stderr.splitlines() if str(tmp_path) in line]
+    reason = "Read-only file system" if how == "read-only" else "No space left on device"
+    assert lines and all(reason in line for line in lines) and len(lines) == len(set(lines)) <= 2, done.stderr
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES])
+def test_what_cannot_be_kept_leaves_nothing_and_is_named(tmp_path, monkeypatch, caplog, code):
+    """Where a file cannot take its place, as on a full disk, no part of it stays to fill the disk further; the log
+    names the folder and the reason, once.
+    """
+
+    def fail(*_):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(private_cache.os, "replace", fail)
+    for _ in range(2):
+        private_cache.keep(tmp_path / "file", b"content")
+    assert list(tmp_path.iterdir()) == [] and private_cache.kept(tmp_path / "file") is None
+    (message,) = caplog.messages
+    assert str(tmp_path) in message and os.strerror(code) in message
+
+
+def test_a_damaged_file_counts_as_missing(tmp_path):
+    """A byte that has changed, or an end that was not written, is noticed before the content is used."""
+    path = tmp_path / "file"
+    private_cache.keep(path, b"content")
+    whole = path.read_bytes()
+    assert private_cache.kept(path) == b"content"
+    for damaged in (whole[:-1], whole[:10], b"", whole[:-1] + b"T", b"X" + whole[1:]):
+        path.write_bytes(damaged)
+        assert private_cache.kept(path) is None
 
 
 def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
@@ -139,19 +187,6 @@ def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
     monkeypatch.setattr(fftw, "_loaded", None)
     fftw._load_wisdom(fftw.wisdom_file())
     assert set(before[0].split()) == set(fftw.pyfftw.export_wisdom()[0].split())
-
-
-def test_wisdom_that_cannot_be_kept_leaves_nothing(tmp_path, monkeypatch):
-    """Where the file cannot take its place, as on a full disk, no part of it stays to fill the disk further."""
-    from pgfmd.grid import fftw
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(fftw, "private_folder", lambda: tmp_path)
-    monkeypatch.setattr(fftw.os, "replace", full)
-    fftw._save_wisdom(fftw.wisdom_file())
-    assert list(tmp_path.iterdir()) == []
 
 
 PLAN = """
@@ -256,21 +291,14 @@ def test_a_loop_is_compiled_by_one_process(tmp_path, count):
     assert names(start()) == ["ready"]
 
 
-@pytest.mark.parametrize(("taken", "held"), [(fcntl.LOCK_EX, True), (fcntl.LOCK_SH, False)])
-def test_who_looks_for_a_lock_is_not_taken_for_its_holder(tmp_path, taken, held):
-    """All ranks but the first of a node look, until the first has it, with a lock that others may share."""
-    with open(tmp_path / "lock", "w+") as other, open(tmp_path / "lock", "w+") as mine:
-        fcntl.flock(other, taken)
-        assert private_cache.is_held(mine) == held
-        fcntl.flock(other, fcntl.LOCK_UN)
-        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)  # who has looked leaves no lock
-
-
-def test_other_ranks_take_a_lock_that_the_first_leaves(tmp_path, monkeypatch):
-    """After its head start."""
-    monkeypatch.setenv("OMPI_COMM_WORLD_LOCAL_RANK", "1")
-    with private_cache.lock(tmp_path / "lock", 0.02), open(tmp_path / "lock", "w+") as other:
-        assert private_cache.is_held(other)
+def test_nobody_waits_for_ever(tmp_path, monkeypatch):
+    """A process that holds a lock may have been stopped: after LONGEST the others go on without it."""
+    path = tmp_path / "file"
+    with private_cache.locked(path) as held:
+        monkeypatch.setattr(private_cache, "LONGEST", 0.05)
+        assert held is not None and private_cache.locked(path) is None
+    with private_cache.locked(path) as free:
+        assert free is not None
 
 
 FAIL = """
@@ -302,52 +330,31 @@ def test_a_failed_compilation_holds_up_nobody(tmp_path):
 
 
 EDITED = """
-import sys, time
-import numpy as np
-from pgfmd.parallel import private_cache
-private_cache.keep_compiled_code()
-from numba.core import caching
+import sys
 sys.path.insert(0, sys.argv[1])
 import loop
-save = caching.IndexDataCacheFile._save_index
-
-def slow(self, overloads):
-    save(self, overloads)
-    print("saved", flush=True)
-    time.sleep(2)
-
-loop.other(1.0)  # so that the call below has nothing else to wait for
-if sys.argv[2] == "slow":
-    caching.IndexDataCacheFile._save_index = slow
-print("ready", flush=True)
-sys.stdin.readline()
-print(loop.total(np.ones(3, sys.argv[3])), flush=True)
+print(loop.total(1.0))
 """
 
 
-def test_code_of_an_older_source_is_not_run(tmp_path):
-    """While a process compiles a loop whose source has changed, and has written its index but not yet its code, another
-    that needs the loop waits for the new code: it neither runs the old one nor fails for its types.
-    """
-    environment, source = os.environ | {"PGFMD_CACHE": str(tmp_path)}, tmp_path / "loop.py"
-    text = "from pgfmd.parallel.compiled import compiled\n@compiled()\ndef other(x):\n    return x\n"
-    text += "@compiled()\ndef total(a):\n    return {} * a.sum()\n"
+@pytest.mark.parametrize("edited", ["loop", "helper", "constant"])
+def test_code_of_an_older_source_is_not_run(tmp_path, edited):
+    """Whether a loop has changed, or in another file a loop that it calls or a constant that it uses."""
+    texts = {
+        "loop": "from compiled import compiled\nfrom constant import C\nfrom helper import half\n"
+        "@compiled()\ndef total(x):\n    return C * half(x) + 0\n",
+        "helper": "from compiled import compiled\n@compiled(inline='always')\ndef half(x):\n    return x + 0\n",
+        "constant": "C = 10\n",
+        "compiled": "from pgfmd.parallel.compiled import compiled\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    environment = os.environ | {"PGFMD_CACHE": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, "-c", EDITED, str(tmp_path)]
 
-    def start(speed: str, dtype: str) -> subprocess.Popen:
-        words = [sys.executable, "-c", EDITED, str(tmp_path), speed, dtype]
-        run = subprocess.Popen(words, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        assert run.stdout.readline() == "ready\n"
-        return run
+    def result() -> float:
+        return float(subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True).stdout)
 
-    def result(run: subprocess.Popen) -> str:
-        return run.communicate("go\n", timeout=60)[0]
-
-    source.write_text(text.format(2))
-    assert result(start("fast", "float64")) == "6.0\n"
-    source.write_text(text.format(10))  # of another length: files are told apart by that, too
-    slow, other = start("slow", "float32"), start("fast", "float32")
-    slow.stdin.write("go\n")
-    slow.stdin.flush()
-    assert slow.stdout.readline() == "saved\n"
-    assert result(other) == "30.0\n"
-    assert slow.communicate(timeout=60)[0] == "30.0\n"
+    assert result() == 10
+    (tmp_path / f"{edited}.py").write_text(texts[edited].replace("0\n", "5\n"))
+    assert result() == {"loop": 15, "helper": 60, "constant": 15}[edited]

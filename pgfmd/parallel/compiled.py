@@ -1,27 +1,33 @@
 """`compiled`: numba's decorator for the loops of this package.  One process compiles a loop, others load it.
 
 A loop is compiled at its first call with arguments of new types, once for a machine; a default job needs some thirty.
+Numba's own cache would not do.  It has one index of a loop's types, which processes that compile the same loop for
+different types overwrite, so that code for other types is loaded; it runs code whose helpers in other files have
+changed; each process compiles; and a full disk ends the run.
 """
 
 from __future__ import annotations
 
-import gc
+import functools
+import hashlib
 import logging
-import time
-from collections.abc import Callable
+import pickle
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any
 
 import numba
-from numba.core import caching, event
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
 
-from pgfmd.options.text import counted
-from pgfmd.parallel.private_cache import HEAD_START, lock, private_folder
+from pgfmd.parallel.private_cache import keep, kept, locked, private_folder
 
 log = logging.getLogger("pgfmd")
-
-FIRST = 4.0  # seconds until the first line of progress; each further one comes after twice as long
 
 
 def compiled(**options: Any) -> Callable[[Callable], Any]:
@@ -35,94 +41,80 @@ def compiled(**options: Any) -> Callable[[Callable], Any]:
 
     def decorate(function: Callable) -> Any:
         loop: Any = numba.njit(**settings)(function)
-        if private_folder() is not None:
-            loop._cache = _SharedCache(function)
+        loop._cache = cache = _Cache(loop)
+        compile_or_load = loop.compile
+
+        def compile(types: tuple) -> Any:
+            try:
+                return compile_or_load(types)
+            finally:
+                cache.unlock()  # also after an error or an interrupt: other processes may try
+
+        loop.compile = compile
         return loop
 
     return decorate
 
 
-class _SharedCache(caching.FunctionCache):
-    """Numba's cache of one function.  While a process compiles it, others that need it wait, then load it.
+class _Cache(NullCache):
+    """Compiled code of one loop in the private folder: a file for each combination of types.
 
-    The lock is the kernel's (flock) and ends with its process; without locks, each process compiles.  A process holds
-    only the locks of the function it compiles and of the callers of that: no deadlock.
+    A file's name says all that the code depends on.  So files never change, and readers need no lock.  While a process
+    compiles a loop, others that need it wait, then load it.  A process holds only the locks of the loop that it
+    compiles and of the callers of that loop: no deadlock.
     """
 
-    _lock: IO | None = None
+    def __init__(self, loop: Any) -> None:
+        self._loop = loop
+        self._lock: IO | None = None
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
+    def load_overload(self, types: tuple, context: Any) -> CompileResult | None:
         """The compiled code, or None if this process is to compile it.
 
-        Unlike numba's own method it leaves `target_context.refresh`, a quarter of a second, to the compiler.
+        Unlike numba's own method it leaves `context.refresh`, a quarter of a second, to the compiler.
         """
-        rtsys.initialize(target_context)  # loaded code needs it
-        found = self._load_overload(sig, target_context)
-        if found is None:
-            self._lock = lock(Path(self.cache_path) / f"{self._impl.filename_base}.lock", HEAD_START)
-            found = self._load_overload(sig, target_context)
-            if found is not None:
-                self.release()
-            elif not self._cache_file._load_index():
-                self._remove_outdated()
-        return found
+        rtsys.initialize(context)  # loaded code needs it
+        path = self._file(types, context.codegen())
+        code = kept(path)
+        if code is None and self._lock is None:
+            self._lock = locked(path)
+            code = kept(path)
+        if code is None:
+            _announce()
+            return None
+        return CompileResult._rebuild(context, *pickle.loads(code))
 
-    def _remove_outdated(self) -> None:
-        """Removes code of an older version of the source.  Numba writes a new index first, then the files of code that
-        it names, under the names of the old ones.  A process that reads in between would run old code, perhaps
-        for other types ("can't unbox array from PyObject into native value"); if it finds no file, it waits.
-        """
-        for outdated in Path(self.cache_path).glob(f"{self._impl.filename_base}.*.nbc"):
-            outdated.unlink(missing_ok=True)
+    def save_overload(self, types: tuple, code: Any) -> None:
+        """Keep the compiled code for other processes."""
+        if not code.library.has_dynamic_globals:
+            keep(self._file(types, code.codegen), dumps(code._reduce()))
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Save the compiled code, and let waiting processes load it."""
-        try:
-            super().save_overload(sig, data)
-        finally:
-            self.release()
+    def _file(self, types: tuple, codegen: Any) -> Path | None:
+        depends = (*_content(self._loop), types, codegen.magic_tuple(), numba.__version__, sys.version)
+        folder, name = private_folder(), hashlib.sha256(repr(depends).encode()).hexdigest()[:32]
+        return None if folder is None else folder / "loops" / f"{self._loop.__name__}-{name}"
 
-    def release(self) -> None:
-        """Let other processes load or compile it."""
+    def unlock(self) -> None:
+        """Let other processes load or compile the loop."""
         if self._lock is not None:
             self._lock.close()
             self._lock = None
 
 
-class _Compiling(event.Listener):
-    """Logs the progress of compiling, and disables garbage collection meanwhile, which would take a tenth of the time.
-    """
-
-    def __init__(self) -> None:
-        self.depth, self.count, self.seconds = 0, 0, 0.0
-        self._began, self._next = 0.0, FIRST
-        self._collects = False
-
-    def on_start(self, _: event.Event) -> None:
-        """A function begins to compile, perhaps within another one."""
-        self.depth += 1
-        if self.depth > 1:
-            return
-        self._began, self._collects = time.monotonic(), gc.isenabled()
-        gc.disable()
-        if self.count == 0:
-            log.info("compiling for this machine: some seconds, the first time only")
-
-    def on_end(self, ended: event.Event) -> None:
-        """It is compiled, or compiling failed or was interrupted: then others may try."""
-        cache = ended.data["dispatcher"]._cache
-        if ended._exc_details is not None and isinstance(cache, _SharedCache):  # `is_failed` of numba says the opposite
-            cache.release()
-        self.depth -= 1
-        if self.depth > 0:
-            return
-        if self._collects:
-            gc.enable()
-        now = time.monotonic()
-        self.count, self.seconds = self.count + 1, self.seconds + now - self._began
-        if self.seconds > self._next:
-            self._next = 2 * self.seconds
-            log.info("compiled %s in %.1f s", counted(self.count, "loop"), self.seconds)
+def _content(loop: Any) -> Iterator[object]:
+    """What a loop compiles to, but for the types: its options, byte code, constants and the loops that it calls."""
+    function = loop.py_func
+    code, names = function.__code__, function.__globals__
+    options = {name: sorted(value) if isinstance(value, set) else value for name, value in loop.targetoptions.items()}
+    yield function.__module__, function.__qualname__, options
+    yield code.co_code, code.co_consts, code.co_names, code.co_varnames
+    for value in map(names.get, code.co_names):
+        if isinstance(value, Dispatcher):
+            yield from _content(value)
+        elif not isinstance(value, ModuleType):  # of NumPy and Python; constants are to be imported by name
+            yield value
 
 
-event.register("numba:compile", _Compiling())
+@functools.cache
+def _announce() -> None:
+    log.info("compiling for this machine: some seconds, the first time only")

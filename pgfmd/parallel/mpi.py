@@ -24,7 +24,6 @@ from pgfmd.errors import InputError
 from pgfmd.parallel import alone
 
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
-_LOCAL_RANKS = ("OMPI_COMM_WORLD_LOCAL_RANK", "MPI_LOCALRANKID", "SLURM_LOCALID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 USABLE = 0.9  # of the free shared memory: Open MPI 4 refuses above 0.95 of it, and adds a little of its own
 PATIENCE = 10.0  # seconds that a failed rank 0 waits for the others to fail with it
@@ -97,11 +96,6 @@ def for_library(comm: MPI.Comm) -> MPI.Comm:
 def launched_rank() -> int:
     """This process's rank from the launcher's environment, without MPI; 0 if it was started alone."""
     return _launched(_RANKS, 0)
-
-
-def first_of_node() -> bool:
-    """Whether this is the first process on its node, from the launcher's environment; True if that does not say."""
-    return _launched(_LOCAL_RANKS, 0) == 0
 
 
 def _launched(names: tuple[str, ...], otherwise: int) -> int:

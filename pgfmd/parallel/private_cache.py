@@ -14,60 +14,88 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import functools
+import hashlib
+import logging
 import os
 import stat
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from pgfmd.parallel.mpi import first_of_node
+LONGEST, PAUSE = 60.0, 0.01
+"""Seconds that a process waits at most for another one, which may have been stopped (a loop compiles in 1 to 5), and
+between its first looks."""
+DIGEST = 32  # bytes of the checksum before the content of a file
 
-HEAD_START, PAUSE = 2.0, 0.01
-"""Seconds that a rank which is not the first of its node waits at most for that one to take a lock, and between its
-looks.  The first loop of a process takes longest to compile, so that one rank should compile all."""
+log = logging.getLogger("pgfmd")
 
 
 @functools.cache
 def private_folder() -> Path | None:
-    """The folder, made if missing; None if there is no private one."""
+    """The folder, made if missing; None if there is no private one.  The log says why $PGFMD_CACHE is not taken."""
     for folder in _candidates():
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK | os.X_OK) and is_private(folder):
+            with tempfile.TemporaryFile(dir=folder):
+                reason = "others can write or replace it"
+            if is_private(folder):
                 return folder
-        except OSError:
-            continue
+        except OSError as error:
+            reason = str(error.strerror)
+        if folder.parent == Path(os.environ.get("PGFMD_CACHE") or "/"):
+            log.warning("PGFMD_CACHE: %s: %s; another folder keeps compiled loops", folder, reason)
     return None
 
 
-def lock(path: Path, head_start: float = 0.0) -> IO | None:
-    """Sleeps until no other process holds the lock of this file, and takes it; the lock ends when the returned file is
-    closed or the process ends.  None where the file system has no locks.  After it, look again before making a file.
+def kept(path: Path | None) -> bytes | None:
+    """What `keep` has written there; None if nothing, or if it is damaged."""
+    with contextlib.suppress(OSError):
+        if path is not None:
+            content = path.read_bytes()
+            if hashlib.sha256(content[DIGEST:]).digest() == content[:DIGEST]:
+                return content[DIGEST:]
+    return None
 
-    head_start: seconds that the first rank of this node gets to take it before this one does.
+
+def keep(path: Path | None, content: bytes) -> None:
+    """Write a file by a rename, so that no reader sees half of it.  Where that fails, as on a full disk, the log says
+    so once for a folder, and nothing is left there.
+    """
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:  # removed in any case
+            file = Path(folder) / path.name
+            file.write_bytes(hashlib.sha256(content).digest() + content)
+            os.replace(file, path)
+    except OSError as error:
+        _warn(path.parent, error.strerror)
+
+
+def locked(path: Path | None) -> IO | None:
+    """Waits until no other process holds the lock that belongs to this path, at most LONGEST, and takes it.  The lock
+    ends when the returned file is closed or the process ends.  None where there is no lock to be had: then go on
+    without.  After it, look again before making a file.
     """
     with contextlib.suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = open(path, "w+")  # readable too: NFS shares a lock only then
-        until = time.monotonic() + (0 if first_of_node() else head_start)
-        while time.monotonic() < until and not is_held(file):
-            time.sleep(PAUSE)
-        fcntl.flock(file, fcntl.LOCK_EX)
-        return file
+        if path is not None:
+            path.parent.mkdir(exist_ok=True)
+            file, began = open(path.with_suffix(".lock"), "w"), time.monotonic()
+            while (waited := time.monotonic() - began) < LONGEST:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    return file
+                except BlockingIOError:
+                    time.sleep(max(PAUSE, waited / 10))  # a file server is not to be asked too often
     return None
 
 
-def is_held(file: IO) -> bool:
-    """Whether another process holds the lock of the file for itself."""
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared: others that look do not matter
-    except BlockingIOError:
-        return True
-    fcntl.flock(file, fcntl.LOCK_UN)
-    return False
+@functools.cache
+def _warn(folder: Path, reason: str) -> None:
+    log.warning("%s: %s; compiled loops and FFTW's plans are not kept for later runs", folder, reason)
 
 
 def is_private(folder: Path) -> bool:
@@ -97,15 +125,3 @@ def _candidates() -> Iterator[Path]:
         pass
     for folder in (tempfile.gettempdir(), "/dev/shm"):
         yield Path(folder) / f"pgfmd-{os.geteuid()}"
-
-
-def keep_compiled_code() -> None:
-    """Have numba keep compiled code in the private folder, not beside the source, where others may write.  Call it
-    before loops are imported.  Without a private folder each process compiles for itself (`compiled`).
-    """
-    folder = private_folder()
-    if folder is None:
-        return
-    os.environ["NUMBA_CACHE_DIR"] = str(folder / "kernels")
-    if sys.modules.get("numba"):  # imported already: it has read the variable
-        sys.modules["numba"].config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]

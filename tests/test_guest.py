@@ -1,0 +1,153 @@
+"""A process that imports the package, and calls it, stays as it was."""
+
+from __future__ import annotations
+
+import ast
+import multiprocessing
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from conftest import ROOT, SIZE
+
+import pgfmd
+
+pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
+
+STATE = """
+import gc, locale, logging, os, signal, sys, threading, warnings
+import h5py, numba, numpy as np, pyfftw, scipy
+
+def state():
+    loggers = [logging.root, *map(logging.getLogger, ("pgfmd", "numba"))]
+    return {
+        "environment": dict(os.environ), "folder": os.getcwd(), "umask": (os.umask(0o22), os.umask(0o22)),
+        "garbage": (gc.isenabled(), gc.get_threshold(), gc.get_debug(), gc.get_freeze_count(), *gc.callbacks),
+        "interpreter": (sys.getrecursionlimit(), sys.getswitchinterval(), sys.gettrace(), sys.getprofile()),
+        "hooks": (sys.excepthook, sys.unraisablehook, sys.displayhook, threading.excepthook, sys.stdout, sys.stderr),
+        "imports": (*sys.path, *sys.meta_path, *sys.path_hooks), "locale": locale.setlocale(locale.LC_ALL),
+        "signals": [signal.getsignal(number) for number in sorted(signal.valid_signals())],
+        "warnings": (*warnings.filters, warnings.showwarning, warnings.formatwarning),
+        "logging": [(each.level, *each.handlers, *each.filters, each.propagate, each.disabled) for each in loggers],
+        "no logging below": logging.root.manager.disable, "NumPy": (np.geterr(), np.geterrcall(), np.getbufsize()),
+        "print": np.get_printoptions(), "FFTW": (pyfftw.config.NUM_THREADS, pyfftw.config.PLANNER_EFFORT),
+        "numba": {name: repr(value) for name, value in vars(numba.config).items() if name.isupper()},
+    }
+
+before = state()
+import pgfmd
+"""
+SHOW = "print(sorted(name for name, value in state().items() if value != before[name]))"
+USE = """
+x = np.cos(2 * np.pi * np.arange(16) / 16)
+pgfmd.solve(x[:, None] + x, 0.1, threads=2)
+"""
+
+
+@pytest.mark.parametrize("used", ["", USE], ids=["imported", "used"])
+def test_the_process_is_left_as_it_was(used):
+    """Environment, interpreter, logging, warnings, signals, NumPy and other libraries have the settings of before."""
+    fresh = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    command = [sys.executable, "-c", STATE + used + SHOW]
+    done = subprocess.run(command, cwd=ROOT, env=fresh, capture_output=True, text=True)
+    assert done.stdout == "[]\n", done.stderr
+
+
+def test_garbage_is_collected_while_loops_are_compiled(tmp_path):
+    """Also those of the package: other threads of the process may need it."""
+    code = """
+import gc, numba, numpy as np, pgfmd
+from numba.core import event
+
+class Look(event.Listener):
+    seen = set()
+    def on_start(self, _):
+        self.seen.add(gc.isenabled())
+    on_end = on_start
+
+event.register("numba:compile", Look())
+from pgfmd.observables.statistics.kernels import histogram
+histogram(np.ones((4, 8)), np.arange(3.0), 0, 4, np.zeros(2, int))
+print(Look.seen)
+"""
+    environment = {"PGFMD_CACHE": str(tmp_path), "PATH": ""}
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert done.stdout == "{True}\n", done.stderr
+
+
+def test_private_parts_of_libraries_have_an_upper_bound():
+    """The package needs a library below some version where it imports what that may change at any time: a name that
+    begins with an underscore, or of `numba.core`, which numba's documentation calls internal.
+    """
+    needed = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    bounded = {re.split("[<>=]", need)[0] for need in needed if "<" in need}
+    private = set()
+    for path in (ROOT / "pgfmd").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+            if isinstance(node, ast.ImportFrom):
+                names = [f"{node.module}.{name}" for name in names]
+            for library, *parts in (name.split(".") for name in names):
+                hidden = any(part.startswith("_") for part in parts) or library == "numba" and parts[:1] == ["core"]
+                if hidden and library not in ("pgfmd", "__future__"):
+                    private.add(library)
+    assert "numba" in private
+    assert private <= bounded
+
+
+def heights(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(16, 16))
+
+
+def pressure(seed: int) -> np.ndarray:
+    return pgfmd.solve(heights(seed), 0.1, threads=2, progress=False).pressure
+
+
+def test_two_threads_at_once():
+    """Each gets what it gets alone, also of transforms that nobody has planned yet."""
+    with ThreadPoolExecutor(2) as threads:
+        together = list(threads.map(pressure, [1, 2, 3, 4] * 3))
+    for seed, found in enumerate(together):
+        np.testing.assert_array_equal(found, pressure(seed % 4 + 1))
+
+
+def _send(pipe, seed: int) -> None:
+    pipe.send(pressure(seed))
+
+
+def test_a_forked_worker():
+    """A process forked from one that has solved with several threads gets what that gets."""
+    expected, (mine, its) = pressure(1), multiprocessing.Pipe(duplex=False)
+    worker = multiprocessing.get_context("fork").Process(target=_send, args=(its, 1))
+    worker.start()
+    try:
+        assert mine.poll(60), "the worker hangs"
+        np.testing.assert_array_equal(mine.recv(), expected)
+    finally:
+        worker.kill()
+        worker.join()
+
+
+def test_a_thousand_calls_take_no_more_memory():
+    """The memory of the process grows by less than the 2 MB, 2 kB a call, that pages of allocators may come to: one
+    field of 16 × 16 points takes as much.
+    """
+    code = """
+import gc, numpy as np, pgfmd
+rng = np.random.default_rng(1)
+def resident():
+    gc.collect()
+    return int(open("/proc/self/statm").read().split()[1]) * 4096
+for number in range(1100):
+    pgfmd.solve(rng.normal(size=(16, 16)), 0.1, threads=1, progress=False)
+    if number == 99:
+        before = resident()
+print(resident() - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert int(done.stdout) < 2e6, done.stderr
