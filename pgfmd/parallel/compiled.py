@@ -96,9 +96,9 @@ class _Cache(NullCache):
 
     def unlock(self) -> None:
         """Let other processes load or compile the loop."""
-        if self._lock is not None:
-            self._lock.close()
-            self._lock = None
+        lock, self._lock = self._lock, None  # at once: threads may end at the same time
+        if lock is not None:
+            lock.close()
 
 
 def _content(loop: Any) -> Iterator[object]:

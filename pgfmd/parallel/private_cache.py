@@ -38,10 +38,10 @@ def private_folder() -> Path | None:
     for folder in _candidates():
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                reason = "others can write or replace it"
-            if is_private(folder):
+            writable = os.access(folder, os.W_OK | os.X_OK)
+            if writable and is_private(folder):
                 return folder
+            reason = "others can write or replace it" if writable else "may not be written"
         except OSError as error:
             reason = str(error.strerror)
         if folder.parent == Path(os.environ.get("PGFMD_CACHE") or "/"):
@@ -119,9 +119,8 @@ def _candidates() -> Iterator[Path]:
     for name in ("PGFMD_CACHE", "XDG_CACHE_HOME"):
         if value := os.environ.get(name):
             yield Path(value) / "pgfmd"
-    try:
+    with contextlib.suppress(RuntimeError):  # no HOME, and no such user
         yield Path.home() / ".cache" / "pgfmd"
-    except RuntimeError:  # no HOME, and no such user
-        pass
-    for folder in (tempfile.gettempdir(), "/dev/shm"):
-        yield Path(folder) / f"pgfmd-{os.geteuid()}"
+    with contextlib.suppress(FileNotFoundError):  # no folder of temporary files has space for one
+        yield Path(tempfile.gettempdir()) / f"pgfmd-{os.geteuid()}"
+    yield Path("/dev/shm") / f"pgfmd-{os.geteuid()}"
