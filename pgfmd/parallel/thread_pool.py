@@ -2,7 +2,8 @@
 
 Waking a sleeping thread takes longer than most tasks, and many times longer on a virtual machine whose cores fall idle.
 A helper without a task therefore first polls for the next one.  It holds no interpreter lock meanwhile, and yields its
-core to any thread that wants it.  If no helper has begun before the caller is done, the caller does all the work.  All
+core to any thread that wants it.  A task costs its caller about 5 µs, with `concurrent.futures` 6 to 50 µs; a solve at
+512² shares 125 tasks.  If no helper has begun before the caller is done, the caller does all the work.  All
 grids of a process share its helpers; else the helpers of one grid would poll while those of another work.
 """
 
