@@ -28,7 +28,7 @@ MESH = 4.5  # meshes, means over blocks, and what is measured of every contact, 
 # grid (6): single precision where that serves.
 NEWTON = 55.0
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
-GAPS_FROM = 0.65  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
+GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 
 
 def cost(

@@ -119,7 +119,7 @@ class Relaxation:
                 self.widen(state)
             system = self.linearise(state, precision)
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
-            square = max(system.square, self.hidden)
+            square = system.square + self.hidden
             estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
