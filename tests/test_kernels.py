@@ -191,13 +191,17 @@ def test_sums_of_a_state(fields):
     assert np.allclose(sums, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_limits_of_the_field_of_the_certificate(fields):
-    """g − λ between the bounds; at most that where p = 0, at least that where p = top; first 0; nothing elsewhere."""
+@pytest.mark.parametrize("spare", [np.inf, 0.5])
+def test_limits_of_the_field_of_the_certificate(fields, spare):
+    """g − λ between the bounds; at most that where p = 0, at least that where p = top; first 0; nothing elsewhere.
+    A point counts as at a bound from which g − λ is farther than `spare` times its distance in pressure."""
     p, gap, _ = fields
     p, out = np.clip(p, 0, 1), np.full((4, 12, 11), np.nan, np.float32)
-    active_set.residual_limits((p, gap), (0.1, 1.0), (1, 2), out)
+    active_set.residual_limits((p, gap), (0.1, 1.0, spare), (1, 2), out)
     away, most = (gap - 0.1).astype(np.float32), np.finfo(np.float32).max
-    expected = np.where(p > 0, away, -most), np.where(p < 1, away, most), np.where((p > 0) & (p < 1), away, 0)
+    with np.errstate(invalid="ignore"):  # inf · 0, at the bounds
+        above, below = (p > 0) & (away <= spare * p), (p < 1) & (-away <= spare * (1 - p))
+    expected = np.where(above, away, -most), np.where(below, away, most), np.where(above & below, away, 0)
     assert np.array_equal(out[:3, 1:10, 2:-2], expected)
     assert np.count_nonzero(np.isfinite(out)) == 3 * p.size
 

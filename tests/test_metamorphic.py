@@ -146,9 +146,13 @@ def test_moves(comm, shared_tmp_path, plain, case):
     alike(plain(case), after, moved, room_of(case))
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case[1] in ("half-space", "free")], ids=" ".join)
+ANY_ORDER = [case for case in CASES if case[1] in ("half-space", "free") and case[0] != "hardness"]
+
+
+@pytest.mark.parametrize("case", ANY_ORDER, ids=" ".join)
 def test_order_of_loads(comm, shared_tmp_path, plain, case):
-    """Loads in another order, each from another one before it: the same pressures."""
+    """Loads in another order, each from another one before it: the same pressures.  (A wall that yields remembers its
+    loads: it refuses falling ones.)"""
     back = contacts(comm, shared_tmp_path / "back", heights(), case, targets=TARGETS[case[2]][::-1])
     alike(plain(case), back[::-1], room=room_of(case))
 

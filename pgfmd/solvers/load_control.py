@@ -87,7 +87,7 @@ class LoadControl:
         """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  Collective."""
         (before, pressure), start = self.previous or (0.0, None), self._resumed
         self._resumed = self.previous = None
-        near = before > 0 and mean_pressure > 0 and abs(math.log(mean_pressure / before)) <= NEIGHBOURS
+        near = min(before, mean_pressure) > 0 and abs(math.log(mean_pressure) - math.log(before)) <= NEIGHBOURS
         if start is None and pressure is not None and near:  # kept while the next is solved: in single precision
             start = np.divide(pressure, before, out=np.empty(pressure.shape, np.float32), casting="same_kind")
         del pressure

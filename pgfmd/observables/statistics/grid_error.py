@@ -95,7 +95,8 @@ def solver_errors(
     grid, energy = problem.grid, solution.elastic_energy
     bound = 2 * energy * solution.certified_error
     mean = solution.mean_pressure
-    work = 2 * math.sqrt(bound * (energy + problem.law.range_at(mean) * mean / 2)) + bound
+    soft = problem.law.range_at(mean) * mean if mean > 0 else 0.0
+    work = 2 * math.sqrt(bound * (energy + soft / 2)) + bound
     scales = {
         "perimeter": math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths),
         "mean_gap": work / (mean or math.nan),

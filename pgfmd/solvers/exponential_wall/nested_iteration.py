@@ -38,8 +38,8 @@ class NewtonIteration(NestedIteration[LawState]):
     def resume(self, problem: ContactProblem, start: np.ndarray) -> LawState:
         """From the pressure, scaled to the load."""
         grid = problem.grid
-        state = LawState(start * (grid.size / grid.reduction.sum(start)), grid.new_field())
-        return self.relax(problem, state)
+        pressure = np.multiply(start, grid.size / grid.reduction.sum(start), dtype=np.float64)
+        return self.relax(problem, LawState(pressure, grid.new_field()))
 
     def energy(self, state: LawState, size: int) -> float:
         """Half the work per point."""
