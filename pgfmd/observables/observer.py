@@ -71,9 +71,9 @@ class Observer:
         try:
             return self._given_solve(problem, **options)
         except (InputError, SolverError) as failure:
-            if not shared(self.problem.grid.comm, failure):
+            if not shared(problem.grid.comm, failure):
                 raise
-            if self.problem.grid.comm.rank == 0:
+            if problem.grid.comm.rank == 0:
                 log.warning("an observable lacks a contact that it asks for: %s", failure)
             return None
 
