@@ -421,10 +421,12 @@ def test_schema_is_well_formed():
         assert units.format(length="m", pressure="Pa") and description.isprintable()
 
 
-def format_1(folder):
-    """Unpacks a run that the program wrote before format 2: 24 × 20 points, one load."""
-    with zipfile.ZipFile(Path(__file__).parent / "data" / "format_1.zip") as archive:
-        archive.extractall(folder)
+def unpack(comm, version, folder):
+    """Unpacks a run that the program wrote in that format, on rank 0; 1: 24 × 20 points, one load."""
+    if comm.rank == 0:
+        with zipfile.ZipFile(Path(__file__).parent / "data" / f"format_{version}.zip") as archive:
+            archive.extractall(folder)
+    comm.Barrier()
 
 
 def check_format_1(load, pressure, height, threshold_area):
@@ -447,18 +449,14 @@ def check_format_1(load, pressure, height, threshold_area):
 
 def test_format_1_is_read(comm, shared_tmp_path):
     """Results of the version before: spectra come in the present normalisation, the corrected area under its name."""
-    if comm.rank == 0:
-        format_1(shared_tmp_path)
-    comm.Barrier()
+    unpack(comm, 1, shared_tmp_path)
     read = Results(shared_tmp_path)
     check_format_1(read.load(0), read.field("pressure", 0), read.field("height"), read.loads["contact_area_corrected"])
 
 
 def test_format_1_is_not_continued(comm, shared_tmp_path):
     """Loads of two versions in one folder would be a mixture: that is refused; such results may be replaced."""
-    if comm.rank == 0:
-        format_1(shared_tmp_path)
-    comm.Barrier()
+    unpack(comm, 1, shared_tmp_path)
     with pytest.raises(InputError, match="cannot be continued: it was sealed by another version"):
         writer(comm, shared_tmp_path, mode="restart")
     with writer(comm, shared_tmp_path, mode="overwrite") as result:
@@ -468,12 +466,11 @@ def test_format_1_is_not_continued(comm, shared_tmp_path):
 
 
 
-def test_format_2_is_read(shared_tmp_path):
+def test_format_2_is_read(comm, shared_tmp_path):
     """Under limited hardness its gap was negative where the wall yields.  It comes as a gap ≥ 0 and the plastic depth;
     what was made from it, and cannot be made again, as NaN.
     """
-    with zipfile.ZipFile(Path(__file__).parent / "data" / "format_2.zip") as archive:
-        archive.extractall(shared_tmp_path)
+    unpack(comm, 2, shared_tmp_path)
     with h5py.File(shared_tmp_path / "fields" / "load_0001.h5") as file:
         before = file["gap"][()]
     assert before.min() < 0
