@@ -23,7 +23,7 @@ from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
 LEAST = 0.1  # smallest eigenvalue of the stencil over its centre, so that it is positive definite
-DEEPER = .15  # factor on the cut of pressures as unknowns: an iteration costs less here, and a step as much
+DEEPER = 0.15  # factor on the cut of pressures as unknowns: an iteration costs less here, and a step as much
 
 
 class GapSteps(Relaxation):

@@ -1,6 +1,6 @@
 """An approximate inverse of the compliance on a contact set: the stiffness, on two or more scales.
 
-Near part: the stiffness kernel, which decays as −E'/(4π r³), truncated to two pixels, in real space.  Summed over
+Near part: the stiffness kernel, which decays as −E'/(4π r³), truncated at √10 pixels, in real space.  Summed over
 contact points alone it costs a few per cent of a transform.  The truncated kernel has positive row sums, which makes it
 positive definite, but far too stiff to long waves.  So most of the row sum is subtracted from the diagonal.
 

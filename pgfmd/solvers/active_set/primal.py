@@ -22,9 +22,9 @@ from pgfmd.solvers.active_set.unknowns import Unknowns
 
 CLOSE = 3e-5  # least part of the energy error that one step can leave: of the mesh's response, see `near_kernel`
 LEAST_PART = 5e-5  # the least that the first of two steps aims at
-SURE = 0.005  # of a reduction of the energy error to this part or more, the effect on the set is not checked
+SURE = 0.005  # after a reduction of the energy error to this part or more, the mesh does not check the set
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
-LEAST_GAIN = 0.5  # factor on the last reduction of the residual in one step before the gap is updated
+MOST_LEFT = 0.5  # largest factor on the residual that is asked for once the mesh has updated the gap
 NEAR_CUT = 0.5  # factor on the residual in the iteration that adapts a start
 
 
@@ -78,7 +78,7 @@ class PressureSteps(Relaxation):
         Full transforms follow once `system.square` has probably fallen to the part `enough`.  If that is out of reach
         of one step (`CLOSE`), the first of two does more than half of the work.
         """
-        if not isinstance(self.inner, MeshResponse) or self.highest < math.inf:
+        if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)
             return
         part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
@@ -98,7 +98,7 @@ class PressureSteps(Relaxation):
             if system.square < 1.1 * goal:
                 return
             failures += system.square > square / 2
-            wanted = min(LEAST_GAIN, (system.square / square) ** CUT_POWER)
+            wanted = min(MOST_LEFT, (system.square / square) ** CUT_POWER)
 
     def _solve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
         """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
