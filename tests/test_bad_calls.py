@@ -80,7 +80,7 @@ def test_odd_heights_are_refused_in_one_line(comm, heights):
 
 def test_a_number_is_asked_for_where_one_was_given(comm):
     """A load out of range is told what a number must be, not that it should have been a list."""
-    with pytest.raises(pgfmd.InputError, match=r"^pressure = -1: must be a number ≥ 0; or a list of them"):
+    with pytest.raises(pgfmd.InputError, match=r"^load.pressure = \[-1.0\]: must be a number ≥ 0 with wall.kind"):
         solve(comm, pressure=-1)
 
 

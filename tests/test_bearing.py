@@ -13,7 +13,7 @@ from pgfmd.observables.statistics.threshold import threshold_for_count
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import Certificate, ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
@@ -63,7 +63,7 @@ def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spe
     pixels = round(fraction * grid.size)
     index = np.arange(grid.rows.start * n, grid.rows.stop * n).reshape(pressure.shape)
     pressure[index < pixels] = 1.0
-    solution = ContactSolution(pressure, pressure, fraction, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+    solution = ContactSolution(pressure, pressure, fraction, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
     cutoff = 2 * np.pi / lambda_s if lambda_s > 1 else None
     problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
     observer = Observer(problem, [OBSERVABLES[name]() for name in names], cutoff)
@@ -99,7 +99,7 @@ def test_autocorrelation_of_a_gaussian_surface(comm):
     grid = SlabGrid(comm, (512, 512))
     heights = self_affine(grid, 0.5, 8, 0.031, 2, lambda_l=16)
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))
-    solution = ContactSolution(pressure, pressure, 0.25, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+    solution = ContactSolution(pressure, pressure, 0.25, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
     problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
     observer = Observer(problem, [OBSERVABLES[name]() for name in ("bearing", "acf")])
     groups = observer.groups(observer.contact(solution))

@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("mpi4py")
 
+from pgfmd.solvers.solution import Certificate
+
 PATH = Path(__file__).resolve().parent.parent / "tools" / "extremes.py"
 
 
@@ -37,7 +39,7 @@ def test_every_extreme_ends_right_or_in_a_clear_error(extremes, capsys):
         (lambda found: found.pressure.__setitem__((0, 0), np.nan), "not finite"),
         (lambda found: found.gap.__iadd__(1.0), "gap in contact"),
         (lambda found: found.pressure.__setitem__(slice(None), found.pressure.mean()), "gap in contact|error"),
-        (lambda found: setattr(found, "certified_error", 1.0), "tolerance"),
+        (lambda found: setattr(found, "certificate", Certificate(1.0)), "tolerance"),
     ],
 )
 def test_the_judge_sees_what_is_wrong(extremes, monkeypatch, change, verdict):

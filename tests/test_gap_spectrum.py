@@ -15,7 +15,7 @@ from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.simulate import simulate
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import Certificate, ContactSolution
 
 pytestmark = pytest.mark.mpi
 
@@ -31,7 +31,7 @@ def measure(comm, gap, **options):
     """The spectrum of a whole gap (nx, ny), on every rank, on a surface that has modes up to 1.5."""
     grid = SlabGrid(comm, gap.shape)
     local = gap[grid.rows].copy()
-    solution = ContactSolution(local, local, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+    solution = ContactSolution(local, local, 1.0, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
     problem = ContactProblem(grid, local, elastic(1.0), HardWall())
     observer = Observer(problem, [OBSERVABLES["gap_spectrum"](**options)], 1.5)
     return observer.groups(observer.contact(solution))["gap_spectrum"]

@@ -31,7 +31,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.solution import ContactSolution
+from pgfmd.solvers.solution import Certificate, ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.surfaces.surface import coordinates
@@ -57,7 +57,7 @@ def fields(shape):
 def solved(pressure, gap=None):
     """A solution of which only the fields matter."""
     gap = np.where(pressure > 0, 0.0, 1.0) if gap is None else gap
-    return ContactSolution(pressure, gap, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)
+    return ContactSolution(pressure, gap, 1.0, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
 
 
 def asked(names, **tables):

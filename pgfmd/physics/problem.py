@@ -46,13 +46,13 @@ class ContactProblem:
     @property
     def least_area(self) -> float:
         """p̄ over the largest pressure that the law admits: the relative contact area is at least that."""
-        return self.mean_pressure / self.law.highest
+        return max(self.mean_pressure, 0.0) / self.law.highest
 
     def check(self) -> None:
         """Raise InputError for a mean pressure that the law does not admit."""
         pressure, law = self.mean_pressure, self.law
-        if not (pressure > 0 or law.releases and pressure == 0) or math.isinf(pressure):
-            least = "not negative" if law.releases else "positive"
+        if not (pressure > law.lowest or law.releases and pressure == law.lowest) or math.isinf(pressure):
+            least = f"above {law.lowest:g}" if law.lowest < 0 else "not negative" if law.releases else "positive"
             raise InputError(f"mean pressure = {pressure!r}: must be {least} and finite with a wall of kind {law.kind}")
         if not pressure < law.highest:
             raise InputError(f"mean pressure = {pressure!r}: must be below {law.highest:g}, the most the wall bears")

@@ -49,7 +49,9 @@ def certify(
     mean_pressure: to be borne; that of the given pressure if None.  The certified error is that of the projected
     pressure.  Raises InputError for a pressure that is uniform or without a positive sum, and as the solvers do.
     """
-    grid, reduction = problem.grid, problem.grid.reduction
+    grid, reduction, law = problem.grid, problem.grid.reduction, problem.law
+    if not law.convex:
+        raise InputError(f"wall.kind = {law.kind}: its energy has several minima; only convex laws can be certified")
     with np.errstate(over="ignore"):
         given_mean = reduction.sum(given / grid.size)
     if not 0 < given_mean < math.inf:

@@ -45,6 +45,8 @@ def solve_contact(
     tolerance cannot be reached.
     """
     options.check_law(problem.law)
+    if not problem.law.convex:
+        return SOLVERS[problem.law.methods[0]](problem, options.tolerance, start, monitor)
     problem = problem.with_law(problem.law.up_to(problem.load))  # no point bears more than all of the load
     start = _usable(problem, start)
     method = problem.law.methods[0] if options.method == "auto" else options.method

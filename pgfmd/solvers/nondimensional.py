@@ -14,7 +14,7 @@ from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.cost import MODERATE
 from pgfmd.solvers.second_order import last_digits
-from pgfmd.solvers.solution import ContactSolution, SolverState
+from pgfmd.solvers.solution import Certificate, ContactSolution, SolverState
 
 LARGEST = 1e120  # of heights over the grid spacing, of pressures over the contact modulus; the inverse is the smallest
 STIFFEST = 1e25  # of a solid over a half-space, so that single precision (to 3e38) holds it times the other factors
@@ -30,7 +30,8 @@ class Dimensionless:
     to make.  If the law has no length of its own, heights of mean 0 and moderate size stay as they are.
 
     uniform: the solution if no solver is needed (no load or no roughness), else None.  problem: the dimensionless
-    problem, and rms: the rms value of its heights, set only if `uniform` is None.  Wave numbers, and so lengths in the
+    problem, and rms: the rms value of its heights, set only if `uniform` is None.  For convex laws that only repel:
+    the mean pressure is positive, and a point far below the highest bears none.  Wave numbers, and so lengths in the
     plane, keep their unit.
 
     Under a light load, points far below the highest one cannot touch, and how far below does not matter.  They are
@@ -41,6 +42,7 @@ class Dimensionless:
         """overwrite_heights: their memory is used, and they are lost.  Raises InputError for what cannot be solved,
         Uncertifiable where no pressure in double precision is accurate enough."""
         physical.check()
+        assert physical.law.convex and physical.law.lowest == 0
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
         self._transforms = grid.transforms
@@ -86,7 +88,7 @@ class Dimensionless:
             mean_pressure=mean,
             mean_gap=mean_gap,
             elastic_energy=0.0,
-            certified_error=0.0,
+            certificate=Certificate(0.0),
             max_violation=0.0,
             iterations=0,
             transforms=0.0,
@@ -134,7 +136,7 @@ class Dimensionless:
             mean_pressure=self.physical.mean_pressure,
             mean_gap=units.offset - level * units.height + lowered + sunk,
             elastic_energy=energy * units.pressure * units.height,
-            certified_error=error + (1 + SUMS) * lost,
+            certificate=Certificate(error + (1 + SUMS) * lost),
             max_violation=violation * (units.height / self._heights.rms),
             iterations=state.iterations,
             transforms=grid.transforms - self._transforms + coarse_transforms,

@@ -59,7 +59,7 @@ class Load(Section):
     where: ClassVar[str] = "load"
     shown: ClassVar[tuple[str, ...]] = ("pressure",)
     pressure: tuple[float, ...] | None = key(
-        many(number(low=0), least=1), about="mean pressure", unit="pressure", example=[0.01]
+        many(number(), least=1), about="mean pressure, ≥ 0 unless the wall attracts", unit="pressure", example=[0.01]
     )
     contact_area: tuple[float, ...] | None = key(
         many(number(above=0, below=1), least=1), about="relative contact area", unit="1", example=[0.01, 0.1]
@@ -101,6 +101,10 @@ class Load(Section):
         kind = show(law.kind)
         if not law.releases and self.contact_area:
             raise wrong(self, "contact_area", f"cannot be imposed with wall.kind = {kind}, which touches everywhere")
+        if not law.convex and self.contact_area:
+            raise wrong(self, "contact_area", f"cannot be imposed with wall.kind = {kind}: the area is not monotonic")
+        if self.pressure and min(self.pressure) < law.lowest:
+            raise wrong(self, "pressure", f"must be a number ≥ {law.lowest:g} with wall.kind = {kind}")
         if not law.releases and 0.0 in (self.pressure or ()):
             raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which touches everywhere")
         if self.pressure and not max(self.pressure) < law.highest:

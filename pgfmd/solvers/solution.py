@@ -30,20 +30,34 @@ Monitor = Callable[[SlabGrid, SolverState], None]
 """(grid, state): called after each outer step."""
 
 
+@dataclass(frozen=True)
+class Certificate:
+    """A bound on the distance of a solution from a minimum of its energy.
+
+    error: of E − E* over 2 E_el.  minimum: "global", or "local": the nearest, where the energy has several.  bound:
+    "proved", or "estimated" where a number in it is.  control: what was held when the energy was minimised.
+    """
+
+    error: float
+    minimum: str = "global"
+    bound: str = "proved"
+    control: str = "pressure"
+
+
 @dataclass
 class ContactSolution:
     """Solved contact at one load.  Fields are slabs (nx_local, ny); numbers are the same on all ranks.
 
-    pressure ≥ 0 (exactly 0 outside hard contact); gap = u − h + plastic_depth (zero in hard contact); plastic_depth, by
-    how much a wall of limited hardness has yielded (0 elsewhere and under other walls); mean_pressure p̄; mean_gap
-    ⟨gap⟩ and mean_plastic_depth of the whole surface; elastic_energy E_el = ½⟨p u⟩ per unit area, without the q = 0
-    mode; certified_error, a rigorous bound on J(p) − J(p*) over 2 E_el, J the energy that the solution p* minimises
-    (`physics.laws.law`; errors of gaps and of E_el are of first order in p − p*, and the active set computes them in
-    single precision where that certifies p); max_violation, the largest violation of the law over the rms height;
-    iterations and transforms (pairs, in double-precision equivalents of the finest grid); seconds of wall time;
-    threshold, the pressure above which a point counts as in contact (0 but under laws that touch everywhere); approach
-    of the solid from where the undeformed one touches the highest point; pressure_error, an estimate of ‖p − p*‖₂/‖p*‖₂
-    (NaN where the solver gives none).
+    pressure (exactly 0 outside hard contact, unless the wall attracts); gap = u − h + plastic_depth (zero in hard
+    contact); plastic_depth, by how much a wall of limited hardness has yielded (0 elsewhere and under other walls);
+    mean_pressure p̄; mean_gap ⟨gap⟩ and mean_plastic_depth of the whole surface; elastic_energy E_el = ½⟨p u⟩ per unit
+    area, without the q = 0 mode; certificate, that of the energy that the solution minimises (convex laws: J of
+    `physics.laws.law`; errors of gaps and of E_el are of first order in p − p*, and the active set computes them in
+    single precision where that certifies p), or the reason why there is none; max_violation, the largest violation of
+    the law over the rms height; iterations and transforms (pairs, in double-precision equivalents of the finest grid);
+    seconds of wall time; threshold, the pressure above which a point counts as in contact (0 but under laws that touch
+    everywhere; −inf: points of gap 0 do); approach of the solid from where the undeformed one touches the highest
+    point; pressure_error, an estimate of ‖p − p*‖₂/‖p*‖₂ (NaN where the solver gives none).
     """
 
     pressure: np.ndarray
@@ -51,7 +65,7 @@ class ContactSolution:
     mean_pressure: float
     mean_gap: float
     elastic_energy: float
-    certified_error: float
+    certificate: Certificate | str
     max_violation: float
     iterations: int
     transforms: float
@@ -66,8 +80,18 @@ class ContactSolution:
         if self.plastic_depth is None:
             self.plastic_depth = np.zeros(self.pressure.shape)  # pages that are not written take no memory
 
+    @property
+    def certified_error(self) -> float:
+        """That of the certificate; NaN without one."""
+        return self.certificate.error if isinstance(self.certificate, Certificate) else math.nan
+
     def pressure_in_contact(self) -> np.ndarray:
-        """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none."""
+        """The pressure (nx_local, ny), 0 at points that do not count as in contact; not a copy if that changes none.
+
+        Points that touch under tension have the least positive number, so that they are seen to touch.
+        """
+        if self.threshold == -math.inf:
+            return np.where(self.gap == 0, np.maximum(self.pressure, np.finfo(float).tiny), 0.0)
         return np.where(self.pressure > self.threshold, self.pressure, 0.0) if self.threshold > 0 else self.pressure
 
 

@@ -46,6 +46,9 @@ class ContactLaw(Section):
     methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
     releases: whether the mean pressure may be 0; otherwise it must be positive.
     effort: time of dynamics under this law over that under a hard wall, for `pgfmd check`.
+    convex: whether the energy of every contact is convex, so that it has one minimum, whose distance a certificate
+    bounds, and quantities that are monotonic in the load.  Without that, and with pressures below 0 (`lowest`), a law
+    needs a solver of its own, and none of what follows.
 
     `respond`, `moments`, `excess` and `finish` are called on the law that `in_units` returns: p and g are then p̂ and ĝ.
     """
@@ -54,10 +57,16 @@ class ContactLaw(Section):
     methods: ClassVar[tuple[str, ...]] = ()
     releases: ClassVar[bool] = True
     effort: ClassVar[float] = 1.0
+    convex: ClassVar[bool] = True
+
+    @property
+    def lowest(self) -> float:
+        """The least admissible pressure: 0 for a wall that only repels, negative for one that attracts."""
+        return 0.0
 
     @property
     def highest(self) -> float:
-        """The largest admissible pressure; the smallest is 0."""
+        """The largest admissible pressure."""
         return math.inf
 
     @property
