@@ -18,12 +18,12 @@ from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.io.checkpoint import Checkpoints
 from pgfmd.io.provenance import Origin, command_line
-from pgfmd.io.schema import Form
+from pgfmd.io.schema import TABLE, Form
 from pgfmd.io.writer import Mode, ResultWriter
 from pgfmd.job.job import Job, as_toml
 from pgfmd.job.output import Run
+from pgfmd.observables.observable import layout_of
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.table import LAYOUT
 from pgfmd.operation import machine, preflight
 from pgfmd.operation.ensemble import run_ensemble
 from pgfmd.operation.estimate import estimate
@@ -84,8 +84,8 @@ def simulate(
     inputs = {source[0]: digest(comm, source) for source in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
     form = Form(
-        grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit, LAYOUT,
-        job.run.io_hints,
+        grid.shape, grid.lengths, grid.rows, output.precision, output.length_unit, output.pressure_unit,
+        layout_of(output.asked), job.run.io_hints,
     )  # fmt: skip
     with (
         LogFile(comm.rank) as log_file,
@@ -144,6 +144,7 @@ def simulate(
                 contact = observer.contact(solution)
                 row = {"target": target, "displacement": control.displacement(solution)} | observer.row(contact)
                 groups = observer.groups(contact)
+                row |= {name: float(value) for name, value in groups.pop(TABLE, {}).items()}
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
                 checkpoints.remove()

@@ -104,7 +104,7 @@ def test_files_are_plain_hdf5(comm, shared_tmp_path):
     with h5py.File(shared_tmp_path / "out" / "fields.h5", "r") as file:
         np.testing.assert_array_equal(file["load_0000/pressure"][:], FIELD)
         attributes = dict(file["load_0000/pressure"].attrs)
-        assert attributes["units"] == "GPa" and attributes["description"] == schema.FIELDS["pressure"][1]
+        assert attributes["units"] == "GPa" and attributes["description"] == schema.FIELDS["pressure"].description
         assert file["height"].attrs["units"] == "µm"
         assert file["height"].chunks is None
     with h5py.File(shared_tmp_path / "out" / "observables.h5", "r") as file:
@@ -415,10 +415,8 @@ def test_missing_fields_and_loads_are_named(comm, shared_tmp_path):
 
 def test_schema_is_well_formed():
     """Every dataset of the format has a unit that formats and a description of one line."""
-    found = [entry for table in (schema.LOADS, schema.FIELDS) for entry in table.values()]
-    found += [(entry.unit, entry.description) for table in LAYOUT.values() for entry in table.values()]
-    for units, description in found:
-        assert units.format(length="m", pressure="Pa") and description.isprintable()
+    for about in (about for table in (schema.LOADS, schema.FIELDS, *LAYOUT.values()) for about in table.values()):
+        assert about.unit.format(length="m", pressure="Pa") and about.description.isprintable()
 
 
 def unpack(comm, version, folder):

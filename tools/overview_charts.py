@@ -10,7 +10,7 @@ import numpy as np
 from plotting import BLACK, BLUE, RED
 from reading import Load
 
-from pgfmd.io.schema import LOADS
+from pgfmd.io.schema import LOADS, is_error
 from pgfmd.options.text import printable
 from pgfmd.theory import persson
 
@@ -31,20 +31,21 @@ DIGITS = {"certified_error": 2, "transforms": 3, "seconds": 3}  # of numbers in 
 
 
 def table(loads: Sequence[Load]) -> dict[str, list]:
-    """Columns and rows of the table of loads, with the error bars of the grid."""
+    """Columns and rows of the table of loads, with error bars."""
     results = loads[0].results
     names = [name for name in COLUMNS if name in results.loads]
+    names += [name for name in results.loads if name not in LOADS and not is_error(name, results.loads)]
     if loads[0].law != "hardness":
         names = [name for name in names if name != "mean_plastic_depth"]
     columns = [{"name": "load", "unit": "", "about": "number of the load"}]
     columns += [{"name": NAMES.get(name, name.replace("_", " ")), "unit": _plain(results.units[name], loads[0]),
-                 "about": LOADS[name][1]} for name in names]  # fmt: skip
+                 "about": results.columns[name].description} for name in names]  # fmt: skip
     rows = []
     for load in loads:
-        bars = load.groups["discretisation"] if "discretisation" in load.kept else {}
-        row = [str(load.index)]
+        row, numbers = [str(load.index)], load.groups.numbers
         for name in names:
-            error = f" ± {float(np.ravel(bars[f'{name}_error'])[0]):.1g}" if f"{name}_error" in bars else ""
+            bar = numbers.get(f"{name}_error", math.nan)
+            error = f" ± {bar:.1g}" if math.isfinite(bar) else ""
             value = load.number(name)
             row.append(f"{value:.{DIGITS.get(name, 5)}g}{error}" if math.isfinite(value) else "–")
         rows.append([load.index, row])

@@ -4,12 +4,12 @@ many small runs feel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import h5py
 import numpy as np
 
-from pgfmd.io.schema import MISSING
+from pgfmd.io.schema import LOADS, MISSING
 
 
 def put(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
@@ -24,12 +24,13 @@ def put(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
             column.write(one, place, np.array([value]))
 
 
-def get(group: h5py.Group, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """The columns of those names that are there, whole.  Whole numbers that are missing, those of loads that were not
-    solved, are NaN, too.
+def get(group: h5py.Group) -> dict[str, np.ndarray]:
+    """The columns of a table of loads, whole: those of `LOADS` first, then those of observables by name.
+
+    Whole numbers that are missing, those of loads that were not solved, are NaN, too.
     """
     found = {}
-    for name in names:
+    for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
         if group.id.links.exists(name.encode()):
             column = h5py.h5d.open(group.id, name.encode())
             values = np.empty(column.shape, column.dtype)

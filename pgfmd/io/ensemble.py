@@ -23,7 +23,7 @@ from pgfmd.io import columns
 from pgfmd.io.atomic import holder
 from pgfmd.io.dimensions import name_axes
 from pgfmd.io.results import Results, Runs
-from pgfmd.io.schema import ENSEMBLE_FILE, LOADS, OBSERVABLES_FILE, load_name, member_name
+from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, TABLE, is_error, load_name, member_name
 from pgfmd.io.small_hdf5 import revise
 from pgfmd.io.text_table import text_table
 
@@ -75,8 +75,9 @@ class Ensemble(Runs):
         import pandas
 
         columns: dict[str, np.ndarray] = {}
-        for name, column in mean_loads(self.runs).items():
-            columns |= {name: column.mean, f"{name}_error": column.error}
+        means = mean_loads(self.runs)
+        for name, column in means.items():
+            columns |= dict(column.named(name, means))
         return pandas.DataFrame(columns | {"seeds": solved_runs(self.runs)}).rename_axis("load")
 
     def load(self, index: int) -> dict[str, dict[str, np.ndarray]]:
@@ -190,7 +191,7 @@ def mean_loads(runs: list[Results]) -> dict[str, Column]:
             padded = np.full(longest, np.nan)
             padded[: len(values)] = values
             if name not in found:
-                found[name] = Column({"units": run.units[name], "description": LOADS[name][1]})
+                found[name] = Column({"units": run.columns[name].unit, "description": run.columns[name].description})
             found[name].add(padded)
     return found
 
@@ -237,7 +238,7 @@ class _LoadsOnly(Results):
     def __init__(self, directory: Path):
         self.directory = directory
         with h5py.File(directory / OBSERVABLES_FILE, "r", locking=False) as file:
-            self.loads = columns.get(file["loads"], LOADS)
+            self.loads = columns.get(file[TABLE])
 
 
 def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:
@@ -250,8 +251,8 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
 
     def add_means(file: h5py.File) -> None:
         runs: list[Results] = [_LoadsOnly(folder) for folder in folders(directory)]
-        _put(file.create_group("loads"), mean_loads(runs))
-        count = file["loads"].create_dataset("seeds", data=solved_runs(runs))
+        _put(file.create_group(TABLE), mean_loads(runs))
+        count = file[TABLE].create_dataset("seeds", data=solved_runs(runs))
         count.attrs.update(description=COUNT, units="1")
         for index in range(max(map(len, runs), default=0)):
             for title, group in mean_groups(runs, index).items():
@@ -277,6 +278,7 @@ def _put(group: h5py.Group, found: Mapping[str, Column]) -> None:
 def table(ensemble: Ensemble) -> str:
     """The means of all numbers as aligned text, one row per load, with the number of seeds and standard errors."""
     means = mean_loads(ensemble.runs)
+    means = {name: column for name, column in means.items() if not is_error(name, means)}
     if not means:
         return "no load was completed"
     units = {"seeds": ""} | {name: column.about["units"] for name, column in means.items()}

@@ -18,7 +18,7 @@ import numpy as np
 from pgfmd.io import hdf5_slabs, restart, views
 from pgfmd.io.dimensions import add_grid_axes, name_axes
 from pgfmd.io.observables_file import annotate
-from pgfmd.io.schema import FIELDS, FIELDS_FILE, VTK_FILE, Form
+from pgfmd.io.schema import FIELDS, FIELDS_FILE, VTK_FILE, Dataset, Form
 from pgfmd.io.small_hdf5 import Change, revise
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI
@@ -64,8 +64,7 @@ class FieldFiles:
             undated = ("software", "softwareVersion", "commit", "format_version")
             file.attrs.update({attribute: self._provenance()[attribute] for attribute in undated})
             dataset = hdf5_slabs.create_dataset(file, key, form.shape, slabs[key].dtype)
-            unit, description = FIELDS.get(key, ("1", key))
-            annotate(dataset, description, unit, form.units)
+            annotate(dataset, FIELDS.get(key, Dataset("1", key)), form.units)
             add_grid_axes(file, form.shape, form.lengths, form.length_unit)
             name_axes(file, key, ("x", "y"))
             return dataset

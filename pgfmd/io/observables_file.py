@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.io import atomic, columns
 from pgfmd.io.dimensions import name_axes
-from pgfmd.io.schema import LIBVER, LOADS, MISSING, OBSERVABLES_FILE, Form, Groups, load_name
+from pgfmd.io.schema import LIBVER, LOADS, MISSING, OBSERVABLES_FILE, TABLE, Dataset, Form, Groups, load_name
 from pgfmd.io.small_hdf5 import Change, revise
 
 
@@ -47,25 +47,27 @@ class ObservablesFile:
         revise(self.path, fill, anew=True)
 
 
-def add_columns(group: h5py.Group, completed: int, units: Mapping[str, str]) -> None:
+def add_columns(
+    group: h5py.Group, completed: int, wanted: Mapping[str, Dataset], units: Mapping[str, str]
+) -> None:
     """Make the columns of the table of loads that are not there: an earlier version may not have written all."""
-    wanted = {"load": ("1", "number of the load, counted from 0")} | LOADS
-    for name, (unit, description) in wanted.items():
+    wanted = {"load": Dataset("1", "number of the load, counted from 0"), **wanted}
+    for name, about in wanted.items():
         if name not in group:
             kind, missing = (np.int64, MISSING) if name in ("load", "iterations") else (np.float64, np.nan)
             column = group.create_dataset(name, (completed,), kind, maxshape=(None,), chunks=(64,), fillvalue=missing)
             if name == "load":
                 column[:] = np.arange(completed)
-            annotate(column, description, unit, units)
+            annotate(column, about, units)
             name_axes(group, name, ("load",) if name != "load" else ())
 
 
-def add_row(group: h5py.Group, index: int, row: Mapping[str, float]) -> None:
+def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form) -> None:
     """Write the row of a load; raises ValueError for a name that is no column."""
-    unknown = row.keys() - LOADS.keys()
+    unknown = row.keys() - form.columns.keys()
     if unknown:
-        raise ValueError(f"not in schema.LOADS: {', '.join(sorted(unknown))}")
-    columns.put(group, index, {"load": index, **dict.fromkeys(LOADS), **row})
+        raise ValueError(f"no columns of the table of loads: {', '.join(sorted(unknown))}")
+    columns.put(group, index, {"load": index, **dict.fromkeys(form.columns), **row})
 
 
 def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.Group:
@@ -76,16 +78,15 @@ def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.
     load = file.create_group(name)
     for title, table in groups.items():
         for key, values in table.items():
-            about = form.groups[title][key]
-            annotate(load.create_dataset(f"{title}/{key}", data=values), about.description, about.unit, form.units)
+            annotate(load.create_dataset(f"{title}/{key}", data=values), form.groups[title][key], form.units)
         for key in table:
             name_axes(load[title], key, form.groups[title][key].axes)
     return load
 
 
-def annotate(dataset: h5py.Dataset, description: str, unit: str, units: Mapping[str, str]) -> None:
+def annotate(dataset: h5py.Dataset, about: Dataset, units: Mapping[str, str]) -> None:
     """Write what a dataset is, and its unit in the names that the job gives."""
-    dataset.attrs.update(description=description, units=unit.format(**units))
+    dataset.attrs.update(description=about.description, units=about.unit.format(**units))
 
 
 @cache
@@ -93,5 +94,5 @@ def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
     """The beginning of an observables.h5, kept: making its columns takes as long as solving 256² points."""
     content = io.BytesIO()
     with h5py.File(content, "w", libver=LIBVER) as file:
-        add_columns(file.create_group("loads"), 0, {"length": length_unit, "pressure": pressure_unit})
+        add_columns(file.create_group(TABLE), 0, LOADS, {"length": length_unit, "pressure": pressure_unit})
     return content.getvalue()

@@ -21,8 +21,10 @@ from pgfmd.io.schema import (
     FIELDS,
     FIELDS_FOLDER,
     FORMAT_VERSION,
-    LOADS,
     OBSERVABLES_FILE,
+    TABLE,
+    Dataset,
+    is_error,
     load_name,
 )  # fmt: skip
 from pgfmd.io.text_table import text_table
@@ -72,7 +74,7 @@ class Results:
             self.phases = (
                 {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
             )
-            self.loads = columns.get(file["loads"], LOADS)
+            self.loads = columns.get(file[TABLE])
         if self._overlaps:
             self.loads["mean_gap"] = np.full_like(self.loads["mean_gap"], np.nan)
 
@@ -100,10 +102,16 @@ class Results:
         return pandas.DataFrame([load.numbers for load in self]).rename_axis("load")
 
     @cached_property
+    def columns(self) -> dict[str, Dataset]:
+        """Unit and description of each column of `loads`."""
+        with self._open(OBSERVABLES_FILE) as file:
+            found = {name: file[TABLE][name].attrs for name in self.loads}
+            return {name: Dataset(about["units"], about["description"]) for name, about in found.items()}
+
+    @property
     def units(self) -> dict[str, str]:
         """Unit of each column of `loads`."""
-        with self._open(OBSERVABLES_FILE) as file:
-            return {name: file["loads"][name].attrs["units"] for name in self.loads}
+        return {name: about.unit for name, about in self.columns.items()}
 
     @property
     def status(self) -> str:
@@ -231,7 +239,7 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
         names = self.results.fields() + self.results.fields(self.index)
         axes = zip(("x", "y"), self.results.shape, self.results.lengths, strict=True)
         points = {name: np.arange(count) * (length / count) for name, count, length in axes}
-        fields = {name: (("x", "y"), self.field(name), {"description": FIELDS[name][1]}) for name in names}
+        fields = {name: (("x", "y"), self.field(name), {"description": FIELDS[name].description}) for name in names}
         return xarray.Dataset(fields, points, self.numbers)
 
 
@@ -278,7 +286,8 @@ def _plain(value: Any) -> Any:
 
 
 def table(results: Results) -> str:
-    """The table of loads as aligned text, one row per load; with the error bars of the grid, where they are known."""
-    bars = [dict(load[BARS]) if BARS in load else {} for load in results]
-    errors = {name: np.array([float(bar.get(f"{name}_error", np.nan)) for bar in bars]) for name in results.loads}
-    return text_table(results.loads, results.units, errors)
+    """The table of loads as aligned text, one row per load; with error bars, where they are known."""
+    values = {name: column for name, column in results.loads.items() if not is_error(name, results.loads)}
+    numbers = [load.numbers for load in results]
+    errors = {name: np.array([row.get(f"{name}_error", np.nan) for row in numbers]) for name in values}
+    return text_table(values, results.units, errors)

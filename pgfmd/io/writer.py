@@ -37,6 +37,7 @@ from pgfmd.io.schema import (
     FIELDS_FILE,
     FIELDS_FOLDER,
     OBSERVABLES_FILE,
+    TABLE,
     VTK_FILE,
     Form,
     Groups,
@@ -162,7 +163,7 @@ class ResultWriter:
     ) -> None:
         """Write one completed load: first its fields, then its row and groups in one step.  Collective.
 
-        row : values of `schema.LOADS` (missing: NaN); groups : arrays that `form.groups` describes, written as rank 0
+        row : values of `form.columns` (missing: NaN); groups : arrays that `form.groups` describes, written as rank 0
         has them
         fields : this rank's slabs (nx_local, ny), same names on all ranks
         Raises OSError on all ranks if it cannot be written.
@@ -173,7 +174,7 @@ class ResultWriter:
             self._fields.write(name, fields, show=not self.replacing)
 
         def add(file: h5py.File) -> None:
-            observables_file.add_row(file["loads"], index, row)
+            observables_file.add_row(file[TABLE], index, row, self.form)
             group = observables_file.add_groups(file, index, groups or {}, self.form)
             group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
@@ -255,7 +256,8 @@ class ResultWriter:
             )
             file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
             file.attrs.update({name: about[name] for name in ("job_toml", "effective_toml")})
-        observables_file.add_columns(file.require_group("loads"), self.earlier.completed, self.form.units)
+        columns, units = self.form.columns, self.form.units
+        observables_file.add_columns(file.require_group(TABLE), self.earlier.completed, columns, units)
         file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self.origin.loads)
 

@@ -97,7 +97,8 @@ class Contact(ContactSolution):
         return self._measured[1]
 
     def observables(self, *names: str, **options: Mapping[str, Any]) -> Groups:
-        """Curves and tables, group → dataset → array, as `Results` gives those of a load; on rank 0.  Collective.
+        """Curves and tables, group → dataset → array, as `Results` gives those of a load; on rank 0.  Numbers that
+        observables add to the table of loads are in the group "loads", on all ranks.  Collective.
 
         names: observables, as a job lists them; options: further ones with their keys, `spectra={"bins": 10}`.  Raises
         InputError for an unknown observable or key.
@@ -136,7 +137,8 @@ class Contact(ContactSolution):
         fields = {"height": self.heights, "pressure": self.pressure, "gap": self.gap}
         if self.problem.law.highest < math.inf:
             fields["plastic_depth"] = self.plastic_depth
-        described = {name: (("x", "y"), values, {"description": FIELDS[name][1]}) for name, values in fields.items()}
+        about = {name: {"description": FIELDS[name].description} for name in fields}
+        described = {name: (("x", "y"), values, about[name]) for name, values in fields.items()}
         return xarray.Dataset(described, {"x": x[:, 0], "y": y[0]}, self.numbers)
 
 

@@ -6,6 +6,7 @@ without MPI and without compiled loops.  Therefore `measure` imports whatever ne
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 class Observable(Section):
     """Something that is measured on each solved contact.  Its fields are the keys of the table [output.NAME].
 
-    name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.
+    name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.  The group
+    "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
     """
 
     name: ClassVar[str]
@@ -42,6 +44,15 @@ class Observable(Section):
     def measure(self, contact: MeasuredContact) -> Groups:
         """The results, complete on rank 0.  Collective."""
         raise NotImplementedError
+
+
+def layout_of(observables: Iterable[Observable | type[Observable]]) -> GroupLayout:
+    """All groups that these observables write."""
+    merged: dict[str, dict[str, Dataset]] = {}
+    for observable in observables:
+        for group, datasets in observable.layout.items():
+            merged.setdefault(group, {}).update(datasets)
+    return merged
 
 
 @dataclass(frozen=True, kw_only=True)

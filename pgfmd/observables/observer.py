@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import Cell
-from pgfmd.io.schema import Groups
+from pgfmd.io.schema import TABLE
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.lowpass import LOWPASS_TOLERANCE
 from pgfmd.observables.measured_contact import MeasuredContact
@@ -49,7 +51,7 @@ class Observer:
     ):
         grid = problem.grid
         asked = {observable.name: observable for observable in observables}
-        self.asked = {name: asked[name] for name in OBSERVABLES if name in asked}
+        self.asked = {name: asked[name] for name in (*OBSERVABLES, *asked) if name in asked}
         self.problem, self.seconds = problem, dict[str, float]()
         spectra, acf = asked.get("spectra", Spectra()), asked.get("acf")
         assert isinstance(spectra, Spectra)
@@ -98,11 +100,17 @@ class Observer:
             "seconds": solution.seconds,
         }
 
-    def groups(self, contact: MeasuredContact) -> Groups:
-        """The groups of datasets of all observables, complete on rank 0.  Collective."""
-        groups: dict = {}
+    def groups(self, contact: MeasuredContact) -> dict[str, Mapping[str, np.ndarray]]:
+        """The groups of datasets of all observables, complete on rank 0; under "loads" the numbers that they add to the
+        row, on all ranks.  Collective.
+        """
+        groups: dict[str, Mapping[str, np.ndarray]] = {}
+        columns: dict[str, np.ndarray] = {}
         for name, observable in self.asked.items():
             began = time.perf_counter()
-            groups |= observable.measure(contact)
+            measured = dict(observable.measure(contact))
+            columns |= measured.pop(TABLE, {})
+            groups |= measured
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-        return groups
+        columns = contact.grid.comm.bcast(columns)
+        return groups | ({TABLE: columns} if columns else {})

@@ -10,7 +10,7 @@ from pgfmd.observables.discretisation import Discretisation
 from pgfmd.observables.gap_spectrum import GapSpectrum
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
-from pgfmd.observables.observable import Observable
+from pgfmd.observables.observable import Observable, layout_of
 from pgfmd.observables.spectra import Spectra
 
 OBSERVABLES: dict[str, type[Observable]] = {
@@ -27,5 +27,5 @@ OBSERVABLES: dict[str, type[Observable]] = {
     )
 }
 
-LAYOUT: GroupLayout = {group: datasets for kind in OBSERVABLES.values() for group, datasets in kind.layout.items()}
-"""Every group that a load may have in observables.h5."""
+LAYOUT: GroupLayout = layout_of(OBSERVABLES.values())
+"""Every group that a load may have in observables.h5, and all columns that observables add to the table of loads."""

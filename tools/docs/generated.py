@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from pgfmd.io.schema import FIELDS, LOADS
+from pgfmd.io.schema import FIELDS, LOADS, TABLE, Dataset
 from pgfmd.job.job import SECTIONS
-from pgfmd.observables.table import OBSERVABLES
+from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.options.reference import reference
 
 PAGE = Path(__file__).parent / "pages" / "reference.md"
@@ -19,14 +19,16 @@ def generated() -> dict[str, str]:
     units, *tables = re.split(r"\n(?=\[)", reference(SECTIONS.values()))
     datasets = (
         (f"{group}/{name}", dataset.unit, dataset.description)
-        for kind in OBSERVABLES.values()
-        for group, held in kind.layout.items()
+        for group, held in LAYOUT.items()
         for name, dataset in held.items()
+        if group != TABLE
     )
+    columns = ((name, about.unit, f"{about.description} (`{kind.name}`)")
+               for kind in OBSERVABLES.values() for name, about in kind.layout.get(TABLE, {}).items())  # fmt: skip
     return {
         "keys": _code(units) + "".join(f"\n### {_heading(table)}\n\n{_code(table)}" for table in tables),
-        "columns": _table("column", ((name, *about) for name, about in LOADS.items())),
-        "fields": _table("field", ((name, *about) for name, about in FIELDS.items())),
+        "columns": _table("column", (*_described(LOADS), *columns)),
+        "fields": _table("field", _described(FIELDS)),
         "datasets": _table("dataset", datasets),
     }
 
@@ -47,6 +49,10 @@ def _heading(table: str) -> str:
 
 def _code(text: str) -> str:
     return f"```toml\n{text.rstrip()}\n```\n"
+
+
+def _described(datasets: Mapping[str, Dataset]) -> Iterable[tuple[str, str, str]]:
+    return ((name, about.unit, about.description) for name, about in datasets.items())
 
 
 def _table(what: str, rows: Iterable[tuple[str, str, str]]) -> str:

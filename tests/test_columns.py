@@ -1,0 +1,88 @@
+"""Columns that observables add to the table of loads: in files, tables, ensembles, after a restart, and in Python."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from job_texts import rough_job
+from solids import elastic
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.io.info import as_csv, summary
+from pgfmd.io.provenance import Origin
+from pgfmd.io.results import Results
+from pgfmd.io.schema import LOADS, Dataset, Form
+from pgfmd.io.writer import ResultWriter
+from pgfmd.job import job
+from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.observer import Observer
+from pgfmd.observables.table import OBSERVABLES
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.solution import ContactSolution
+
+pytestmark = pytest.mark.mpi
+
+
+@dataclass(frozen=True, kw_only=True)
+class Peak(Observable):
+    """The largest pressure, known on rank 0 only, with an error, and a curve."""
+
+    name = "peak"
+    where = "output.peak"
+    layout = {
+        "loads": {"peak": Dataset("{pressure}", "largest pressure"), "peak_error": Dataset("{pressure}", "its error")},
+        "sorted": {"pressure": Dataset("{pressure}", "pressures in order", ("pressure",))},
+    }
+
+    def measure(self, contact):
+        peak = contact.grid.reduction.max(contact.pressure)
+        mine = {"peak": np.array(peak), "peak_error": np.array(peak / 10)} if contact.grid.comm.rank == 0 else {}
+        return {"loads": mine, "sorted": {"pressure": np.array([0.0, peak])}}
+
+
+def contact_of(comm, pressure, gap, kind, lengths=None):
+    """The groups that an observable measures on whole fields, which are cut into slabs."""
+    grid = SlabGrid(comm, gap.shape, lengths)
+    local, opening = (field[grid.rows].copy() for field in (pressure, gap))
+    observer = Observer(ContactProblem(grid, np.zeros_like(opening), elastic(1.0), HardWall()), [kind])
+    return observer.groups(observer.contact(ContactSolution(local, opening, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)))
+
+
+def test_numbers_are_on_all_ranks(comm):
+    """An observable, of any file, gives numbers on rank 0; all ranks receive them beside its datasets."""
+    pressure = np.arange(48.0).reshape(8, 6)
+    found = contact_of(comm, pressure, np.zeros((8, 6)), Peak())
+    assert found["loads"] == {"peak": 47.0, "peak_error": 4.7} and list(found) == ["sorted", "loads"]
+
+
+def test_columns_with_errors_in_files_and_tables(comm, shared_tmp_path):
+    """A column has unit and description in the file; readers give it after those of every run; the text shows its error
+    beside the value; a load without it has NaN.
+    """
+    text = rough_job(16, {"lambda_s": 4.0}, load={"pressure": [0.01, 0.02]})
+    origin = Origin(text, job.as_toml(job.parse(text)), 2)
+    rows = SlabGrid(comm, (16, 16)).rows
+    form = Form((16, 16), (16.0, 16.0), rows, groups=layout_of([Peak]), pressure_unit="GPa")
+    with ResultWriter(comm, shared_tmp_path / "out", origin, form) as writer:
+        writer.write_load(0, {"mean_pressure": 1.0, "peak": 2.5, "peak_error": 0.125}, {"sorted": {"pressure": [1.0]}})
+        writer.write_load(1, {"mean_pressure": 2.0})
+        with pytest.raises(ValueError, match="valley"):
+            writer.write_load(1, {"valley": 2.0})
+    results = Results(shared_tmp_path / "out")
+    assert list(results.loads) == [*LOADS, "peak", "peak_error"]
+    assert results.columns["peak"] == Dataset("GPa", "largest pressure")
+    assert results[0].numbers["peak"] == 2.5 and math.isnan(results[1].numbers["peak"])
+    assert list(results[0]) == ["sorted"]
+    assert "2.5 ± 0.1" in summary(results) and "peak_error" not in summary(results)
+    assert as_csv(results).splitlines()[1].endswith("2.5,0.125")
+    assert results.to_dataframe()["peak_error"].tolist()[0] == 0.125
+
+
+def test_no_column_has_two_meanings():
+    """Names of columns are those of one observable, or of the table that every run has."""
+    names = [name for kind in OBSERVABLES.values() for name in kind.layout.get("loads", {})]
+    assert len(set(names)) == len(names) and not set(names) & LOADS.keys()
