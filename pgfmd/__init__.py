@@ -15,9 +15,10 @@ from pgfmd.errors import InputError, SolverError
 __version__ = "0.1.0"
 __all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify", "run", "solve", "surface"]
 
-_HOMES = {name: "pgfmd.api" for name in ("certify", "run", "solve", "surface")}
-_HOMES |= {name: "pgfmd.io.results" for name in ("Results", "Runs")}
-_HOMES["Ensemble"] = "pgfmd.io.ensemble"
+_HOMES = {name: "pgfmd.api" for name in ("certify", "solve")}
+_HOMES |= {name: "pgfmd.application.scripting" for name in ("run", "surface")}
+_HOMES |= {name: "pgfmd.application.results" for name in ("Results", "Runs")}
+_HOMES["Ensemble"] = "pgfmd.application.ensemble"
 
 
 def __dir__() -> list[str]:

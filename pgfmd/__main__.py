@@ -2,7 +2,7 @@
 
 import sys
 
-from pgfmd.cli import main
+from pgfmd.application.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,14 +1,11 @@
-"""For scripts and notebooks: `solve` a surface, `run` a job, make the `surface` of a job."""
+"""For scripts and notebooks: `solve` the contact of a surface, `certify` a pressure.  No files here."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
 import math
-import os
-import shutil
-import tempfile
-import weakref
+import sys
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, TypedDict, Unpack, overload
@@ -18,16 +15,12 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import interpolate
-from pgfmd.io.ensemble import Ensemble
-from pgfmd.io.results import Results
-from pgfmd.job.job import Job, load, parse, tables_as_toml
 from pgfmd.observables.contact import Certified, Contact, certified
-from pgfmd.operation.progress import Progress, is_notebook
 from pgfmd.options.rules import POSITIVE, Rule, integer, number, pair
 from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import printable, show
-from pgfmd.parallel.collectives import from_root, raise_together
-from pgfmd.parallel.mpi import ALONE, MPI, launched
+from pgfmd.parallel.collectives import raise_together
+from pgfmd.parallel.mpi import ALONE, MPI
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
@@ -36,16 +29,12 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.kinds import SOLIDS
 from pgfmd.physics.solids.solid import POISSON, Solid
-from pgfmd.simulate import run_job
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
-from pgfmd.surfaces.refined import refined_heights
 
 log = logging.getLogger("pgfmd")
-Tables = Mapping[str, Mapping[str, Any]]
-"""A job as nested tables: {"grid": {"n": 512}, …}."""
 
 
 class Options(TypedDict, total=False):
@@ -182,7 +171,7 @@ def solve(
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
     asked_load = Load(**{name: targets, **closeness})
-    shown = is_notebook() if progress is None else progress
+    shown = "ipykernel" in sys.modules and "IPython" in sys.modules if progress is None else progress
     solver = partial(_solve, options, shown)
     control = LoadControl(asked_load, ContactProblem(grid, heights, solid, law), options.tolerance, solver)
     control.check_targets(targets)
@@ -357,6 +346,8 @@ def _solve(
     options, grid = dataclasses.replace(options, tolerance=tolerance), problem.grid
     if not shown:
         return solve_contact(problem, options, start)
+    from pgfmd.application.progress import Progress
+
     label, before = f"pressure {problem.mean_pressure:.4g}", grid.transforms
     bar = Progress(grid.comm.rank, 1, grid.shape, tolerance)
     bar.begin(label)
@@ -368,68 +359,6 @@ def _solve(
         return solve_contact(problem, options, start, see)
     finally:
         bar.hide()
-
-
-def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:
-    """The heights of the surface in a run of `job`.  Collective over `comm`.
-
-    job: a `Job`, the path of a TOML file, or its tables, of which only "grid" and "surface" are needed.  Without `comm`
-    all heights (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny).  The surface does not
-    depend on the number of ranks.  In units of the job.  Raises InputError on all ranks.
-
-    >>> import pgfmd
-    >>> rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1, "seed": 3}
-    >>> pgfmd.surface({"grid": {"n": [64, 32]}, "surface": rough}).shape
-    (64, 32)
-    """
-    comm = ALONE if comm is None else comm
-    if isinstance(job, Mapping):
-        job = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": 1.0}} | dict(job)
-    job = job if isinstance(job, Job) else from_root(comm, _job, job)
-    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform)
-    with grid.freed():
-        return refined_heights(job.surface, job.grid, grid, job.output.length_unit)
-
-
-def run(
-    job: Job | Tables | str | os.PathLike,
-    output: str | os.PathLike | None = None,
-    *,
-    comm: MPI.Comm | None = None,
-    overwrite: bool = False,
-    restart: bool = False,
-) -> Results | Ensemble:
-    """Run a job, as `pgfmd run` does, and open its results.  Collective over `comm`, all ranks if None.
-
-    job: a `Job`, the path of a TOML file, or its tables.  output: folder of the results; None: a temporary one, removed
-    when rank 0 drops its last reference to the results, or if the run fails.  overwrite: replaces results; restart:
-    continues them.  Raises InputError (nothing is written), SolverError (completed loads are written), Stopped.
-
-    >>> import pgfmd
-    >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
-    >>> solid = {"contact_modulus": 1.0}
-    >>> pgfmd.run({"grid": {"n": 32}, "surface": wave, "solid": solid, "load": {"mean_gap": 0.2}})[0]
-    load 0 of ...: mean_pressure 0.04315, contact_area 0.4688, mean_gap 0.2
-    """
-    comm = launched() if comm is None else comm
-    job = job if isinstance(job, Job) else from_root(comm, _job, job)
-    folder = from_root(comm, tempfile.mkdtemp, None, "pgfmd-") if output is None else output
-    try:
-        run_job(job, comm, folder, overwrite=overwrite, restart=restart)
-        with raise_together(comm):  # all have opened them before rank 0 may remove a temporary folder
-            results = Ensemble(folder) if job.surface.seeds else Results(folder)
-    except BaseException:
-        if output is None and comm.rank == 0:
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
-    if output is None and comm.rank == 0:
-        weakref.finalize(results, shutil.rmtree, folder, True)
-    return results
-
-
-def _job(source: Tables | str | os.PathLike) -> Job:
-    """The job in a file, or in tables, where relative paths count from the working directory.  Raises InputError."""
-    return parse(tables_as_toml(source), folder=os.getcwd()) if isinstance(source, Mapping) else load(source)
 
 
 SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pgfmd.job.job import tables_as_toml
+from pgfmd.application.job import tables_as_toml
 
 SOLID = "[solid]\ncontact_modulus = 1\n"
 EVERY_OBSERVABLE = "histogram spectra acf gap_spectrum patches bearing lowpass discretisation".split()

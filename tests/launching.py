@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from job_texts import rough_job
 
-from pgfmd.io import atomic
-from pgfmd.io.results import Results
-from pgfmd.job.job import tables_as_toml
+from pgfmd.application import atomic
+from pgfmd.application.job import tables_as_toml
+from pgfmd.application.results import Results
 
 ROOT = Path(__file__).resolve().parent.parent
 

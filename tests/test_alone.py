@@ -12,10 +12,10 @@ import pytest
 from conftest import ROOT
 from job_texts import EVERY_OBSERVABLE, rough_job
 
-from pgfmd.io.results import Results
+from pgfmd.application.results import Results
 
 HIDE = "import sys; sys.modules['mpi4py'] = None\n"  # any import of mpi4py fails, as where it is not installed
-MAIN = "import sys\nfrom pgfmd.cli import main\nsys.exit(main())"
+MAIN = "import sys\nfrom pgfmd.application.cli import main\nsys.exit(main())"
 
 JOB = rough_job(
     [48, 50],

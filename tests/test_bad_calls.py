@@ -87,7 +87,7 @@ def test_a_number_is_asked_for_where_one_was_given(comm):
 @pytest.mark.parametrize("base", ["free", "sliding"])
 def test_a_half_space_has_no_base(comm, base):
     """A base without thickness is refused, in a call and in a job."""
-    from pgfmd.job.job import parse
+    from pgfmd.application.job import parse
 
     with pytest.raises(pgfmd.InputError, match="thickness"):
         solve(comm, base=base)

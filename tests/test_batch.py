@@ -13,7 +13,7 @@ import launching
 import pytest
 from conftest import ROOT, starts_mpirun
 
-from pgfmd.io.results import Results
+from pgfmd.application.results import Results
 
 pytestmark = starts_mpirun
 

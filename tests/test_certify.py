@@ -10,7 +10,7 @@ import pytest
 import reference
 
 import pgfmd
-from pgfmd import cli
+from pgfmd.application import cli
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi

@@ -10,13 +10,13 @@ import pytest
 from job_texts import SOLID
 from mpi4py import MPI
 
-from pgfmd.io import atomic, checksum
-from pgfmd.io import writer as output
-from pgfmd.io.checkpoint import Checkpoints
-from pgfmd.io.checksum import sealed, unsealed
-from pgfmd.io.provenance import Origin
-from pgfmd.io.results import Results
-from pgfmd.job import job as config
+from pgfmd.application import atomic, checksum
+from pgfmd.application import job as config
+from pgfmd.application import writer as output
+from pgfmd.application.checkpoint import Checkpoints
+from pgfmd.application.checksum import sealed, unsealed
+from pgfmd.application.provenance import Origin
+from pgfmd.application.results import Results
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -107,7 +107,7 @@ def test_seal_covers_every_byte(comm, shared_tmp_path, monkeypatch):
     """A seal made by many ranks while they write is that of one, and names the block of rows that is damaged; the
     serial check of a file finds every byte that the ranks wrote, without HDF5.
     """
-    monkeypatch.setattr("pgfmd.io.checksum.BLOCK", 100)  # two rows of 48 bytes
+    monkeypatch.setattr("pgfmd.application.checksum.BLOCK", 100)  # two rows of 48 bytes
     mine, path = checkpoints(comm, shared_tmp_path), shared_tmp_path / "checkpoint.h5"
     mine.save(0, FIELD[mine.rows])
     assert checksum.damage(path) is None
@@ -135,7 +135,7 @@ def test_sums_of_rows(shape, block, monkeypatch):
     """Sums of parts in any order add up to that of the whole; one changed bit, two changed bits and rows that change
     places are seen.
     """
-    monkeypatch.setattr("pgfmd.io.checksum.BLOCK", block)
+    monkeypatch.setattr("pgfmd.application.checksum.BLOCK", block)
     rows = np.random.default_rng(1).random(shape)
     array = checksum.array_at(0, 8 * shape[1], shape[0])
 

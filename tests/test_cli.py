@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from job_texts import SOLID
 
-from pgfmd import cli
-from pgfmd.io.results import Results
-from pgfmd.job import job as config
+from pgfmd.application import cli
+from pgfmd.application import job as config
+from pgfmd.application.results import Results
 
 JOB = SOLID + '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]\npressure = [0.1, 0.2]\n'
 
@@ -25,10 +25,10 @@ STAND_IN = """
 import sys, types
 import numpy as np
 from pgfmd.errors import InputError, SolverError
-from pgfmd.io.provenance import Origin
-from pgfmd.io.schema import Form
-from pgfmd.io.writer import ResultWriter
-from pgfmd.job.job import as_toml
+from pgfmd.application.provenance import Origin
+from pgfmd.application.files import Form
+from pgfmd.application.writer import ResultWriter
+from pgfmd.application.job import as_toml
 from pgfmd.parallel.collectives import raise_together, slab
 
 def simulate(job, comm, folder, overwrite=False, restart=False):
@@ -44,10 +44,10 @@ def simulate(job, comm, folder, overwrite=False, restart=False):
             writer.write_load(index, {"mean_pressure": pressure}, None, {"pressure": local})
         writer.finish()
 
-module = types.ModuleType("pgfmd.simulate")
+module = types.ModuleType("pgfmd.application.simulate")
 module.run_job = simulate
-sys.modules["pgfmd.simulate"] = module
-from pgfmd import cli
+sys.modules["pgfmd.application.simulate"] = module
+from pgfmd.application import cli
 from pgfmd.parallel import mpi
 mpi.PATIENCE = 1.0
 sys.exit(cli.main())
@@ -147,7 +147,7 @@ def test_faults_inside_a_run_end_all_ranks(mpirun, tmp_path, job, fault):
 def test_check_and_info_need_no_mpi(tmp_path, job):
     """`check` and `info` do not import mpi4py, and tell what matters."""
     subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
-    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
+    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.application.cli import main; sys.exit(main())"
     for arguments, words in (
         (["check", job, "--ranks", "4"], ["valid", "8 × 6", "on a node of 4 ranks", "up to"]),
         (["info", tmp_path / "out"], ["complete", "2 of 2 completed", "mean_pressure", "1 rank × "]),
@@ -189,7 +189,7 @@ def test_interrupted_at_once(tmp_path, job, when):
             "sys.exit(cli.main())",
             "import builtins, os, signal\noriginal = builtins.__import__\n"
             "def interrupted(name, *rest):\n"
-            "    if name == 'pgfmd.simulate': os.kill(os.getpid(), signal.SIGINT)\n"
+            "    if name == 'pgfmd.application.simulate': os.kill(os.getpid(), signal.SIGINT)\n"
             "    return original(name, *rest)\n"
             "builtins.__import__ = interrupted\nsys.exit(cli.main())",
         ))  # fmt: skip
@@ -317,7 +317,7 @@ def test_estimate_scales():
     and sees, of the strips (8 bytes per point), its rows of those of the other.  Files are counted byte for byte:
     fields × points × width × loads.
     """
-    from pgfmd.operation.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
+    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
     one, two = (estimate(job, ranks) for ranks in (1, 2))

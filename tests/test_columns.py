@@ -10,15 +10,16 @@ import pytest
 from job_texts import rough_job
 from solids import elastic
 
+from pgfmd.application import job
+from pgfmd.application.files import Form
+from pgfmd.application.info import as_csv, summary
+from pgfmd.application.provenance import Origin
+from pgfmd.application.results import Results
+from pgfmd.application.writer import ResultWriter
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.info import as_csv, summary
-from pgfmd.io.provenance import Origin
-from pgfmd.io.results import Results
-from pgfmd.io.schema import LOADS, Dataset, Form
-from pgfmd.io.writer import ResultWriter
-from pgfmd.job import job
 from pgfmd.observables.observable import Observable, layout_of
 from pgfmd.observables.observer import Observer
+from pgfmd.observables.schema import LOADS, Dataset
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pgfmd.application import job as config
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.job import job as config
 
 JOBS = Path(__file__).resolve().parent.parent / "jobs"
 ROUGH = """
@@ -307,5 +307,5 @@ def test_fuzzed_jobs_end_in_a_job_or_one_line(request):
 
 def test_needs_no_mpi():
     """Reading a job, and the package itself, import neither mpi4py nor h5py."""
-    code = "import sys, pgfmd, pgfmd.job.job; sys.exit('mpi4py' in sys.modules or 'h5py' in sys.modules)"
+    code = "import sys, pgfmd, pgfmd.application.job; sys.exit('mpi4py' in sys.modules or 'h5py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -11,18 +11,18 @@ from mpi4py import MPI
 from solids import elastic
 
 import pgfmd
+from pgfmd.application.job import parse
+from pgfmd.application.results import Results, table
+from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
-from pgfmd.io.results import Results, table
-from pgfmd.job.job import parse
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.statistics.grid_error import MODES, change_at_equal_load, long_waves
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.simulate import simulate
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 

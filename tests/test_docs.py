@@ -15,9 +15,9 @@ from conftest import ROOT
 from test_readme import sections
 
 import pgfmd
-from pgfmd.io.results import Results
-from pgfmd.io.schema import LOADS
-from pgfmd.job.job import SECTIONS
+from pgfmd.application.job import SECTIONS
+from pgfmd.application.results import Results
+from pgfmd.observables.schema import LOADS
 
 sys.path.insert(0, str(ROOT / "tools" / "docs"))
 import generated  # noqa: E402

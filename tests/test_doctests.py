@@ -9,10 +9,10 @@ import pytest
 
 pytest.importorskip("pandas")
 
-MODULES = ("pgfmd.api", "pgfmd.observables.contact", "pgfmd.io.results", "pgfmd.io.ensemble")
+MODULES = ("api", "application.scripting", "observables.contact", "application.results", "application.ensemble")
 
 
-@pytest.mark.parametrize("name", MODULES)
+@pytest.mark.parametrize("name", [f"pgfmd.{name}" for name in MODULES])
 def test_examples_give_what_they_say(name, tmp_path, monkeypatch):
     """Every example of a docstring prints what stands below it; each of these files has some."""
     monkeypatch.chdir(tmp_path)

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 import pgfmd
-from pgfmd import simulate as runner
+from pgfmd.application import ensemble_run as ensembles
+from pgfmd.application import simulate as runner
+from pgfmd.application.ensemble import Column, folders, mean_loads, solved_runs
+from pgfmd.application.estimate import rank_groups
+from pgfmd.application.files import Form
+from pgfmd.application.info import as_json, summary_of_ensemble
+from pgfmd.application.job import as_toml, parse, tables_as_toml
+from pgfmd.application.provenance import Origin
+from pgfmd.application.reachability import doubts
+from pgfmd.application.results import Results
+from pgfmd.application.writer import ResultWriter
 from pgfmd.errors import InputError, SolverError, Stopped
-from pgfmd.io.ensemble import Column, folders, mean_loads, solved_runs
-from pgfmd.io.info import as_json, summary_of_ensemble
-from pgfmd.io.provenance import Origin
-from pgfmd.io.results import Results
-from pgfmd.io.schema import Form
-from pgfmd.io.writer import ResultWriter
-from pgfmd.job.job import as_toml, parse, tables_as_toml
-from pgfmd.operation import ensemble as ensembles
-from pgfmd.operation.estimate import rank_groups
-from pgfmd.operation.reachability import doubts
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -169,7 +169,7 @@ def test_a_load_that_a_seed_cannot_reach_costs_it_no_other(comm, shared_tmp_path
     assert [row[1] for row in rows[rows.index(title) + 2 :]] == ["3", "1"]
     assert len(doubts(parse(tables_as_toml(job)))) == 2
     if comm.size == 1 and pytest.importorskip("matplotlib"):
-        from pgfmd import cli
+        from pgfmd.application import cli
 
         printed = cli._plot(["area_load", str(shared_tmp_path / "out"), "--output", str(shared_tmp_path / "pictures")])
         assert "not all of 3 seeds have solved each load, which biases the means (load 1: 1)" in printed
@@ -292,7 +292,7 @@ def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeyp
     """A node that holds one surface at a time, but not one for each rank, runs the ensemble: it is refused only if the
     groups that are chosen for that memory do not fit.
     """
-    from pgfmd.operation import estimate, machine
+    from pgfmd.application import estimate, machine
 
     if comm.size == 1:
         pytest.skip("one rank is one group")
@@ -308,7 +308,7 @@ def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeyp
 
 def test_too_many_ranks_are_told_of_in_a_check(comm, tmp_path, capsys):
     """An ensemble takes a rank for each row of each surface, not more; the line names rows and surfaces."""
-    from pgfmd.cli import main
+    from pgfmd.application.cli import main
 
     (tmp_path / "job.toml").write_text(tables_as_toml(JOB))
     assert main(["check", str(tmp_path / "job.toml"), "--ranks", "160"]) == 0
@@ -374,7 +374,7 @@ def test_tools_take_the_folder(comm, shared_tmp_path, monkeypatch):
     if comm.size > 1:
         pytest.skip("tools are serial")
     pytest.importorskip("matplotlib")
-    from pgfmd import cli
+    from pgfmd.application import cli
 
     pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
     pictures = shared_tmp_path / "pictures"

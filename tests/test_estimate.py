@@ -11,10 +11,9 @@ import pytest
 from conftest import ROOT
 from job_texts import rough_job
 
+from pgfmd.application import estimate, job
+from pgfmd.application.memory import readable
 from pgfmd.grid.holders import holders, largest_shares
-from pgfmd.job import job
-from pgfmd.operation import estimate
-from pgfmd.operation.memory import readable
 
 
 def text_of(n: int, pressure: float, wall: dict, **solver) -> str:
@@ -27,8 +26,8 @@ def text_of(n: int, pressure: float, wall: dict, **solver) -> str:
 MEASURE = """
 import sys, tempfile
 from mpi4py import MPI
-from pgfmd.job.job import parse
-from pgfmd.simulate import simulate
+from pgfmd.application.job import parse
+from pgfmd.application.simulate import simulate
 
 def peak():
     lines = open("/proc/self/status").read().splitlines()

@@ -13,14 +13,14 @@ import pytest
 from conftest import starts_mpirun
 from job_texts import rough_job
 
-from pgfmd.io.results import Results
+from pgfmd.application.results import Results
 
 pytestmark = starts_mpirun
 
 LOADS = [5e-4, 1e-3, 2e-3, 4e-3]
 FAULTY = """
 import sys
-from pgfmd import cli
+from pgfmd.application import cli
 from pgfmd.parallel import mpi
 mpi.PATIENCE = 2.0
 from mpi4py import MPI
@@ -46,10 +46,10 @@ FAULTS = {  # where a rank fails alone; in the output it is rank 0, since no oth
         module="grid.transpose", owner="grid.transpose.SharedStrips", name="put", call=60
     ),
     "in a checkpoint": FAILS_AT_CALL.format(
-        module="io.hdf5_slabs", owner="io.hdf5_slabs.Field", name="block", call=9
+        module="application.hdf5_slabs", owner="application.hdf5_slabs.Field", name="block", call=9
     ),
     "in the output": """
-from pgfmd.io import atomic
+from pgfmd.application import atomic
 original = atomic.reserve
 def failing(path, size):
     if "load_0001" in path.name:
@@ -81,8 +81,8 @@ def test_failure_on_one_rank_ends_all(tmp_path, where):
 FAULTY_SEED = """
 import pgfmd.grid.transpose
 from pgfmd.errors import InputError, SolverError
-from pgfmd.operation import ensemble
-ensemble.rank_groups = lambda *_: {groups}
+from pgfmd.application import ensemble_run
+ensemble_run.rank_groups = lambda *_: {groups}
 owner, calls = pgfmd.grid.transpose.SharedStrips, []
 original = owner.put
 def failing(*arguments):

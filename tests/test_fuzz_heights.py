@@ -183,8 +183,8 @@ def test_things_that_are_no_files(comm, tmp_path):
 @pytest.mark.mpi
 def test_no_folder_is_left(comm, shared_tmp_path):
     """A run whose heights cannot be read leaves no output folder behind, made or half-made."""
-    from pgfmd.job import job as config
-    from pgfmd.simulate import simulate
+    from pgfmd.application import job as config
+    from pgfmd.application.simulate import simulate
 
     path = shared_tmp_path / "cut é.npy"
     if comm.rank == 0:
@@ -203,9 +203,9 @@ def test_no_folder_is_left(comm, shared_tmp_path):
 @pytest.mark.mpi
 def test_symbolic_link_as_output_folder(comm, shared_tmp_path):
     """A link to a folder is written through; the link stays one."""
-    from pgfmd.io.results import Results
-    from pgfmd.job import job as config
-    from pgfmd.simulate import simulate
+    from pgfmd.application import job as config
+    from pgfmd.application.results import Results
+    from pgfmd.application.simulate import simulate
 
     target, link = shared_tmp_path / "on the big disk", shared_tmp_path / "out"
     if comm.rank == 0:

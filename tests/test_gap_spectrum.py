@@ -7,14 +7,14 @@ import pytest
 from job_texts import rough_job
 from solids import elastic
 
+from pgfmd.application import job
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.results import Results
-from pgfmd.job import job
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.simulate import simulate
 from pgfmd.solvers.solution import Certificate, ContactSolution
 
 pytestmark = pytest.mark.mpi

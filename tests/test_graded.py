@@ -9,14 +9,14 @@ import pytest
 from solids import elastic
 
 import pgfmd
+from pgfmd.application.estimate import report
+from pgfmd.application.job import load
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.job.job import load
-from pgfmd.operation.estimate import report
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.graded import Graded
-from pgfmd.simulate import simulate
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 

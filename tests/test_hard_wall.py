@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 from solids import elastic
 
-from pgfmd.api import solve, surface
+from pgfmd import solve, surface
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.hard import HardWall

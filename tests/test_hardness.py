@@ -9,16 +9,16 @@ from reference import Contact, Real, Solid, Unable
 from solids import elastic
 
 import pgfmd
+from pgfmd.application.job import parse
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.results import Results
-from pgfmd.job.job import parse
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observer import Observer
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.simulate import simulate
 from pgfmd.solvers.controls import MeanGap
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl

@@ -17,11 +17,11 @@ from job_texts import SOLID
 from mpi4py import MPI
 
 import pgfmd
+from pgfmd.application import job
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.job import job
-from pgfmd.simulate import simulate
 from pgfmd.surfaces import measurement
 from pgfmd.surfaces.file import FromFile
 from pgfmd.surfaces.heights_file import digest
@@ -330,7 +330,7 @@ def test_check_opens_the_file(tmp_path):
     head = "[grid]\nn = [11, 24]\n[surface]\nkind='file'\nmissing = 'interpolate'\npath = 'a.npy'\n[load]\npressure = 1"
     heights = np.random.default_rng(0).normal(size=SHAPE)
     heights[3, 4] = np.nan
-    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.cli import main; sys.exit(main())"
+    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.application.cli import main; sys.exit(main())"
     (tmp_path / "job.toml").write_text(SOLID + head)
     for shape, words in ((SHAPE, "11 x 24 points, first axis x, unit not said; 1 missing"), ((24, 11), "24 x 11")):
         made(tmp_path / "a.npy", heights.reshape(shape))

@@ -15,7 +15,7 @@ import pytest
 from conftest import ROOT, SIZE
 from job_texts import rough_job
 
-from pgfmd.io.results import Results
+from pgfmd.application.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
 
@@ -67,7 +67,7 @@ def test_what_the_wheel_holds(wheel):
     modules = {str(path.relative_to(ROOT)) for path in (ROOT / "pgfmd").rglob("*.py")}
     assert modules | {"pgfmd/py.typed"} <= names
     assert {name for name in names if name.startswith("pgfmd/") and name.endswith(".py")} == modules
-    assert "pgfmd = pgfmd.cli:main" in entry_points
+    assert "pgfmd = pgfmd.application.cli:main" in entry_points
     for line in ("Provides-Extra: mpi", "Provides-Extra: fft", "Provides-Extra: plot", "License-Expression: MIT"):
         assert line in metadata
     assert "# pgfmd" in metadata and "Requires-Dist: mpi4py>=4; extra" in metadata

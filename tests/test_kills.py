@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from conftest import SIZE
 
-from pgfmd.io.ensemble import Ensemble
-from pgfmd.io.results import Results
+from pgfmd.application.ensemble import Ensemble
+from pgfmd.application.results import Results
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="starts mpirun itself")
 
@@ -85,7 +85,7 @@ def changed(tmp_path, n: int, kills: int):
         lengths.append(time.monotonic() - began)
     other_version = tmp_path / "other.py"
     other_version.write_text(
-        "import sys, pgfmd\npgfmd.__version__ = '9.9'\nfrom pgfmd import cli\nsys.exit(cli.main())\n"
+        "import sys, pgfmd\npgfmd.__version__ = '9.9'\nfrom pgfmd.application import cli\nsys.exit(cli.main())\n"
     )
     seen = []
     for number in range(kills):

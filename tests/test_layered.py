@@ -10,9 +10,9 @@ import reference
 from solids import elastic
 from test_elasticity import DIGITS, combinations, solve
 
+from pgfmd.application.job import parse
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.job.job import parse
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.layered import Layered

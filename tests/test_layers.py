@@ -17,7 +17,8 @@ PACKAGE = Path(__file__).resolve().parent.parent / "pgfmd"
 FILES = sorted(PACKAGE.rglob("*.py"))
 MODULES = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in FILES}
 MODULES = {name.removesuffix(".__init__"): path for name, path in MODULES.items()}
-SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.io.results", "pgfmd.observables.statistics.spectra")  # for tools on a laptop
+# For tools on a laptop.
+SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.application.results", "pgfmd.observables.statistics.spectra")
 
 
 def imported(path: Path):
@@ -85,8 +86,11 @@ def test_root_is_small():
     [
         ("mpi4py", {"parallel"}),
         ("mpi4py_fft", {"grid"}),
-        ("pyfftw", {"grid", "operation"}),
-        ("h5py", {"io", "surfaces", "operation"}),
+        ("pyfftw", {"grid", "application"}),
+        ("h5py", {"application", "surfaces"}),
+        ("tomllib", {"application"}),
+        ("signal", {"application"}),
+        ("tqdm", {"application"}),
         ("SurfaceTopography", {"surfaces"}),
     ],
 )
@@ -107,7 +111,24 @@ def test_serial_parts_need_no_mpi(name):
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_library_needs_no_hdf5():
+    """A contact is solved, measured and certified where h5py is not installed; only files of HDF5 need it."""
+    code = """import sys
+sys.modules.update(h5py=None, tomllib=None)
+import numpy as np
+import pgfmd
+import pgfmd.surfaces.table, pgfmd.observables.table
+from pgfmd.surfaces.heights_file import read_heights
+wave = np.cos(2 * np.pi * np.arange(32) / 32)
+contact = pgfmd.solve(wave[:, None] * wave, 0.01)
+assert contact.certified_error < 1e-8
+assert pgfmd.certify(wave[:, None] * wave, contact.pressure).certified_error < 1e-7
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_checking_a_job_needs_no_mpi():
     """`check` and `info` work where mpi4py is not installed."""
-    code = "import sys; sys.modules['mpi4py'] = None\nimport pgfmd.cli, pgfmd.job.job, pgfmd.operation.estimate"
+    modules = ", ".join(f"pgfmd.application.{name}" for name in ("cli", "job", "estimate"))
+    code = f"import sys; sys.modules['mpi4py'] = None\nimport {modules}"
     subprocess.run([sys.executable, "-c", code], check=True)

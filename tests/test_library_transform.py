@@ -54,9 +54,9 @@ def test_both_transforms_agree(comm, shape, dtype):
 @pytest.mark.mpi
 def test_a_job_solves_alike(comm, shared_tmp_path):
     """A whole run with either transform gives the same fields to 1e-12 of their size."""
-    from pgfmd.io.results import Results
-    from pgfmd.job.job import parse
-    from pgfmd.simulate import simulate
+    from pgfmd.application.job import parse
+    from pgfmd.application.results import Results
+    from pgfmd.application.simulate import simulate
 
     text = """
         [grid]
@@ -101,7 +101,7 @@ import numpy as np
 from mpi4py import MPI
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.simulate import simulate
+from pgfmd.application.simulate import simulate
 grid = SlabGrid(MPI.COMM_SELF, (8, 8), transform="mpi4py-fft")
 assert abs(grid.forward(np.ones((8, 8)))[0, 0] - 64) < 1e-12
 try:
@@ -116,7 +116,7 @@ else:
 
 def test_it_is_named_where_it_is_missing(tmp_path):
     """Where mpi4py-fft cannot be imported, a job that chooses it is refused in one line."""
-    code = "import sys; sys.modules['mpi4py_fft'] = None; from pgfmd.cli import main; sys.exit(main())"
+    code = "import sys; sys.modules['mpi4py_fft'] = None; from pgfmd.application.cli import main; sys.exit(main())"
     (tmp_path / "job.toml").write_text(
         SOLID + "[grid]\nn = 8\n[surface]\nkind = 'paraboloid'\nradius = 9\n[load]\npressure = 0.1\n"
         "[solver]\ntransform = 'mpi4py-fft'\n"

@@ -19,9 +19,9 @@ SAME = 1e-10  # relative L2 of pressures that are solved to a certified energy e
 TCP = {"OMPI_MCA_btl": "tcp,self", "OMPI_MCA_pml": "ob1", "OMPI_MCA_osc": "^sm"}
 EXCHANGED = """
 import functools, sys
-from pgfmd import simulate
+from pgfmd.application import simulate
 simulate.SlabGrid = functools.partial(simulate.SlabGrid, shared=False)
-from pgfmd.cli import main
+from pgfmd.application.cli import main
 sys.exit(main())
 """
 

@@ -12,11 +12,11 @@ import pytest
 pytest.importorskip("mpi4py")
 
 import pgfmd  # noqa: E402
+from pgfmd.application import job as jobs  # noqa: E402
+from pgfmd.application.simulate import simulate  # noqa: E402
+from pgfmd.application.stop import Interruptions  # noqa: E402
 from pgfmd.errors import InputError, Stopped  # noqa: E402
-from pgfmd.job import job as jobs  # noqa: E402
-from pgfmd.operation.stop import Interruptions  # noqa: E402
 from pgfmd.parallel.mpi import ALONE  # noqa: E402
-from pgfmd.simulate import simulate  # noqa: E402
 
 pytestmark = pytest.mark.mpi
 

@@ -16,7 +16,7 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io import schema
+from pgfmd.observables import schema
 from pgfmd.observables.contact_line.line import line_of
 from pgfmd.observables.lowpass import coarsening, octaves
 from pgfmd.observables.observer import Observer

@@ -13,14 +13,14 @@ import pytest
 from job_texts import rough_job
 
 import pgfmd
-from pgfmd.cli import main
+from pgfmd.application import log_file, progress
+from pgfmd.application.cli import main
+from pgfmd.application.job import load, parse
+from pgfmd.application.log_file import LOG_FILE
+from pgfmd.application.progress import Progress
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
-from pgfmd.io.results import Results
-from pgfmd.job.job import load, parse
-from pgfmd.operation import log_file, progress
-from pgfmd.operation.log_file import LOG_FILE
-from pgfmd.operation.progress import Progress
-from pgfmd.simulate import simulate
 
 
 def text_of(control: str, values: list[float]) -> str:

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 from job_texts import SOLID
 
+from pgfmd.application import atomic, files, hdf5_slabs, job
+from pgfmd.application import writer as output
+from pgfmd.application.info import summary
+from pgfmd.application.provenance import Origin
+from pgfmd.application.results import Results
 from pgfmd.errors import InputError
-from pgfmd.io import atomic, hdf5_slabs, schema
-from pgfmd.io import writer as output
-from pgfmd.io.info import summary
-from pgfmd.io.provenance import Origin
-from pgfmd.io.results import Results
-from pgfmd.job import job
+from pgfmd.observables import schema
 from pgfmd.observables.table import LAYOUT
 from pgfmd.parallel.collectives import slab
 
@@ -111,7 +111,7 @@ def test_files_are_plain_hdf5(comm, shared_tmp_path):
         assert list(file["loads"]) == sorted(["load", *schema.LOADS])
         assert file["load_0000/pressure_histogram/density"].attrs["units"] == "1/(GPa)"
         assert file["loads/elastic_energy"].attrs["units"] == "GPa*µm"
-        assert file.attrs["format_version"] == schema.FORMAT_VERSION and "HDF5" in file.attrs["libraries"]
+        assert file.attrs["format_version"] == files.FORMAT_VERSION and "HDF5" in file.attrs["libraries"]
         tomllib.loads(file.attrs["effective_toml"])
 
 
@@ -126,7 +126,7 @@ def test_axes_have_names_and_coordinates(comm, shared_tmp_path):
             np.testing.assert_array_equal(x, np.arange(13) * 2.0)
             np.testing.assert_array_equal(y, np.arange(6) * 1.0)
             assert (x.name, y.name, x.attrs["units"]) == ("/x", "/y", "µm")
-        assert file.attrs["software"] == "pgfmd" and file.attrs["format_version"] == schema.FORMAT_VERSION
+        assert file.attrs["software"] == "pgfmd" and file.attrs["format_version"] == files.FORMAT_VERSION
     with h5py.File(shared_tmp_path / "out" / "observables.h5", "r") as file:
         group = file["load_0001/pressure_histogram"]
         assert group["density"].dims[0][0] == group["center"] and group["edges"].is_scale
@@ -243,7 +243,7 @@ def test_lock_dies_with_its_process(comm, shared_tmp_path):
     """A killed run leaves no lock behind: the lock is the kernel's, the file only a name."""
     if comm.rank == 0:
         name = str(shared_tmp_path / "o")
-        code = f"import os; from pgfmd.io import atomic; atomic.OutputFolder({name!r}); os._exit(9)"
+        code = f"import os; from pgfmd.application import atomic; atomic.OutputFolder({name!r}); os._exit(9)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
         assert (shared_tmp_path / "o" / atomic.LOCK_NAME).exists()
     comm.Barrier()
@@ -484,5 +484,5 @@ def test_format_2_is_read(comm, shared_tmp_path):
 
 def test_reading_needs_no_mpi():
     """The reader runs on a laptop without mpi4py."""
-    code = "import sys, pgfmd.io.results; sys.exit('mpi4py' in sys.modules)"
+    code = "import sys, pgfmd.application.results; sys.exit('mpi4py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

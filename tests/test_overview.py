@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from pgfmd.job import job
-from pgfmd.simulate import simulate
+from pgfmd.application import job
+from pgfmd.application.simulate import simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))

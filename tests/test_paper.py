@@ -55,8 +55,8 @@ def folder(tmp_path_factory) -> Path:
     """Every figure of three surfaces under a hard wall, two under an exponential one."""
     from mpi4py import MPI
 
-    from pgfmd.job import job
-    from pgfmd.simulate import simulate
+    from pgfmd.application import job
+    from pgfmd.application.simulate import simulate
 
     root = tmp_path_factory.mktemp("paper")
     runs = defaultdict(list)

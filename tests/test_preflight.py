@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pgfmd.application.job import parse
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
-from pgfmd.io.results import Results
-from pgfmd.job.job import parse
-from pgfmd.simulate import simulate
 
 pytestmark = pytest.mark.mpi
 
@@ -58,7 +58,7 @@ def test_only_the_same_run_is_continued(comm, shared_tmp_path, monkeypatch, what
     if what == "job":
         job = parse(JOB.format(path=heights).replace("0.03", "0.04"))
     if what == "version":
-        monkeypatch.setattr("pgfmd.operation.preflight.THIS_VERSION", "9.9")
+        monkeypatch.setattr("pgfmd.application.preflight.THIS_VERSION", "9.9")
     comm.Barrier()
     with pytest.raises(InputError, match=words):
         simulate(job, comm, folder, restart=True)

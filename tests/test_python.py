@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import pgfmd
-from pgfmd import simulate
+from pgfmd.application import simulate
+from pgfmd.application.job import parse, tables_as_toml
+from pgfmd.application.results import Runs
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid import transpose
-from pgfmd.io.results import Runs
-from pgfmd.job.job import parse, tables_as_toml
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi

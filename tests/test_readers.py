@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from job_texts import EVERY_OBSERVABLE, rough_job
 
-from pgfmd.io.results import Results
-from pgfmd.job import job
-from pgfmd.simulate import simulate
+from pgfmd.application import job
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 
 NX, NY, LENGTHS = 20, 12, (10.0, 3.0)
 

@@ -11,8 +11,8 @@ import sys
 import pytest
 from conftest import ROOT
 
-from pgfmd import cli
-from pgfmd.job.job import SECTIONS, parse
+from pgfmd.application import cli
+from pgfmd.application.job import SECTIONS, parse
 from pgfmd.options import reference as writer
 from pgfmd.options.rules import Rule
 from pgfmd.options.section import Kinds

@@ -7,13 +7,13 @@ import pytest
 from job_texts import SOLID
 from mpi4py import MPI
 
+from pgfmd.application import job
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
-from pgfmd.io.results import Results
-from pgfmd.job import job
-from pgfmd.simulate import simulate
 from pgfmd.surfaces.self_affine import SelfAffine
 from pgfmd.surfaces.spectrum import FromSpectrum
 from pgfmd.theory import surface as theory

@@ -10,9 +10,9 @@ import launching
 import pytest
 from conftest import starts_mpirun
 
+from pgfmd.application.results import Results
+from pgfmd.application.stop import Interruptions
 from pgfmd.errors import NoProgress, Stopped
-from pgfmd.io.results import Results
-from pgfmd.operation.stop import Interruptions
 from pgfmd.parallel.collectives import raise_together
 
 MANY = [1e-3 + 1e-6 * number for number in range(2000)]  # loads: more than can be solved while the test looks on

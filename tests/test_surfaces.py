@@ -12,13 +12,13 @@ from mpi4py import MPI
 from solids import elastic
 
 import pgfmd
+from pgfmd.application import job
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.results import Results
-from pgfmd.job import job
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.simulate import simulate
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.surfaces.self_affine import self_affine

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pgfmd.application import job as config
 from pgfmd.errors import InputError
-from pgfmd.job import job as config
 from pgfmd.observables.statistics import spectra
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -59,7 +59,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     """Small runs, made once: name → result folder."""
     from mpi4py import MPI
 
-    from pgfmd.simulate import simulate
+    from pgfmd.application.simulate import simulate
 
     folder = tmp_path_factory.mktemp("runs")
     np.save(folder / "heights.npy", np.random.default_rng(3).normal(size=(48, 48)).cumsum(0) * 1e-2)
@@ -332,7 +332,7 @@ def test_every_figure_is_saved_without_mpi4py(runs, tmp_path):
     script = f"""
 import sys
 sys.modules["mpi4py"] = None
-from pgfmd.cli import main
+from pgfmd.application.cli import main
 for figure, folders in {calls!r}.items():
     assert main(["plot", figure, *folders, "--output", {str(tmp_path)!r}]) == 0, figure
 """
@@ -383,7 +383,7 @@ def test_without_matplotlib_one_line_says_how_to_get_it(runs):
     script = f"""
 import sys
 sys.modules["matplotlib"] = None
-from pgfmd.cli import main
+from pgfmd.application.cli import main
 sys.exit(main(["plot", {str(runs["kept"])!r}]))
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=100)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 
-from pgfmd.operation.machine import describe
-from pgfmd.operation.memory import available_memory
+from pgfmd.application.machine import describe
+from pgfmd.application.memory import available_memory
 
 
 def levels(found, per_rank):

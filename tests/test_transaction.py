@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
+from pgfmd.application import atomic
+from pgfmd.application.checkpoint import Checkpoints
+from pgfmd.application.files import Form
+from pgfmd.application.provenance import Origin
+from pgfmd.application.results import Results
+from pgfmd.application.writer import ResultWriter
 from pgfmd.errors import InputError, SolverError, Stopped
-from pgfmd.io import atomic
-from pgfmd.io.checkpoint import Checkpoints
-from pgfmd.io.provenance import Origin
-from pgfmd.io.results import Results
-from pgfmd.io.schema import Form
-from pgfmd.io.writer import ResultWriter
 from pgfmd.parallel.collectives import slab
 
 SHAPE = (7, 4)

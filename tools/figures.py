@@ -63,7 +63,7 @@ def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = 
 
 def _lacking(folder: Path | str) -> str:
     """How many seeds of an ensemble have solved each load, if not all have; else ""."""
-    from pgfmd.io import ensemble
+    from pgfmd.application import ensemble
 
     if not ensemble.is_ensemble(folder):
         return ""

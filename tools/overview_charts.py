@@ -10,7 +10,7 @@ import numpy as np
 from plotting import BLACK, BLUE, RED
 from reading import Load
 
-from pgfmd.io.schema import LOADS, is_error
+from pgfmd.observables.schema import LOADS, is_error
 from pgfmd.options.text import printable
 from pgfmd.theory import persson
 

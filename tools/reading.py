@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import rowblocks
 
+from pgfmd.application import ensemble
+from pgfmd.application.results import Results
 from pgfmd.errors import InputError
-from pgfmd.io import ensemble
-from pgfmd.io.results import Results
 from pgfmd.observables.statistics import spectra
 from pgfmd.options.section import build
 from pgfmd.options.text import printable

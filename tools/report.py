@@ -27,8 +27,8 @@ import figures
 from claims import Claim
 from plotting import Findings
 
+from pgfmd.application.results import Results
 from pgfmd.errors import InputError
-from pgfmd.io.results import Results
 
 CLAIMS = Path(__file__).with_name("paper.toml")
 

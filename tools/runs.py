@@ -15,9 +15,9 @@ import sys
 import time
 from pathlib import Path
 
+from pgfmd.application import job as config
+from pgfmd.application.results import Results
 from pgfmd.errors import InputError, SolverError
-from pgfmd.io.results import Results
-from pgfmd.job import job as config
 
 
 def is_done(folder: Path, path: str, overrides: list[str]) -> bool:
@@ -35,7 +35,7 @@ def run(line: str, folder: Path) -> str:
     """Do one run in this process; its name and seconds.  Raises what the run raises."""
     from mpi4py import MPI
 
-    from pgfmd.simulate import simulate
+    from pgfmd.application.simulate import simulate
 
     name, path, *overrides = line.split()
     began, log = time.perf_counter(), logging.getLogger("pgfmd")

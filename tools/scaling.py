@@ -180,10 +180,10 @@ def memory(path: Path, n: int, nodes: int) -> None:
     """
     from mpi4py import MPI
 
+    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
+    from pgfmd.application.job import parse
     from pgfmd.grid import transpose
     from pgfmd.grid.sub_grid import SubGrid
-    from pgfmd.job.job import parse
-    from pgfmd.operation.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
     from pgfmd.parallel.teams import node_of
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration

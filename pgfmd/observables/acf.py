@@ -9,8 +9,8 @@ import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.io.schema import Groups
 from pgfmd.observables.observable import Observable, correlation_layout
+from pgfmd.observables.schema import Groups
 from pgfmd.observables.statistics.spectra import lag_bins
 from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key

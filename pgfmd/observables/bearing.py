@@ -10,10 +10,10 @@ import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.acf import acf_layout
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
 from pgfmd.observables.observable import Observable, spectrum_layout
+from pgfmd.observables.schema import Dataset, Groups
 
 if TYPE_CHECKING:
     from pgfmd.observables.measured_contact import MeasuredContact

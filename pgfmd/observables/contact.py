@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.io.schema import FIELDS, LOADS, Groups
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.observer import Observer
+from pgfmd.observables.schema import FIELDS, LOADS, Groups
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.options.section import build
 from pgfmd.options.text import guess

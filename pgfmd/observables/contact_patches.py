@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import choice
 from pgfmd.options.section import key
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import Dataset, Groups
 
 if TYPE_CHECKING:
     from pgfmd.observables.measured_contact import MeasuredContact

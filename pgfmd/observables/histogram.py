@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pgfmd.io.schema import Dataset, Groups
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import integer
 from pgfmd.options.section import key
 

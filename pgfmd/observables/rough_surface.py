@@ -11,8 +11,8 @@ import numpy as np
 from pgfmd.grid.callbacks import ColumnAction, RowAction, source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.schema import Groups
 from pgfmd.observables.contact_line.line import RESOLVED
+from pgfmd.observables.schema import Groups
 from pgfmd.observables.statistics.correlations import Correlations, Rings, along_axis, correlate, mode_rings, squared
 
 BEYOND = 0.05

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.io.schema import Groups
 from pgfmd.observables.observable import Spectrum, spectrum_layout
+from pgfmd.observables.schema import Groups
 
 if TYPE_CHECKING:
     from pgfmd.observables.measured_contact import MeasuredContact

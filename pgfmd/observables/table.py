@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pgfmd.io.schema import GroupLayout
 from pgfmd.observables.acf import Acf
 from pgfmd.observables.bearing import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
@@ -11,6 +10,7 @@ from pgfmd.observables.gap_spectrum import GapSpectrum
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Spectra
 
 OBSERVABLES: dict[str, type[Observable]] = {

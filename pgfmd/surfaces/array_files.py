@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-import h5py
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
 from pgfmd.surfaces import instruments, text, tiff
 from pgfmd.surfaces.measurement import Measurement, damage_reported, named
+
+if TYPE_CHECKING:
+    import h5py
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 NO_UNIT = ("", "1", "length")  # "length" is written by jobs without a unit
@@ -25,6 +28,8 @@ def is_array(path: str, dataset: str | None) -> bool:
     """
     if dataset is not None or path.endswith((".npy", *HDF5_SUFFIXES)) or not os.path.isfile(path):
         return True
+    import h5py
+
     try:
         if not h5py.is_hdf5(path):
             return False
@@ -53,6 +58,8 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
                     raise InputError(f"holds no dataset {printable(dataset)!r}: .npy files are one array")
                 yield _checked(Measurement(np.load(path, mmap_mode="r", allow_pickle=False), "NumPy array"))
             else:
+                import h5py
+
                 with h5py.File(path, "r", locking=False) as file:
                     yield _checked(_described(_dataset(file, dataset)))
         except FileNotFoundError:
@@ -90,13 +97,13 @@ def _described(dataset: h5py.Dataset) -> Measurement:
 def _two_dimensional(file: h5py.File) -> list[str]:
     """Names of the two-dimensional datasets."""
     found = []
-    file.visititems(lambda key, item: found.append(key) if isinstance(item, h5py.Dataset) and item.ndim == 2 else None)
+    file.visititems(lambda key, item: found.append(key) if getattr(item, "ndim", 0) == 2 else None)
     return found
 
 
 def _dataset(file: h5py.File, name: str | None) -> h5py.Dataset:
     if name is not None:
-        if not isinstance(file.get(name), h5py.Dataset):
+        if not hasattr(file.get(name), "dtype"):
             raise InputError(f"holds no dataset {printable(name)!r}")
         return file[name]
     found = _two_dimensional(file)

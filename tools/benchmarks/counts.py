@@ -55,7 +55,7 @@ def _shown(value) -> str:
 
 def pressure_of(area: float) -> float:
     """The mean pressure for a contact area A by theory: A = a (1 + c (1 − a)), a = erf(√2 p̄/(E' g))."""
-    from pgfmd.operation.estimate import AREA_EXCESS as c
+    from pgfmd.application.estimate import AREA_EXCESS as c
 
     persson = (1 + c - math.sqrt((1 + c) ** 2 - 4 * c * area)) / (2 * c)
     return inverse_erf(persson) * RMS_SLOPE / math.sqrt(2)

@@ -68,11 +68,11 @@ def main(arguments: list[str] | None = None) -> int:
 
     from mpi4py import MPI
 
+    from pgfmd.application.job import parse, tables_as_toml
+    from pgfmd.application.results import Results
+    from pgfmd.application.simulate import simulate
     from pgfmd.grid.callbacks import sink, source
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.io.results import Results
-    from pgfmd.job.job import parse, tables_as_toml
-    from pgfmd.simulate import simulate
 
     comm = MPI.COMM_WORLD
     start = time.perf_counter() - began

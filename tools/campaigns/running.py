@@ -100,8 +100,8 @@ def _by_solve(case: Case, folder: Path, comm):
 
 def _by_simulate(case: Case, folder: Path, comm):
     """By `simulate`, from the TOML file to the result files."""
-    from pgfmd.job import job as jobs
-    from pgfmd.simulate import simulate
+    from pgfmd.application import job as jobs
+    from pgfmd.application.simulate import simulate
 
     job = jobs.load(folder / "job.toml")
     simulate(job, comm, folder / "out")
@@ -113,8 +113,8 @@ def _by_simulate(case: Case, folder: Path, comm):
 
 def _by_command(case: Case, folder: Path, comm):
     """By the command line, in another process; exit codes 2 and 3 and their line become the error that they report."""
+    from pgfmd.application import job as jobs
     from pgfmd.errors import InputError, SolverError
-    from pgfmd.job import job as jobs
 
     done = subprocess.run(
         [sys.executable, "-W", "error", "-m", "pgfmd", "run", folder / "job.toml", "--output", folder / "out"],

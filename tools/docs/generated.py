@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from pgfmd.io.schema import FIELDS, LOADS, TABLE, Dataset
-from pgfmd.job.job import SECTIONS
+from pgfmd.application.job import SECTIONS
+from pgfmd.observables.schema import FIELDS, LOADS, TABLE, Dataset
 from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.options.reference import reference
 

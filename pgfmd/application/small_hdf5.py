@@ -8,8 +8,8 @@ from pathlib import Path
 
 import h5py
 
-from pgfmd.io import atomic
-from pgfmd.io.schema import LIBVER
+from pgfmd.application import atomic
+from pgfmd.application.files import LIBVER
 
 Change = Callable[[h5py.File], None]
 """Adds to or changes an open file."""

@@ -8,10 +8,10 @@ import platform
 from collections import Counter
 
 from pgfmd import __version__
+from pgfmd.application import hdf5_slabs
+from pgfmd.application.memory import available_memory, largest_memory, readable
+from pgfmd.application.provenance import git_commit, versions
 from pgfmd.errors import InputError
-from pgfmd.io import hdf5_slabs
-from pgfmd.io.provenance import git_commit, versions
-from pgfmd.operation.memory import available_memory, largest_memory, readable
 from pgfmd.options.text import counted
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank

@@ -12,22 +12,13 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from pgfmd.application import columns
+from pgfmd.application.atomic import holder
+from pgfmd.application.files import ENSEMBLE_FILE, FIELDS_FOLDER, FORMAT_VERSION, OBSERVABLES_FILE, load_name
+from pgfmd.application.formats import modern
+from pgfmd.application.text_table import text_table
 from pgfmd.errors import InputError
-from pgfmd.io import columns
-from pgfmd.io.atomic import holder
-from pgfmd.io.formats import modern
-from pgfmd.io.schema import (
-    ENSEMBLE_FILE,
-    FIELDS,
-    FIELDS_FOLDER,
-    FORMAT_VERSION,
-    OBSERVABLES_FILE,
-    TABLE,
-    Dataset,
-    is_error,
-    load_name,
-)  # fmt: skip
-from pgfmd.io.text_table import text_table
+from pgfmd.observables.schema import FIELDS, TABLE, Dataset, is_error
 
 if TYPE_CHECKING:
     import pandas

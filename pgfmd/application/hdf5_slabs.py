@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from pgfmd.io import atomic, checksum
-from pgfmd.io.checksum import SealedArray
-from pgfmd.io.schema import LIBVER
+from pgfmd.application import atomic, checksum
+from pgfmd.application.checksum import SealedArray
+from pgfmd.application.files import LIBVER
 from pgfmd.parallel.collectives import from_root, raise_together, slab
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.teams import node_of

@@ -1,24 +1,15 @@
-"""The layout of the result files: names, types that describe datasets, and the tables that every run writes.
+"""What a contact is measured by: the columns of the table of loads, the fields, and types that describe datasets.
 
 What an observable writes is described in its own file (`observables/NAME.py`).  Units are written with {length} and
-{pressure}, which stand for the unit names that the job gives.
+{pressure}, which stand for the names of units that a job gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-
-FORMAT_VERSION = 3  # how earlier ones differ: see `formats`
-# Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
-LIBVER = ("v108", "v110")
-
-OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
-VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `views`
-CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
-ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 
 
 @dataclass(frozen=True)
@@ -40,39 +31,10 @@ TABLE = "loads"
 layout adds columns to the table: one number per load.  NAME_error is the error of NAME."""
 
 
-@dataclass(frozen=True)
-class Form:
-    """What the files of one run depend on: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of rows
-    that this rank holds, the precision of real fields in the file, names of units, the groups of a load, and hints
-    for MPI-IO.
-    """
-
-    shape: tuple[int, int]
-    lengths: tuple[float, float]
-    rows: slice
-    precision: str = "float64"
-    length_unit: str = "length"
-    pressure_unit: str = "pressure"
-    groups: GroupLayout = field(default_factory=dict)
-    hints: tuple[str, ...] = ()
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Names of units by what they measure, for the units of datasets."""
-        return {"length": self.length_unit, "pressure": self.pressure_unit}
-
-    @property
-    def columns(self) -> dict[str, Dataset]:
-        """The columns of the table of loads: those that every run has, and those of its observables."""
-        return {**LOADS, **self.groups.get(TABLE, {})}
-
-
 def is_error(name: str, columns: Container[str]) -> bool:
     """Whether a column holds the errors of another one."""
     return name.endswith("_error") and name.removesuffix("_error") in columns
 
-
-MISSING = -1  # a whole number of LOADS that is not known; a real one is NaN
 
 # The columns of the table of loads that every run has, in this order.
 LOADS: dict[str, Dataset] = {
@@ -113,13 +75,3 @@ FIELDS = {
     "displacement": Dataset("{length}", "displacement of the solid's surface"),
     "labels": Dataset("1", "number of the contact patch, counted from 1; 0: no contact"),
 }
-
-
-def load_name(index: int) -> str:
-    """Name of a load's group: load_0000, load_0001, …"""
-    return f"load_{index:04d}"
-
-
-def member_name(seed: int) -> str:
-    """Name of the result folder of one seed of an ensemble: seed_0001, seed_0002, …"""
-    return f"seed_{seed:04d}"

@@ -14,9 +14,8 @@ from pathlib import Path
 import h5py
 
 from pgfmd import __version__
-from pgfmd.errors import InputError
-from pgfmd.io import atomic, checksum
-from pgfmd.io.schema import (
+from pgfmd.application import atomic, checksum
+from pgfmd.application.files import (
     CHECKPOINT_FILE,
     FIELDS_FILE,
     FIELDS_FOLDER,
@@ -25,6 +24,7 @@ from pgfmd.io.schema import (
     VTK_FILE,
     load_name,
 )
+from pgfmd.errors import InputError
 
 log = logging.getLogger("pgfmd")
 

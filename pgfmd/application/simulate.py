@@ -14,22 +14,22 @@ from pathlib import Path
 
 import numpy as np
 
+from pgfmd.application import machine, preflight
+from pgfmd.application.checkpoint import Checkpoints
+from pgfmd.application.ensemble_run import run_ensemble
+from pgfmd.application.estimate import estimate
+from pgfmd.application.files import Form
+from pgfmd.application.job import Job, Run, as_toml
+from pgfmd.application.log_file import LogFile
+from pgfmd.application.progress import Progress
+from pgfmd.application.provenance import Origin, command_line
+from pgfmd.application.stop import Interruptions
+from pgfmd.application.writer import Mode, ResultWriter
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.checkpoint import Checkpoints
-from pgfmd.io.provenance import Origin, command_line
-from pgfmd.io.schema import TABLE, Form
-from pgfmd.io.writer import Mode, ResultWriter
-from pgfmd.job.job import Job, as_toml
-from pgfmd.job.output import Run
 from pgfmd.observables.observable import layout_of
 from pgfmd.observables.observer import Observer
-from pgfmd.operation import machine, preflight
-from pgfmd.operation.ensemble import run_ensemble
-from pgfmd.operation.estimate import estimate
-from pgfmd.operation.log_file import LogFile
-from pgfmd.operation.progress import Progress
-from pgfmd.operation.stop import Interruptions
+from pgfmd.observables.schema import TABLE
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root, shared

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from pgfmd.application.job import Job, differences, parse
+from pgfmd.application.provenance import Origin
+from pgfmd.application.restart import THIS_VERSION, EarlierResults
 from pgfmd.errors import InputError
-from pgfmd.io.provenance import Origin
-from pgfmd.io.restart import THIS_VERSION, EarlierResults
-from pgfmd.job.job import Job, differences, parse
 from pgfmd.options.text import printable
 
 

@@ -11,10 +11,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgfmd.io import atomic, columns
-from pgfmd.io.dimensions import name_axes
-from pgfmd.io.schema import LIBVER, LOADS, MISSING, OBSERVABLES_FILE, TABLE, Dataset, Form, Groups, load_name
-from pgfmd.io.small_hdf5 import Change, revise
+from pgfmd.application import atomic, columns
+from pgfmd.application.dimensions import name_axes
+from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Form, load_name
+from pgfmd.application.small_hdf5 import Change, revise
+from pgfmd.observables.schema import LOADS, TABLE, Dataset, Groups
 
 
 class ObservablesFile:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from pgfmd.application.job import Job
 from pgfmd.errors import InputError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.job.job import Job
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.load_control import LoadControl

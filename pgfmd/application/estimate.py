@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from pgfmd.application.job import Job
+from pgfmd.application.memory import readable
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.cost import Cost
 from pgfmd.grid.holders import largest_shares
-from pgfmd.job.job import Job
-from pgfmd.operation.memory import readable
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
 from pgfmd.parallel.mpi import shared_memory

@@ -15,11 +15,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from pgfmd.io import hdf5_slabs, restart, views
-from pgfmd.io.dimensions import add_grid_axes, name_axes
-from pgfmd.io.observables_file import annotate
-from pgfmd.io.schema import FIELDS, FIELDS_FILE, VTK_FILE, Dataset, Form
-from pgfmd.io.small_hdf5 import Change, revise
+from pgfmd.application import hdf5_slabs, restart, views
+from pgfmd.application.dimensions import add_grid_axes, name_axes
+from pgfmd.application.files import FIELDS_FILE, VTK_FILE, Form
+from pgfmd.application.observables_file import annotate
+from pgfmd.application.small_hdf5 import Change, revise
+from pgfmd.observables.schema import FIELDS, Dataset
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI
 

@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 from pgfmd import __version__
-from pgfmd.io.schema import FORMAT_VERSION
+from pgfmd.application.files import FORMAT_VERSION
 from pgfmd.parallel.threads import threads_per_rank
 
 LIBRARIES = ("numpy", "scipy", "numba", "pyfftw", "mpi4py", "mpi4py-fft", "h5py")

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pgfmd.io import checksum, ensemble
-from pgfmd.io.ensemble import Ensemble
-from pgfmd.io.results import Results, Runs, table
-from pgfmd.io.schema import FIELDS_FILE, LOADS, OBSERVABLES_FILE, VTK_FILE, load_name, member_name
+from pgfmd.application import checksum, ensemble
+from pgfmd.application.ensemble import Ensemble
+from pgfmd.application.files import FIELDS_FILE, OBSERVABLES_FILE, VTK_FILE, load_name, member_name
+from pgfmd.application.results import Results, Runs, table
+from pgfmd.observables.schema import LOADS
 from pgfmd.options.text import assignments, counted
 
 

@@ -12,16 +12,15 @@ from typing import Any
 
 import numpy as np
 
+from pgfmd.application import ensemble, machine, provenance, restart
+from pgfmd.application.atomic import OutputFolder, commit, sync_files, temporary
+from pgfmd.application.estimate import estimate, rank_groups
+from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
+from pgfmd.application.job import Job, as_toml, differences, parse
+from pgfmd.application.progress import STEP
+from pgfmd.application.results import Results
+from pgfmd.application.stop import Interruptions
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
-from pgfmd.io import ensemble, provenance, restart
-from pgfmd.io.atomic import OutputFolder, commit, sync_files, temporary
-from pgfmd.io.results import Results
-from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
-from pgfmd.job.job import Job, as_toml, differences, parse
-from pgfmd.operation import machine
-from pgfmd.operation.estimate import estimate, rank_groups
-from pgfmd.operation.progress import STEP
-from pgfmd.operation.stop import Interruptions
 from pgfmd.options.text import printable
 from pgfmd.parallel.collectives import from_root, raise_together, shared
 from pgfmd.parallel.mpi import MPI, library

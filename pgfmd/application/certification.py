@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pgfmd.application.files import FIELDS_FILE, load_name
+from pgfmd.application.info import known
+from pgfmd.application.job import Job, load, parse, tables_as_toml
+from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.io.info import known
-from pgfmd.io.results import Results
-from pgfmd.io.schema import FIELDS_FILE, load_name
-from pgfmd.job.job import Job, load, parse, tables_as_toml
 from pgfmd.observables.contact import Certified, certified
 from pgfmd.options.text import printable
 from pgfmd.parallel.mpi import ALONE

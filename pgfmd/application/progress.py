@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from tqdm import tqdm
 
-from pgfmd.operation.estimate import duration
+from pgfmd.application.estimate import duration
 
 log = logging.getLogger("pgfmd")
 STEP = logging.INFO - 1  # level of a line per step, for logs that show no updating line

@@ -6,16 +6,21 @@ SECTIONS lists the classes of its tables, whose fields are their keys.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.job.output import Output, Run, Written
-from pgfmd.options.section import Kinds, Section, build
+from pgfmd.observables.contact_patches import ContactPatches
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import FIELDS
+from pgfmd.observables.table import OBSERVABLES
+from pgfmd.options.rules import assignment, choice, many, number, text
+from pgfmd.options.section import Kinds, Section, build, key
 from pgfmd.options.section import as_toml as section_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
@@ -27,6 +32,70 @@ from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.options import CONTROLS, Load, Solver
 from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.table import SURFACES
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run(Section):
+    """Checkpoints and time limit of a run, for machines that stop long jobs; how its files are written.  Not compared
+    by --restart: it does not change results.
+    """
+
+    where = "run"
+    checkpoint_interval: float = key(
+        number(low=0, infinite=True),
+        1800.0,
+        "between checkpoints of an unfinished load; 0: each step; inf: none",
+        unit="s",
+    )
+    time_limit: float = key(
+        number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted", unit="s"
+    )
+    io_hints: tuple[str, ...] = key(
+        many(assignment()),
+        (),
+        "for MPI-IO, which ignores unknown ones; stripes are set on the folder (lfs setstripe)",
+        example=["cb_nodes=8", "romio_cb_write=enable"],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Written(Section):
+    """What is written.  Only what is listed is computed; options of observables that are not listed have no effect."""
+
+    where = "output"
+    shown: ClassVar[tuple[str, ...]] = ("fields", "observables")
+    fields: tuple[str, ...] = key(
+        many(choice(*FIELDS), distinct=True),
+        (),
+        "written for each load (height: once); none if left out",
+        example=("height", "pressure", "gap"),
+    )
+    observables: tuple[str, ...] = key(
+        many(choice(*OBSERVABLES), distinct=True),
+        (),
+        "measured for each load; none if left out",
+        example=("histogram", "spectra"),
+    )
+    precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
+    length_unit: str = key(text(), "length", "label; heights from a file that has a unit are converted to it")
+    pressure_unit: str = key(text(), "pressure", "label")
+
+    @property
+    def asked(self) -> list[Observable]:
+        """The observables that are measured, with their options."""
+        return [getattr(self, name) for name in self.observables]
+
+    @property
+    def connectivity(self) -> int:
+        """Connectivity of the contact patches, in their table and in the field of labels."""
+        patches: ContactPatches = getattr(self, ContactPatches.name)
+        return patches.connectivity
+
+
+# `Output` is `Written` with one more key for each observable: the table [output.NAME].
+TABLES = [(name, kind, key(kind)) for name, kind in OBSERVABLES.items()]
+NAMES = {"__doc__": Written.__doc__, "__module__": __name__}  # the module, so that a job can be sent to other ranks
+Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), namespace=NAMES, frozen=True, kw_only=True)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,13 +25,9 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
-from pgfmd.errors import InputError, Stopped
-from pgfmd.io import atomic, hdf5_slabs, observables_file, provenance, restart
-from pgfmd.io.field_files import FieldFiles
-from pgfmd.io.observables_file import ObservablesFile
-from pgfmd.io.provenance import Origin
-from pgfmd.io.restart import EarlierResults
-from pgfmd.io.schema import (
+from pgfmd.application import atomic, hdf5_slabs, observables_file, provenance, restart
+from pgfmd.application.field_files import FieldFiles
+from pgfmd.application.files import (
     CHECKPOINT_FILE,
     ENSEMBLE_FILE,
     FIELDS_FILE,
@@ -40,10 +36,14 @@ from pgfmd.io.schema import (
     TABLE,
     VTK_FILE,
     Form,
-    Groups,
     load_name,
-)  # fmt: skip
-from pgfmd.io.small_hdf5 import Change
+)
+from pgfmd.application.observables_file import ObservablesFile
+from pgfmd.application.provenance import Origin
+from pgfmd.application.restart import EarlierResults
+from pgfmd.application.small_hdf5 import Change
+from pgfmd.errors import InputError, Stopped
+from pgfmd.observables.schema import Groups
 from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import MPI, library
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from time import sleep
 
+from pgfmd.application.checksum import sealed, unsealed
 from pgfmd.errors import InputError
-from pgfmd.io.checksum import sealed, unsealed
 
 LOCK_NAME = ".pgfmd.lock"
 PAUSE = 0.05  # seconds before a lock is asked for again: `holder` has it for a moment

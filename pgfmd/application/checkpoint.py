@@ -17,8 +17,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgfmd.io import atomic, checksum, hdf5_slabs
-from pgfmd.io.schema import CHECKPOINT_FILE
+from pgfmd.application import atomic, checksum, hdf5_slabs
+from pgfmd.application.files import CHECKPOINT_FILE
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
 

@@ -18,14 +18,15 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
+from pgfmd.application import columns
+from pgfmd.application.atomic import holder
+from pgfmd.application.dimensions import name_axes
+from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
+from pgfmd.application.results import Results, Runs
+from pgfmd.application.small_hdf5 import revise
+from pgfmd.application.text_table import text_table
 from pgfmd.errors import InputError
-from pgfmd.io import columns
-from pgfmd.io.atomic import holder
-from pgfmd.io.dimensions import name_axes
-from pgfmd.io.results import Results, Runs
-from pgfmd.io.schema import ENSEMBLE_FILE, OBSERVABLES_FILE, TABLE, is_error, load_name, member_name
-from pgfmd.io.small_hdf5 import revise
-from pgfmd.io.text_table import text_table
+from pgfmd.observables.schema import TABLE, is_error
 
 if TYPE_CHECKING:
     import pandas

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 import h5py
 import numpy as np
 
-from pgfmd.io.schema import LOADS, MISSING
+from pgfmd.application.files import MISSING
+from pgfmd.observables.schema import LOADS
 
 
 def put(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:

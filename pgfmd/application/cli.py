@@ -132,7 +132,7 @@ def _folder(text: str) -> str:
 
 
 def _new(options: argparse.Namespace) -> str:
-    from pgfmd.job.job import SECTIONS
+    from pgfmd.application.job import SECTIONS
     from pgfmd.options.reference import example, reference
 
     tables = SECTIONS.values()
@@ -140,10 +140,10 @@ def _new(options: argparse.Namespace) -> str:
 
 
 def _check(options: argparse.Namespace) -> str:
-    from pgfmd.job.job import load
-    from pgfmd.operation import estimate
-    from pgfmd.operation.memory import largest_memory, readable
-    from pgfmd.operation.reachability import doubts
+    from pgfmd.application import estimate
+    from pgfmd.application.job import load
+    from pgfmd.application.memory import largest_memory, readable
+    from pgfmd.application.reachability import doubts
 
     job = load(options.job, options.set)
     nx, surfaces = job.grid.n[0], max(1, len(job.surface.seeds))
@@ -159,8 +159,8 @@ def _check(options: argparse.Namespace) -> str:
 
 
 def _info(options: argparse.Namespace) -> str:
-    from pgfmd.io import ensemble, info
-    from pgfmd.io.results import Results, Runs
+    from pgfmd.application import ensemble, info
+    from pgfmd.application.results import Results, Runs
 
     several = ensemble.is_ensemble(options.directory)
     runs = [Results(folder) for folder in ensemble.folders(options.directory)]
@@ -177,7 +177,7 @@ def _info(options: argparse.Namespace) -> str:
 
 
 def _certify(options: argparse.Namespace) -> str:
-    from pgfmd.operation.certification import as_json, certify_file, job_on, line
+    from pgfmd.application.certification import as_json, certify_file, job_on, line
 
     job, mean = job_on(options.heights, options.set), options.mean_pressure
     if mean is not None and not 0 < mean < float("inf"):
@@ -188,7 +188,7 @@ def _certify(options: argparse.Namespace) -> str:
 
 def _plot(words: list[str]) -> str:
     """Draw a figure; what to print.  The figures are in pgfmd_tools/ or, in a checkout, tools/ next to the package."""
-    here = Path(__file__).resolve().parents[1]
+    here = Path(__file__).resolve().parents[2]
     folders = [here / name for name in ("pgfmd_tools", "tools") if (here / name / "figures.py").is_file()]
     if not folders:
         raise InputError("plot: the figures are not installed; they are the folder tools/ of a checkout of pgfmd")
@@ -207,9 +207,9 @@ def _run(options: argparse.Namespace) -> int:
     end_comm = comm.Dup()  # made now: a rank that has failed may never join a collective call on `comm`
     _log_on_root(comm.rank)
     try:
-        from pgfmd.job.job import load
+        from pgfmd.application.job import load
+        from pgfmd.application.simulate import run_job
         from pgfmd.parallel.collectives import from_root
-        from pgfmd.simulate import run_job
 
         gc.enable()
         job = from_root(comm, load, options.job, options.set)
@@ -254,7 +254,7 @@ def _complain(error: BaseException) -> int:
 
 def _log_on_root(rank: int) -> None:
     """Log messages and library warnings of rank 0 to stderr, with the time; the other ranks log nothing."""
-    from pgfmd.operation.progress import STEP, updates
+    from pgfmd.application.progress import STEP, updates
 
     warnings.showwarning = lambda message, kind, *_: log.warning("%s: %s", kind.__name__, message)
     log = logging.getLogger("pgfmd")

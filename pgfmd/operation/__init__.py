@@ -1,1 +1,0 @@
-"""What surrounds a run: ensembles, stop signals, progress, the machine, and what it will cost."""
