@@ -28,6 +28,7 @@ starts_mpirun = pytest.mark.skipif(CANNOT_LAUNCH, reason="needs mpirun, and not 
 
 
 def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="also run tests marked `breadth`")
     parser.addoption("--long", action="store_true", help="also run the thorough versions of tests, which take hours")
     parser.addoption("--patience", type=float, default=60.0, help="seconds that a failed rank waits for the others")
 
@@ -43,10 +44,13 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    if not config.getoption("--long"):
-        for item in items:
-            if "long" in item.keywords:
-                item.add_marker(pytest.mark.skip(reason="runs with --long"))
+    """Leave out what only `--all` or `--long` runs."""
+    left_out = [mark for mark, option in (("breadth", "--all"), ("long", "--long")) if not config.getoption(option)]
+    chosen, others = [], []
+    for item in items:
+        (others if any(map(item.get_closest_marker, left_out)) else chosen).append(item)
+    config.hook.pytest_deselected(items=others)
+    items[:] = chosen
 
 
 @pytest.fixture(scope="session")
