@@ -53,6 +53,12 @@ def pytest_collection_modifyitems(config, items):
     items[:] = chosen
 
 
+def broad(values, default: int = 1) -> list:
+    """Values to parametrise with: the first `default` of them run by default, the others with `--all`."""
+    values = [value if isinstance(value, tuple) else (value,) for value in values]
+    return [pytest.param(*value, marks=pytest.mark.breadth if i >= default else ()) for i, value in enumerate(values)]
+
+
 @pytest.fixture(scope="session")
 def comm():
     """All ranks of this run; apart from the communicator on which the tests' outcomes are exchanged."""

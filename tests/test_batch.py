@@ -55,6 +55,7 @@ def test_slurm_job_is_requeued(tmp_path):
     assert Results(folder).status == "stopped" and Results(folder).job["surface"]["seed"] == 5
 
 
+@pytest.mark.breadth
 def test_pbs_job_is_submitted_again(tmp_path):
     """The time limit of the run ends it with 75; it is submitted again with the same job, folder and seed."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
@@ -83,6 +84,7 @@ def test_a_stop_file_ends_it(tmp_path, name):
     assert not (tmp_path / "asked").exists() and (folder / "STOP").exists()
 
 
+@pytest.mark.breadth
 @pytest.mark.parametrize("name", ["slurm.sh", "pbs.sh"])
 def test_no_progress_no_queue(tmp_path, name):
     """A time limit that is over before the first step is done is said, with 1, and does not go round for ever."""

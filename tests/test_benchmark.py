@@ -179,6 +179,7 @@ def test_a_small_benchmark_from_end_to_end(tmp_path):
     assert not list(tmp_path.glob("*.npy"))
 
 
+@pytest.mark.breadth
 def test_cores_are_compared_in_turns(tmp_path):
     """Each of the four ways once per round, two relaxations each; a second call adds its rounds; gains are ratios to
     one thread, of two copies twice that.

@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from conftest import broad
 from job_texts import SOLID
 
 from pgfmd.application import cli
@@ -107,7 +108,7 @@ def test_run_without_mpirun(tmp_path, job):
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
-    [
+    broad([
         (["run", "none.toml", "--output", "OUT"], "none.toml: cannot be read"),
         (["run", "JOB", "--output", "OUT", "--set", "grid.m=3"], "--set: grid.m is not known"),
         (["run", "JOB", "--output", "OUT", "--set", "load.pressure=-1"], "load.pressure = -1: must be"),
@@ -116,7 +117,7 @@ def test_run_without_mpirun(tmp_path, job):
         (["run", "JOB"], "--output"),
         (["run", "JOB", "--output", ""], "--output: must name a folder"),
         (["run", "JOB", "--output", "OUT", "--overwrite", "--restart"], "not allowed with"),
-    ],
+    ]),
     ids=range(8),
 )
 def test_wrong_input_on_two_ranks(mpirun, tmp_path, job, arguments, words):
@@ -134,7 +135,7 @@ def test_wrong_input_on_two_ranks(mpirun, tmp_path, job, arguments, words):
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=range(len(FAULTS)))
+@pytest.mark.parametrize("fault", broad(FAULTS, 2), ids=range(len(FAULTS)))
 def test_faults_inside_a_run_end_all_ranks(mpirun, tmp_path, job, fault):
     """Whatever fails, on all ranks or on one while the others wait, all end soon, with the reason and its code."""
     code, words = FAULTS[fault]

@@ -61,6 +61,7 @@ def do(language: str, text: str, folder) -> None:
     assert done.returncode == 0, done.stderr[-3000:]
 
 
+@pytest.mark.breadth
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.split("\n")[0])
 def test_a_task_works_in_ten_lines(task, folder):
     """Its blocks have at most ten lines together, and do what they say, after the tasks before it."""
@@ -71,6 +72,7 @@ def test_a_task_works_in_ten_lines(task, folder):
         do(language, text, folder)
 
 
+@pytest.mark.breadth
 def test_the_tutorial_is_typed_as_it_stands(tmp_path):
     """Every command works, in its order; every file that is shown is there, and none is copied into the page."""
     folder = equipped(tmp_path)

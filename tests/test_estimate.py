@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import sys
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, broad
 from job_texts import rough_job
 
 from pgfmd.application import estimate, job
@@ -58,8 +59,7 @@ LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads t
 
 
 @LINUX
-@pytest.mark.parametrize("ranks", [1, 2, 4])
-@pytest.mark.parametrize("n", [1024, 2048])
+@pytest.mark.parametrize(("n", "ranks"), broad(itertools.product((1024, 2048), (1, 2, 4))))
 def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
     """The peak of a rank's memory, all libraries included, is within 15 % of what `check` says."""
     text = text_of(n, 0.0032, {})
@@ -94,6 +94,7 @@ def test_coarse_grids_of_a_node(ranks, of):
         shape = -(-shape[0] // 2), -(-shape[1] // 2)
 
 
+@pytest.mark.breadth
 @LINUX
 @pytest.mark.parametrize(
     ("wall", "pressure", "solver"),
@@ -112,6 +113,7 @@ def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
+@pytest.mark.breadth
 @LINUX
 @pytest.mark.parametrize("area", [0.05, 0.5])
 def test_memory_of_searches(mpirun, tmp_path, area):

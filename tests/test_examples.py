@@ -25,6 +25,7 @@ def test_there_are_two():
     assert len(EXAMPLES) >= 2 and all(len(cells(path)) > 3 for path in EXAMPLES)
 
 
+@pytest.mark.breadth
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_runs_as_a_script(path, tmp_path):
     """From another folder, without a warning from this package, and it leaves no files."""
@@ -36,6 +37,7 @@ def test_an_example_runs_as_a_script(path, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.breadth
 def test_an_example_runs_as_a_notebook(monkeypatch):
     """In a kernel every cell runs, and `solve` shows a bar of its progress unasked."""
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")

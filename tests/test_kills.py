@@ -124,6 +124,7 @@ def changed(tmp_path, n: int, kills: int):
     return seen
 
 
+@pytest.mark.breadth
 def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
     """Killed twice at random moments, restarted on other rank counts, then with seeds added: what was complete is kept
     as it is (its seconds are those of the first time), and all seeds and their means are those of an undisturbed run.
@@ -167,6 +168,7 @@ def test_a_killed_ensemble_goes_on_with_more_seeds(tmp_path):
     assert not list(folder.glob("**/.*tmp")) and not list(folder.glob("**/checkpoint.h5"))
 
 
+@pytest.mark.breadth
 def test_killed_replacements(tmp_path):
     """Three kills, one for each kind of change."""
     changed(tmp_path, 64, 3)

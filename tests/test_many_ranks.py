@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 import launching
 import numpy as np
 import pytest
-from conftest import ROOT, starts_mpirun
+from conftest import ROOT, broad, starts_mpirun
 
 pytestmark = starts_mpirun
 
@@ -37,7 +37,7 @@ def case(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("ranks", [5, 8, pytest.param(16, marks=pytest.mark.long)])
+@pytest.mark.parametrize("ranks", [*broad([5, 8]), pytest.param(16, marks=pytest.mark.long)])
 def test_many_ranks(case, tmp_path, ranks):
     """On 5, 8 and 16 ranks of unequal slabs the pressure is that of one rank."""
     run = launching.start(ranks, "run", case / "job.toml", "--output", tmp_path / "out")
@@ -46,6 +46,7 @@ def test_many_ranks(case, tmp_path, ranks):
     assert launching.distance(tmp_path / "out", case / "one")[1] < SAME
 
 
+@pytest.mark.breadth
 @pytest.mark.parametrize("ranks", [3, *(pytest.param(count, marks=pytest.mark.long) for count in (8, 16))])
 def test_over_tcp(case, tmp_path, ranks):
     """The same with every message over TCP and strips that cross in an all-to-all."""
@@ -82,7 +83,7 @@ if rows is not None:
 LONG = [pytest.param(n, ranks, marks=pytest.mark.long) for n in (256, 128) for ranks in (4, 16, 64, 128)]
 
 
-@pytest.mark.parametrize(("n", "ranks"), [(128, 12), *LONG])
+@pytest.mark.parametrize(("n", "ranks"), [pytest.param(128, 12, marks=pytest.mark.breadth), *LONG])
 def test_thin_slabs_take_no_more_work(tmp_path, n, ranks):
     """Down to one row per rank, the pressure is that of one rank to 1e-10; iterations and transforms are within 5 %."""
     (tmp_path / "solve.py").write_text(MANY)
@@ -128,6 +129,7 @@ def two_hosts(folder):
         yield names, addresses, agent
 
 
+@pytest.mark.breadth
 def test_two_hosts(case, tmp_path):
     """Two network namespaces stand for two hosts with two ranks each: they see two nodes, and agree with one rank."""
     with two_hosts(tmp_path) as (names, addresses, agent):

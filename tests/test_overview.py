@@ -229,6 +229,7 @@ def number(text: str) -> float:
 
 
 @pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.breadth
 def test_the_browser_shows_the_numbers_of_the_files(runs, tmp_path, monkeypatch, small_tiles, window, beside):
     """At ten points, zoomed to points of 24 pixels: values to a step of 1/254 of the field's range, contact where there
     is contact, whether the tiles are in the page or beside it; nothing on the console.
@@ -255,6 +256,7 @@ def test_the_browser_shows_the_numbers_of_the_files(runs, tmp_path, monkeypatch,
     assert not window.complaints
 
 
+@pytest.mark.breadth
 def test_the_browser_zooms_moves_and_changes_loads(runs, tmp_path, monkeypatch, small_tiles, window):
     """The wheel zooms about the pointer, dragging moves, the table chooses the load, all panels together."""
     monkeypatch.setattr(overview_page, "BUDGET", 60e3)
@@ -290,6 +292,7 @@ def test_the_browser_zooms_moves_and_changes_loads(runs, tmp_path, monkeypatch, 
     assert not window.complaints
 
 
+@pytest.mark.breadth
 def test_pixels_have_the_colours_of_their_values(runs, tmp_path, window):
     """In the picture of the pressure: that of the map at p/top for points in contact, light grey elsewhere, one step of
     256 and of the tile's 254 allowed.
@@ -328,6 +331,7 @@ def test_the_most_loaded_point_bears_most_in_its_tile(runs, tmp_path, small_tile
     assert (8 * a // 64, 8 * b // 64) == (i // 64, j // 64)
 
 
+@pytest.mark.breadth
 def test_a_page_without_its_folder_says_so(runs, tmp_path, monkeypatch, small_tiles, window):
     """It still opens, shows the coarse levels and the most loaded part point by point, and tells what is missing."""
     monkeypatch.setattr(overview_page, "BUDGET", 60e3)
@@ -346,6 +350,7 @@ def test_a_page_without_its_folder_says_so(runs, tmp_path, monkeypatch, small_ti
 
 
 @pytest.mark.parametrize("name", ["nothing", "pressures", "soft"])
+@pytest.mark.breadth
 def test_every_kind_of_run_opens(runs, tmp_path, window, name):
     """With fewer fields or none, no error; the table is there."""
     path, _ = page_of(runs[name], tmp_path)

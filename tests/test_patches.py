@@ -169,6 +169,7 @@ def test_random_masks(comm, request):
     assert not wrong
 
 
+@pytest.mark.breadth
 def test_five_ranks(comm):
     """The same on five ranks, whose tree of seams is uneven: a group of four joins a single one."""
     if comm.size > 1:

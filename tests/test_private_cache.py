@@ -96,6 +96,7 @@ def test_own_group_may_write(tmp_path):
     assert is_private(tmp_path) == (tmp_path.stat().st_gid == os.geteuid())
 
 
+@pytest.mark.breadth
 def test_a_user_without_home_can_solve(tmp_path):
     """A container's user: no home, a checkout of root's; numba said "no locator available"."""
     if os.geteuid() != 0 or shutil.which("setpriv") is None:
@@ -110,6 +111,7 @@ def test_a_user_without_home_can_solve(tmp_path):
     assert done.stdout.split()[1] == "/tmp/pgfmd-54321"
 
 
+@pytest.mark.breadth
 def test_nowhere_to_keep_anything():
     """Where no folder can be had nothing is kept, and the answer is the same."""
     code = "import pgfmd.parallel.private_cache as cache\ncache.is_private = lambda _: False\n" + SOLVE
@@ -130,6 +132,7 @@ print(*counts, a[0, 0].real)
 """
 
 
+@pytest.mark.breadth
 @pytest.mark.parametrize("how", ["full", "read-only"])
 def test_a_cache_that_cannot_be_written_is_named(tmp_path, how):
     """Its disk has no space, or may not be written: the log names the folder, once, and the answer is the same."""
@@ -357,6 +360,7 @@ print(loop.total(1.0))
 """
 
 
+@pytest.mark.breadth
 @pytest.mark.parametrize("edited", ["loop", "helper", "constant"])
 def test_code_of_an_older_source_is_not_run(tmp_path, edited):
     """Whether a loop has changed, or in another file a loop that it calls or a constant that it uses."""

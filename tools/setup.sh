@@ -275,6 +275,7 @@ if MPI.COMM_WORLD.rank == 0:  # one alone, or the words of two would be mixed
 
 # ---- the order of things --------------------------------------------------------------------------------------------
 
+[ ! -L "$venv" ] || fail "$venv is a link: run the set-up of the checkout that it belongs to"
 exec 9<"$root" && { flock 9 2>/dev/null || true; } # a second set-up at the same time waits here
 mode=wheels extras=()
 [ ! -d "$stamps" ] || [ -e "$stamps/wheels" ] || mode=parallel
