@@ -24,6 +24,10 @@ ROOT = Path(__file__).resolve().parent.parent
 WORLD = world()  # this process alone where there is no MPI
 SIZE = WORLD.size
 CANNOT_LAUNCH = SIZE > 1 or shutil.which("mpirun") is None
+if SIZE == 1:  # MPI, once initialised, adds variables to the environment of children, which confuse another mpirun
+    inherited = subprocess.run(["env", "-0"], capture_output=True, text=True, check=True).stdout.split("\0")
+    for variable in {line.partition("=")[0] for line in inherited if line} - os.environ.keys():
+        os.unsetenv(variable)
 starts_mpirun = pytest.mark.skipif(CANNOT_LAUNCH, reason="needs mpirun, and not to be under it")
 
 

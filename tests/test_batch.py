@@ -11,7 +11,7 @@ import time
 
 import launching
 import pytest
-from conftest import ROOT, starts_mpirun
+from conftest import ROOT, broad, starts_mpirun
 
 from pgfmd.application.results import Results
 
@@ -55,20 +55,26 @@ def test_slurm_job_is_requeued(tmp_path):
     assert Results(folder).status == "stopped" and Results(folder).job["surface"]["seed"] == 5
 
 
-@pytest.mark.breadth
+def ends_with(tmp_path, code: int) -> dict[str, str]:
+    """Variables that replace the run by a program that notes its arguments and ends with that code."""
+    program = tmp_path / "python"
+    program.write_text(f'#!/bin/sh\necho "$@" >"{tmp_path}/called"\nexit {code}\n')
+    program.chmod(0o755)
+    return {"PYTHON": str(program), "LAUNCH": "env"}
+
+
 def test_pbs_job_is_submitted_again(tmp_path):
-    """The time limit of the run ends it with 75; it is submitted again with the same job, folder and seed."""
-    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
-    folder = tmp_path / "out"
-    script = batch(tmp_path, "pbs.sh", JOB=str(job), DIR=str(folder), PBS_ARRAY_INDEX="3", LIMIT="60")
-    code, stderr = launching.wait(script, 300)
+    """A run that ends with 75 at its time limit is submitted again with the same job, folder, limit and seed."""
+    variables = {"JOB": "job.toml", "DIR": f"{tmp_path}/out", "PBS_ARRAY_INDEX": "3", "LIMIT": "60"}
+    code, stderr = launching.wait(batch(tmp_path, "pbs.sh", **variables, **ends_with(tmp_path, 75)), 60)
     assert code == 75, stderr
-    asked = (tmp_path / "asked").read_text()
-    assert asked == f"qsub -v JOB={job},DIR={folder},LIMIT=60,SEED=3 {ROOT}/jobs/pbs.sh\n"
-    assert Results(folder / "seed-3").status == "stopped"
+    called = f"run job.toml --output {tmp_path}/out/seed-3 --restart --set run.time_limit=60 --set surface.seed=3\n"
+    assert (tmp_path / "called").read_text() == "-m mpi4py -m pgfmd " + called
+    asked = f"qsub -v JOB=job.toml,DIR={tmp_path}/out,LIMIT=60,SEED=3 {ROOT}/jobs/pbs.sh\n"
+    assert (tmp_path / "asked").read_text() == asked
 
 
-@pytest.mark.parametrize("name", ["slurm.sh", "pbs.sh"])
+@pytest.mark.parametrize("name", broad(["slurm.sh", "pbs.sh"], 0))
 def test_a_stop_file_ends_it(tmp_path, name):
     """STOP is the user's word: the run ends with 75, is not queued again, and the file stays."""
     job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
@@ -84,15 +90,11 @@ def test_a_stop_file_ends_it(tmp_path, name):
     assert not (tmp_path / "asked").exists() and (folder / "STOP").exists()
 
 
-@pytest.mark.breadth
 @pytest.mark.parametrize("name", ["slurm.sh", "pbs.sh"])
 def test_no_progress_no_queue(tmp_path, name):
-    """A time limit that is over before the first step is done is said, with 1, and does not go round for ever."""
-    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS)
-    folder = tmp_path / "out"
-    words = (job, folder, "--set", "run.time_limit=2") if name == "slurm.sh" else ()
-    code, stderr = launching.wait(batch(tmp_path, name, *words, JOB=str(job), DIR=str(folder), LIMIT="2"), 240)
-    assert code == 1 and "pgfmd: error: the time limit of the job is too short" in stderr
+    """A run that ends with 1, as one whose time limit allows no progress does, does not go round for ever."""
+    script = batch(tmp_path, name, "job.toml", tmp_path / "out", JOB="job.toml", DIR="out", **ends_with(tmp_path, 1))
+    assert launching.wait(script, 60)[0] == 1
     assert not (tmp_path / "asked").exists()
 
 

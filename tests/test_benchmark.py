@@ -5,29 +5,42 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
+from benchmarks import recorder as recording  # noqa: E402
 from benchmarks import report, total_error, worker  # noqa: E402
 from benchmarks.case import Case  # noqa: E402
 from benchmarks.cores import PLAN as CORES  # noqa: E402
 from benchmarks.recorder import EnoughError, Recorder  # noqa: E402
 
 
-def test_the_clock_stands_still_while_errors_are_measured():
-    """A note of a large field costs its run nothing: two in a row are 1 ms of processor time apart at most."""
-    reference = np.ones((2048, 2048))
-    recorder = Recorder(reference)
+@pytest.fixture
+def now(monkeypatch) -> list[float]:
+    """The time of a clock that is set by hand, in place of those of `Recorder`."""
+    now = [1000.0]
+    clock = SimpleNamespace(perf_counter=lambda: now[0], process_time=lambda: now[0])
+    monkeypatch.setattr(recording, "time", clock)
+    return now
+
+
+def test_the_clock_stands_still_while_errors_are_measured(now):
+    """A note costs its run nothing, though its certificate takes 5 s."""
+
+    def certify(_):
+        now[0] += 5
+        return 0.0, 0.0
+
+    recorder = Recorder(np.ones((4, 4)), certify=certify)
     recorder.start()
-    for _ in range(2):
-        recorder.note(reference, 0)
-    first, second = recorder.points
-    assert second["cpu"] - first["cpu"] < 1e-3
+    for error in (1e-4, 1e-7):
+        recorder.note(np.full((4, 4), 1 + error), 0)
+    assert [point["cpu"] for point in recorder.points] == [point["seconds"] for point in recorder.points] == [0, 0]
 
 
 def test_errors_are_relative_two_norms_and_relative_areas():
@@ -90,14 +103,14 @@ def test_the_certified_error_of_a_peer_bounds_the_true_one():
         assert 0.5 * bound < true <= bound <= 1e-4
 
 
-def test_what_follows_the_last_note_is_charged_to_every_point():
+def test_what_follows_the_last_note_is_charged_to_every_point(now):
     """A run that ends 50 ms after its last note is 50 ms longer, wherever it would have stopped."""
     recorder = Recorder(np.ones((2, 2)))
     recorder.start()
     recorder.note(np.ones((2, 2)), 1)
-    time.sleep(0.05)
+    now[0] += 0.05
     recorder.add_tail()
-    assert recorder.points[0]["seconds"] >= 0.05
+    assert recorder.points[0]["seconds"] == pytest.approx(0.05)
 
 
 def test_a_run_ends_once_it_is_accurate_enough():
@@ -160,6 +173,7 @@ def test_names_of_cases_differ():
     assert len({Case(*values).name for values in numbers}) == len(numbers)
 
 
+@pytest.mark.breadth
 def test_a_small_benchmark_from_end_to_end(tmp_path):
     """Ours and plain Polonsky–Keer reach the reference to 1e-6; a second call measures nothing again."""
     if os.environ.get("OMPI_COMM_WORLD_SIZE") or shutil.which("mpirun") is None:

@@ -7,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE
+from conftest import ROOT, SIZE, broad
 
 pytest.importorskip("mpi4py")
 if np.finfo(np.longdouble).eps > 1e-18:
@@ -36,11 +36,14 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
 
 
 @pytest.mark.mpi
-def test_random_jobs(comm, shared_tmp_path):
+@pytest.mark.uneven
+@pytest.mark.parametrize("count", broad([40, 300]))
+def test_random_jobs(comm, shared_tmp_path, count):
     """Each is right, to its certified error, or refused in one line.  A third are right at least: 62 per cent
     of 11,600 were, and fewer than a third of 40 then has a probability of 1e-4.
     """
-    count = 300 if SIZE == 1 else 40
+    if SIZE > 1 and count > 40:
+        pytest.skip("takes too long")
     bad, verdicts = bad_ones(comm, shared_tmp_path, range(count))
     assert not bad, f"{verdicts}\n" + "\n".join(bad[:3])
     assert verdicts[cases.RIGHT] > count / 3

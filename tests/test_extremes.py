@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import broad
 
 pytest.importorskip("mpi4py")
 
@@ -25,8 +26,11 @@ def extremes():
     return module
 
 
-def test_every_extreme_ends_right_or_in_a_clear_error(extremes, capsys):
-    """No NaN, warning, hang, or wrong answer in any case."""
+@pytest.mark.parametrize("step", broad([8, 1]))
+def test_every_extreme_ends_right_or_in_a_clear_error(extremes, capsys, monkeypatch, step):
+    """No NaN, warning, hang, or wrong answer in any case, by default in every eighth."""
+    chosen = list(extremes.cases())[::step]
+    monkeypatch.setattr(extremes, "cases", lambda: chosen)
     code = extremes.main([])
     table = capsys.readouterr().out
     assert code == 0, [line for line in table.splitlines() if "WRONG" in line]

@@ -2,6 +2,7 @@
 
 import os
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from pgfmd.grid import aligned, holders, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import Interpolation, interpolate, restrict, restrict_locally
-from pgfmd.parallel import mpi
+from pgfmd.parallel import collectives, mpi
 from pgfmd.parallel.collectives import await_all, raise_together, shared, slab_starts
 from pgfmd.parallel.layout import Layout
 
@@ -216,21 +217,29 @@ def test_a_slow_rank_gets_its_rows(comm):
     assert all(np.allclose(*pair, rtol=0, atol=1e-12) for pair in zip(found, expected, strict=True))
 
 
-def test_waiting_for_those_who_work_takes_no_processor(comm):
-    """Nobody leaves `await_all` before the last has come; until then it takes less than a third of a core, mostly the
-    twentieth of a second for which a rank stays awake.
-    """
-    came = np.zeros(1)
-    comm.Barrier()
+def test_nobody_goes_on_before_the_last_has_come(comm, shared_tmp_path):
+    """What rank 0 did before `await_all`, the others find after it."""
     if comm.rank == 0:
-        time.sleep(1.0)
-        came[0] = time.monotonic()
-    before = time.process_time()
+        (shared_tmp_path / "here").touch()
     await_all(comm)
-    took, left = time.process_time() - before, time.monotonic()
-    comm.Bcast(came)
-    assert left >= came[0] or comm.size == 1
-    assert took < 1 / 3
+    assert (shared_tmp_path / "here").exists()
+
+
+def test_waiting_for_those_who_work_takes_no_processor(monkeypatch):
+    """While the others work for a second a rank polls for less than a third of it.  Each poll takes 10 µs."""
+    now, asleep = [0.0], [0.0]
+
+    def sleep(seconds):
+        now[0] += seconds
+        asleep[0] += seconds
+
+    def arrived():
+        now[0] += 1e-5
+        return now[0] > 1
+
+    monkeypatch.setattr(collectives, "time", SimpleNamespace(monotonic=lambda: now[0], sleep=sleep))
+    await_all(SimpleNamespace(Ibarrier=lambda: SimpleNamespace(Test=arrived)))
+    assert asleep[0] > 2 / 3
 
 
 @pytest.mark.parametrize("shared", [True, False])

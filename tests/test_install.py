@@ -80,7 +80,8 @@ def test_pip_is_enough(wheel, tmp_path, comm):
     empty.mkdir()
     assert call(sys.executable, "-m", "venv", environment, folder=empty).returncode == 0
     python, programs = environment / "bin" / "python", environment / "bin"
-    install = (python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "--only-binary", ":all:")
+    options = ("-q", "--disable-pip-version-check", "--no-compile", "--only-binary", ":all:")
+    install = (python, "-m", "pip", "install", *options)
     done = call(*install, f"pgfmd[mpi] @ {wheel.as_uri()}", folder=empty)
     if any(sign in done.stderr for sign in NO_NETWORK):
         pytest.skip("pip does not reach a package index")

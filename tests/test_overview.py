@@ -186,6 +186,7 @@ def test_what_was_not_kept_is_said(runs, tmp_path):
     assert not any(view["blank"] for view in data["fields"])
 
 
+@pytest.mark.breadth
 def test_large_fields_lie_beside_the_page(runs, tmp_path, monkeypatch, small_tiles):
     """Beyond the budget: coarse levels and the most loaded part inside, all others in the folder, none twice; with
     --no-tiles no folder; a second page leaves no tile of the first.

@@ -324,6 +324,7 @@ def test_resolution_takes_grids_not_loads(runs):
         figures.draw("resolution", [runs["seed1"], runs["seed2"]])
 
 
+@pytest.mark.breadth
 def test_every_figure_is_saved_without_mpi4py(runs, tmp_path):
     """Where mpi4py cannot be imported, each figure writes PNG, PDF, a CSV with curves, and its numbers."""
     soft, grids = ("soft1", "soft2"), ("grid16", "grid32", "grid48")

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 import h5py
 import numpy as np
 import pytest
+from conftest import broad
 from mpi4py import MPI
 
 from pgfmd.application import atomic
@@ -112,7 +113,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda handle: None)
 
 
-@pytest.mark.parametrize(("fields", "repeated"), [(True, 1), (False, 1), (True, 2)])
+@pytest.mark.parametrize(("fields", "repeated"), broad([(True, 1), (False, 1), (True, 2)]))
 def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
     """A run with --overwrite killed at each change of the folder in turn: old before one instant, new after it.  The
     run is repeated, killed or not, and ends with the new results and nothing else, in either folder of fields.
