@@ -1,0 +1,183 @@
+"""The response of a contact to a small further load while its contact set stays: stiffness, bounded from both sides.
+
+With G the compliance without the mean mode and C the points with 0 < p < σ_Y, the change of the pressure per change of
+its mean is the x that minimises ⟨x, Gx⟩/N among those with x = 0 outside C and mean 1.  Its minimum is 1/K, with
+K = −dp̄/dḡ (ḡ: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
+
+    S − ⟨ρ, Kρ⟩/N ≤ 1/K ≤ S,        ρ = Gx − S on C,
+
+whatever ρ is outside C, since x* − x is 0 there and has mean 0.  ρ is continued as in `active_set`, without its cuts.
+
+Under the exponential wall G + D takes the place of G, D = ζ/p, and C is the whole plane.  Then
+
+    S − ⟨ρ₁, Kρ₁⟩/N − ⟨ρ₂, D⁻¹ρ₂⟩/N ≤ 1/K ≤ S,        ρ₁ + ρ₂ = (G + D)x − S.
+
+With the compliance α of a few pixels in place of G, ρ₁ = αρ/(α + D) gives the least bound point by point.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid.callbacks import sink, source
+from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.active_set.active_set import HUGE, Precision, Relaxation, State
+from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.particle_mesh import inner_response
+from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
+from pgfmd.solvers.law_operations import PIXELS, local_compliance
+from pgfmd.solvers.second_order import energy_of_residual
+
+CUT = 0.03  # factor on the residual in one round of conjugate gradients
+MOST_ROUNDS = 12
+MOST_ITERATIONS = 3000  # under an exponential wall
+CROWDED = 0.8  # share of points in contact from which the uniform x is a better start than the mesh's
+SINGLE_FROM = 1e-4  # width of the bounds from which transforms in single precision suffice
+
+
+@dataclass(frozen=True)
+class Increment:
+    """x (nx_local, ny), the change of the pressure per change of its mean, 0 outside the contact; bounds of K =
+    −dp̄/dḡ, pressure per length; transform pairs.
+    """
+
+    pressure: np.ndarray
+    lower: float
+    upper: float
+    transforms: float
+
+
+class FixedContact(Relaxation):
+    """The linear problem on the contact set of a pressure (nx_local, ny).  Collective to make."""
+
+    def __init__(self, problem: ContactProblem, pressure: np.ndarray, width: float) -> None:
+        """width: that the bounds of K may have, relative."""
+        grid, solid, highest = problem.grid, problem.solid, problem.law.highest
+        self.unit = float(solid.compliance(np.array(2 * math.pi / max(grid.lengths))))  # of displacements per x
+        solid = solid.in_units(self.unit, 1.0)
+        super().__init__(dataclasses.replace(problem, solid=solid))
+        self.width = width
+        self.real: Precision = np.float32 if width >= SINGLE_FROM else np.float64
+        # 1: in C, 2: at the largest pressure
+        self.place = (pressure > 0).astype(np.int8) + (pressure >= highest).view(np.int8)
+        self.highest = 2.0
+        gap = np.array([0, 0, 0], np.float32)[self.place]
+        self.points = Unknowns(grid, (self.place, gap), 0.0, self.highest)
+        gap[self.place == 0], gap[self.place == 2] = HUGE, -HUGE  # no limit there on the continued ρ
+        self.state = State(self.place, gap)
+        self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
+        self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
+
+    def solve(self) -> Increment:
+        """The x whose bounds are as near as asked.  Collective."""
+        grid, points, reduction = self.grid, self.points, self.grid.reduction
+        before, count = grid.transforms, int(reduction.sum(self.points.count))
+        if count in (0, grid.size):  # no contact, or nothing but the mean mode
+            return Increment(np.full(grid.local_shape, count / grid.size), *2 * [math.inf if count else 0.0], 0.0)
+        operators, x = (self.inner.apply, self.preconditioner.apply), np.ones(points.count)
+        if count < CROWDED * grid.size:
+            one = SetVector(points)
+            one.own[:] = 1
+            x[:] = ConjugateGradients(one, *operators, neutral=False).solve(CUT)[0]
+        best = (0.0, math.inf)
+        for _ in range(MOST_ROUNDS):
+            x *= grid.size / reduction.sum(x)
+            lower, upper = self._bounds(x)
+            stuck = upper - lower > (best[1] - best[0]) / 2
+            best = max(best[0], lower), min(best[1], upper)
+            if best[1] - best[0] <= self.width * best[1] or stuck:
+                break
+            x += ConjugateGradients(points.below(0.0, self.state.gap), *operators).solve(CUT)[0]
+        field = grid.new_field()
+        field[...] = 0
+        field[self.place == 1] = x
+        return Increment(field, 1 / (best[1] * self.unit), 1 / (best[0] * self.unit), grid.transforms - before)
+
+    def _bounds(self, x: np.ndarray) -> tuple[float, float]:
+        """Bounds of 1/K from x (count,) of mean 1, in this object's units; sets the residual.  Collective."""
+        grid, place, offsets, response = self.grid, self.place, self.points.lists[1], np.empty_like(x)
+
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
+            rows[...] = 0
+            rows[place[first:stop] == 1] = x[offsets[first] : offsets[stop]]
+
+        def drain(first: int, stop: int, rows: np.ndarray) -> None:
+            response[offsets[first] : offsets[stop]] = rows[place[first:stop] == 1]
+
+        grid.convolve(fill, self.compliance[self.real], drain, self.real)
+        work, *squares = grid.reduction.sums(*(np.vdot(*pair) for pair in ((x, response), (x, x), (response, response))))
+        value, state = float(work) / grid.size, self.state
+        state.gap[place == 1] = response - value
+        state.energy, self.squares = float(work) / 2, np.array(squares)
+        # The computed response has an error e: |⟨x, e⟩| ≤ ‖x‖_G ‖e‖_K.
+        slack = value * math.sqrt(2 * self.rounding_bound(state, self.real) / float(work))
+        return value * (1 - 2 * self.bound(state, self.real)) - slack, value + slack
+
+
+def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> Increment:
+    """The same under an exponential wall, by conjugate gradients for (ζ + √p G √p) y = √p, x ∝ √p y, whose residual is
+    √p ρ, in double precision.  Collective.
+    """
+    grid, reduction, law = problem.grid, problem.grid.reduction, problem.law
+    assert isinstance(law, ExponentialWall)
+    before, zeta, size = grid.transforms, law.zeta, grid.size
+    solid = problem.solid.in_units(1.0, problem.mean_pressure)
+    respond, stiffness = (
+        apply(grid, real, 1 / size)
+        for apply, real in ((solid.apply_compliance, np.float64), (solid.apply_stiffness, np.float32))
+    )
+    alpha = local_compliance(dataclasses.replace(problem, solid=solid), PIXELS)
+    root = np.sqrt(pressure / problem.mean_pressure)
+    residual, direction, y, product = root.copy(), root.copy(), np.zeros_like(root), np.empty_like(root)
+
+    def bounds() -> tuple[float, float]:
+        value = size * reduction.dot(y, root - residual) / reduction.dot(root, y) ** 2
+        share = alpha * root**2 + zeta  # ρ₁ = α √p r/share, and ρ₂²/D = ζ (r/share)²
+        square, _ = energy_of_residual(grid, source(alpha * root * residual / share), stiffness)
+        rest = reduction.dot(residual / share, residual / share)
+        return value - value**2 * (2 * square + zeta * rest) / size, value
+
+    square = goal = reduction.dot(residual, residual)
+    for _ in range(MOST_ITERATIONS):
+        grid.convolve(source(root * direction), respond, sink(product))
+        product *= root
+        product += zeta * direction
+        step = square / reduction.dot(direction, product)
+        y += step * direction
+        residual -= step * product
+        last, square = square, reduction.dot(residual, residual)
+        direction *= square / last
+        direction += residual
+        if square <= goal:
+            lower, upper = bounds()
+            if upper - lower <= width * upper:
+                break
+            goal = square * max(CUT**2, width * upper / (upper - lower) / 2)
+    y *= root
+    y *= size / reduction.sum(y)
+    unit = problem.mean_pressure
+    return Increment(y, unit / upper, unit / lower if lower > 0 else math.inf, grid.transforms - before)
+
+
+def increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> Increment:
+    """The response of a solved contact of that pressure (nx_local, ny) to a small further load.  Collective.
+
+    width: that the bounds of K may have, relative.  Raises InputError for a law other than a hard wall, one of limited
+    hardness, or an exponential one.
+    """
+    if isinstance(problem.law, ExponentialWall):
+        return wall_increment(problem, pressure, width)
+    if "active-set" not in problem.law.methods:
+        raise InputError(f"stiffness: walls of kind {problem.law.kind} have none; kinds: hard, hardness, exponential")
+    contact = FixedContact(problem, pressure, width)
+    try:
+        return contact.solve()
+    finally:
+        contact.free()
