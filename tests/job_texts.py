@@ -7,7 +7,9 @@ from typing import Any
 from pgfmd.application.job import tables_as_toml
 
 SOLID = "[solid]\ncontact_modulus = 1\n"
-EVERY_OBSERVABLE = "histogram spectra acf gap_spectrum patches bearing lowpass discretisation".split()
+EVERY_OBSERVABLE = (
+    "histogram spectra acf gap_spectrum patches bearing lowpass discretisation stiffness"
+).split()
 
 
 def rough_job(n: int | list[int], surface: dict[str, Any] | None = None, **sections: dict[str, Any]) -> str:

@@ -20,7 +20,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import FIELDS
 from pgfmd.observables.table import OBSERVABLES
 from pgfmd.options.rules import assignment, choice, many, number, text
-from pgfmd.options.section import Kinds, Section, build, key
+from pgfmd.options.section import Kinds, Section, build, key, wrong
 from pgfmd.options.section import as_toml as section_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show
 from pgfmd.physics.laws.hard import HardWall
@@ -79,6 +79,12 @@ class Written(Section):
     precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
     length_unit: str = key(text(), "length", "label; heights from a file that has a unit are converted to it")
     pressure_unit: str = key(text(), "pressure", "label")
+
+    def check(self) -> None:
+        makers = {field: name for name, kind in OBSERVABLES.items() for field in kind.fields}
+        for field in self.fields:
+            if field in makers and makers[field] not in self.observables:
+                raise wrong(self, "fields", f'{field} is a field of the observable "{makers[field]}": list that, too')
 
     @property
     def asked(self) -> list[Observable]:

@@ -105,7 +105,7 @@ def simulate(
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
-        observer = Observer(problem, job.output.asked, cutoff)
+        observer = Observer(problem, job.output.asked, cutoff, fields=job.output.fields)
         control = LoadControl(job.load, problem, job.solver.tolerance)
         impossible = _impossible(control, job.load.targets, alone)
         checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job), job.run.io_hints)

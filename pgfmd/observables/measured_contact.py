@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -29,7 +29,8 @@ TYPICAL = 1.9  # see `MeasuredContact.pressure_error`: the median over 825 solut
 class MeasuredContact:
     """One load of a run, as observables see it.  Every property and method is collective on first use.
 
-    problem: what was solved;  asked: the observables that are measured, by name;  solve: solves further contacts
+    problem: what was solved;  asked: the observables that are measured, by name;  solve: solves further contacts;
+    wanted: fields that observables are to keep
     """
 
     problem: ContactProblem
@@ -37,6 +38,8 @@ class MeasuredContact:
     solution: ContactSolution
     asked: Mapping[str, Any]
     solve: Solve
+    wanted: Collection[str] = ()
+    _kept: dict[str, np.ndarray] = field(default_factory=dict, init=False)
     _labels: dict[int, Labels] = field(default_factory=dict, init=False)  # by connectivity
     _lines: dict[int, tuple[np.ndarray, np.ndarray] | None] = field(default_factory=dict, init=False)
 
@@ -162,6 +165,11 @@ class MeasuredContact:
         columns = {name: column for name, column in vars(table).items() if column is not None}
         return {"patch": np.arange(1, len(table.area) + 1), **columns}
 
+    def keep(self, name: str, values: np.ndarray) -> None:
+        """Keeps a field (nx_local, ny) that an observable has made, if it is to be written."""
+        if name in self.wanted:
+            self._kept[name] = values
+
     def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:
         """The fields (nx_local, ny) of this load, of those in `schema.FIELDS`, that `names` lists."""
         fields = {}
@@ -174,4 +182,6 @@ class MeasuredContact:
                 fields[name] = position - self.grid.reduction.sum(position) / self.grid.size
             elif name == "labels":
                 fields[name] = self.labels(connectivity).label_field()
+            elif name in self._kept:
+                fields[name] = self._kept[name]
         return fields

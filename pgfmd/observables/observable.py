@@ -21,6 +21,7 @@ from pgfmd.options.section import Section, key
 
 if TYPE_CHECKING:
     from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.physics.problem import ContactProblem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,10 +30,12 @@ class Observable(Section):
 
     name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.  The group
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
+    fields: of `schema.FIELDS`, that it can write.
     """
 
     name: ClassVar[str]
     layout: ClassVar[GroupLayout]
+    fields: ClassVar[tuple[str, ...]] = ()
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """What measuring one load costs, at most (what several observables need is computed once).
@@ -40,6 +43,9 @@ class Observable(Section):
         cutoff: wave number beyond which the surface has no modes; None: not known, every mode of the grid may count.
         """
         return Cost()
+
+    def check_contact(self, problem: ContactProblem) -> None:
+        """Raises InputError if it cannot be measured on contacts of this surface, solid and law.  Collective."""
 
     def measure(self, contact: MeasuredContact) -> Groups:
         """The results, complete on rank 0.  Collective."""

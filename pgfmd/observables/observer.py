@@ -38,8 +38,8 @@ class Observer:
 
     problem: its heights are kept, not copied; its load does not matter.  cutoff: wave number beyond which the surface
     has no modes; None: not known.  solve: solves the further contacts of "lowpass" and "discretisation";
-    None: the first method of the law.  seconds: time spent so far on each observable; work that several share is
-    counted for the first of them.
+    None: the first method of the law.  fields: that observables are to keep.  seconds: time spent so far on each
+    observable; work that several share is counted for the first of them.
     """
 
     def __init__(
@@ -48,11 +48,14 @@ class Observer:
         observables: Iterable[Observable] = (),
         cutoff: float | None = None,
         solve: Solve | None = None,
+        fields: Iterable[str] = (),
     ):
         grid = problem.grid
         asked = {observable.name: observable for observable in observables}
         self.asked = {name: asked[name] for name in (*OBSERVABLES, *asked) if name in asked}
-        self.problem, self.seconds = problem, dict[str, float]()
+        self.problem, self.seconds, self.fields = problem, dict[str, float](), frozenset(fields)
+        for observable in self.asked.values():
+            observable.check_contact(problem)
         spectra, acf = asked.get("spectra", Spectra()), asked.get("acf")
         assert isinstance(spectra, Spectra)
         cell = Cell(n=grid.shape, length=grid.lengths)
@@ -65,7 +68,8 @@ class Observer:
 
     def contact(self, solution: ContactSolution) -> MeasuredContact:
         """The solved contact of one load, for `row` and `groups` to measure."""
-        return MeasuredContact(self.problem.at(solution.mean_pressure), self.surface, solution, self.asked, self._solve)
+        problem = self.problem.at(solution.mean_pressure)
+        return MeasuredContact(problem, self.surface, solution, self.asked, self._solve, self.fields)
 
     def _solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
         """A further contact; None, and a warning in the log, if it cannot be solved: the load itself is.  Collective.

@@ -74,4 +74,5 @@ FIELDS = {
     "plastic_depth": Dataset("{length}", "depth by which the surface has yielded, under limited hardness"),
     "displacement": Dataset("{length}", "displacement of the solid's surface"),
     "labels": Dataset("1", "number of the contact patch, counted from 1; 0: no contact"),
+    "current_density": Dataset("1", "current through the contact over its mean, at fixed contact (stiffness)"),
 }

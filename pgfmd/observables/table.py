@@ -12,6 +12,7 @@ from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import Observable, layout_of
 from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Spectra
+from pgfmd.observables.stiffness import Stiffness
 
 OBSERVABLES: dict[str, type[Observable]] = {
     kind.name: kind
@@ -24,6 +25,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
         Bearing,
         Lowpass,
         Discretisation,
+        Stiffness,
     )
 }
 

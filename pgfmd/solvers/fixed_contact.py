@@ -80,7 +80,8 @@ class FixedContact(Relaxation):
         grid, points, reduction = self.grid, self.points, self.grid.reduction
         before, count = grid.transforms, int(reduction.sum(self.points.count))
         if count in (0, grid.size):  # no contact, or nothing but the mean mode
-            return Increment(np.full(grid.local_shape, count / grid.size), *2 * [math.inf if count else 0.0], 0.0)
+            stiffness = math.inf if count else 0.0
+            return Increment(np.full(grid.local_shape, count / grid.size), stiffness, stiffness, 0.0)
         operators, x = (self.inner.apply, self.preconditioner.apply), np.ones(points.count)
         if count < CROWDED * grid.size:
             one = SetVector(points)
@@ -112,7 +113,8 @@ class FixedContact(Relaxation):
             response[offsets[first] : offsets[stop]] = rows[place[first:stop] == 1]
 
         grid.convolve(fill, self.compliance[self.real], drain, self.real)
-        work, *squares = grid.reduction.sums(*(np.vdot(*pair) for pair in ((x, response), (x, x), (response, response))))
+        pairs = (x, response), (x, x), (response, response)
+        work, *squares = grid.reduction.sums(*(np.vdot(*pair) for pair in pairs))
         value, state = float(work) / grid.size, self.state
         state.gap[place == 1] = response - value
         state.energy, self.squares = float(work) / 2, np.array(squares)

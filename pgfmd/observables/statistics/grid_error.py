@@ -44,6 +44,8 @@ pixels and f_c from .01 to .8, to 1e-4 … 1e-8, against 1e-12).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 
@@ -55,6 +57,8 @@ from pgfmd.observables.statistics.contact_area import Area
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Solve
+
+T = TypeVar("T")
 
 MODES = 8  # long waves taken
 FACTORS = {
@@ -112,20 +116,13 @@ def grid_errors(
     """Estimated errors by the grid of the numbers of FACTORS; NaN of the perimeter without a line, of the mean gap
     without load, and of all without the second contact.  Collective.
     """
-    coarse = SubGrid.coarse(problem.grid)
     fine = long_waves(problem, solution, line)
-    heights = restrict(problem.grid, coarse, problem.heights)
-    options = Solver(method=problem.law.methods[0])
 
-    def measure(grid: SlabGrid) -> dict[str, np.ndarray] | None:
-        found = solve(problem.on(grid, heights.copy()), start=None, options=options)
-        if found is None:
-            return None
-        other = None if line is None else contact_line(grid, found.pressure, found.gap, line.solid)
-        return long_waves(problem.on(grid, heights), found, other)
+    def measure(coarse: ContactProblem, found: ContactSolution) -> dict[str, np.ndarray]:
+        other = None if line is None else contact_line(coarse.grid, found.pressure, found.gap, line.solid)
+        return long_waves(coarse, found, other)
 
-    waves = coarse.on_all(measure)
-    coarse.free()
+    waves = on_half_grid(problem, solve, measure)
     errors = {}
     for name, (systematic, random) in FACTORS.items():
         squares = np.abs(change_at_equal_load(fine, waves, name)) ** 2 if waves else np.full(1 + MODES, np.nan)
@@ -133,6 +130,25 @@ def grid_errors(
     if line is None:
         errors["perimeter"] = np.nan
     return errors
+
+
+def on_half_grid(
+    problem: ContactProblem, solve: Solve, measure: Callable[[ContactProblem, ContactSolution], T]
+) -> T | None:
+    """What `measure` finds on the contact of a grid with half as many points each way; None if that is not solved.
+    Collective.
+    """
+    coarse = SubGrid.coarse(problem.grid)
+    heights = restrict(problem.grid, coarse, problem.heights)
+    options = Solver(method=problem.law.methods[0])
+
+    def work(grid: SlabGrid) -> T | None:
+        found = solve(problem.on(grid, heights.copy()), start=None, options=options)
+        return None if found is None else measure(problem.on(grid, heights), found)
+
+    value = coarse.on_all(work)
+    coarse.free()
+    return value
 
 
 def change_at_equal_load(fine: dict[str, np.ndarray], coarse: dict[str, np.ndarray], name: str) -> np.ndarray:

@@ -1,0 +1,99 @@
+"""Stiffness of the interface at fixed contact, with bounds, and its electrical or thermal conductance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import TABLE, Dataset, Groups
+from pgfmd.options.rules import POSITIVE, flag, number, pair
+from pgfmd.options.section import key
+from pgfmd.physics.problem import ContactProblem
+
+if TYPE_CHECKING:
+    from pgfmd.observables.measured_contact import MeasuredContact
+
+UNIT, CONDUCTANCE = "{pressure}/({length})", "conductivity/({length})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stiffness(Observable):
+    """K = −dp̄/dḡ, pressure per change of the mean gap, while the contact stays as it is; bounded from both sides.
+
+    With conductivities σ₁ and σ₂ of the two bodies, the constriction of current in the contact has the conductance
+    2K/(E'(1/σ₁ + 1/σ₂)) per area (Barber 2003, doi:10.1098/rspa.2002.1038), in units of a conductivity per length.
+    """
+
+    name = "stiffness"
+    where = "output.stiffness"
+    fields = ("current_density",)
+    layout = {
+        TABLE: {
+            "stiffness": Dataset(UNIT, "K = −dp̄/d(mean gap) at fixed contact, the middle of its bounds"),
+            "stiffness_error": Dataset(UNIT, "half the width of its bounds; with half_grid the pixel's error as well"),
+            "stiffness_with_bulk": Dataset(UNIT, "dp̄/d(displacement): in series with the mean mode of a slab"),
+            "conductance": Dataset(CONDUCTANCE, "of the constriction, per area; NaN without conductivities"),
+            "conductance_error": Dataset(CONDUCTANCE, "as of the stiffness"),
+        },
+        "stiffness": {
+            "lower": Dataset(UNIT, "bound of K from below, on this grid"),
+            "upper": Dataset(UNIT, "bound of K from above"),
+            "transforms": Dataset("1", "work, in transform pairs in double precision"),
+        },
+    }
+
+    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative")
+    half_grid: bool = key(flag(), False, "also solve a grid with half the points each way, for the pixel's error")
+    conductivities: tuple[float, float] | None = key(
+        pair(POSITIVE), about="of the two bodies, for the conductance", unit="conductivity"
+    )
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """Some rounds of conjugate gradients on the particle–mesh; a mask, the residual, x, and the mesh."""
+        return Cost(transforms=3.0 + 5.0 * self.half_grid, memory=24.0)
+
+    def check_contact(self, problem: ContactProblem) -> None:
+        """Raises InputError for walls without a stiffness, and for a conductance of what is no half-space."""
+        if problem.law.kind not in ("hard", "hardness", "exponential"):
+            raise InputError(f"output.stiffness: of walls hard, hardness and exponential, not {problem.law.kind}")
+        if self.conductivities and not math.isinf(getattr(problem.solid, "thickness", 0.0)):
+            raise InputError("output.stiffness.conductivities: a conductance follows from the stiffness of half-spaces")
+
+    def measure(self, contact: MeasuredContact) -> Groups:
+        """Solves for the response at fixed contact.  Collective."""
+        from pgfmd.observables.statistics.grid_error import on_half_grid
+        from pgfmd.solvers.fixed_contact import increment
+
+        problem, grid = contact.problem, contact.grid
+        found = increment(problem, contact.solution.pressure, self.width)
+        contact.keep("current_density", found.pressure)
+        value, error = (found.lower + found.upper) / 2, (found.upper - found.lower) / 2
+        if math.isinf(value):
+            error = 0.0
+        if self.half_grid:
+            other = on_half_grid(
+                problem, contact.solve, lambda coarse, solution: increment(coarse, solution.pressure, self.width).lower
+            )
+            error += abs(value - (math.nan if other is None else other))
+        bulk, modulus = problem.solid.mean_stiffness(), problem.solid.contact_modulus
+        factor = 2 / (modulus * sum(1 / each for each in self.conductivities)) if self.conductivities else math.nan
+        columns = {
+            "stiffness": value,
+            "stiffness_error": error,
+            "stiffness_with_bulk": 1 / (1 / value + 1 / bulk) if bulk and value else value,
+            "conductance": factor * value,
+            "conductance_error": factor * error,
+        }
+        bounds = {"lower": found.lower, "upper": found.upper, "transforms": found.transforms}
+        grid.free()
+        return {
+            group: {name: np.array(number) for name, number in numbers.items()}
+            for group, numbers in ((TABLE, columns), ("stiffness", bounds))
+        }
