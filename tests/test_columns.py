@@ -87,3 +87,13 @@ def test_no_column_has_two_meanings():
     """Names of columns are those of one observable, or of the table that every run has."""
     names = [name for kind in OBSERVABLES.values() for name in kind.layout.get("loads", {})]
     assert len(set(names)) == len(names) and not set(names) & LOADS.keys()
+
+
+def test_gap_slope(comm):
+    """gap_slope: √Σ q²|g̃|² by NumPy's FFT of the whole gap, on a stretched cell; rounding of N terms."""
+    gap, lengths = np.random.default_rng(3).exponential(size=(15, 22)), (30.0, 7.0)
+    qx, qy = (2 * np.pi * np.fft.fftfreq(n, length / n) for n, length in zip(gap.shape, lengths, strict=True))
+    power = np.abs(np.fft.fft2(gap, norm="forward")) ** 2
+    exact = np.sqrt(np.sum((qx[:, None] ** 2 + qy**2) * power))
+    found = contact_of(comm, 1.0 * (gap == 0), gap, OBSERVABLES["gap_slope"](), lengths)
+    assert found["loads"]["gap_rms_slope"] == pytest.approx(exact, rel=1e-12, abs=0)

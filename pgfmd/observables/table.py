@@ -6,6 +6,7 @@ from pgfmd.observables.acf import Acf
 from pgfmd.observables.bearing import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
+from pgfmd.observables.gap_slope import GapSlope
 from pgfmd.observables.gap_spectrum import GapSpectrum
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
@@ -21,6 +22,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
         Spectra,
         Acf,
         GapSpectrum,
+        GapSlope,
         ContactPatches,
         Bearing,
         Lowpass,

@@ -1,0 +1,48 @@
+"""The rms slope of the gap."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import Dataset, Groups
+
+if TYPE_CHECKING:
+    from pgfmd.observables.measured_contact import MeasuredContact
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapSlope(Observable):
+    """√⟨|∇g|²⟩ = √Σ q²|g̃(q)|² over all modes of the gap, points in contact included."""
+
+    name = "gap_slope"
+    where = "output.gap_slope"
+    layout = {"loads": {"gap_rms_slope": Dataset("1", "rms slope of the gap over the cell, from its modes")}}
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """One forward transform."""
+        return Cost(transforms=0.5)
+
+    def measure(self, contact: MeasuredContact) -> Groups:
+        """One forward transform.  Collective."""
+        from pgfmd.grid.callbacks import source
+        from pgfmd.observables.statistics.correlations import squared
+
+        grid, parts = contact.grid, dict[int, tuple[float]]()
+        unit = min(grid.spacing)  # of lengths here, so that no square overflows
+        along, across = (unit * grid.qx[0]) ** 2, (unit * grid.qy[:, 0]) ** 2
+        weight = grid.hermitian_weight[:, 0]
+
+        def add(block: np.ndarray, first: int, stop: int) -> None:
+            power = squared(block)
+            parts[first] = (float(weight[first:stop] @ (power @ along + across[first:stop] * power.sum(axis=1))),)
+
+        grid.read_spectrum(source(contact.solution.gap), add)
+        (total,) = grid.reduction.sums_of_blocks(parts, 1)
+        return {"loads": {"gap_rms_slope": np.array(math.sqrt(total) / grid.size / unit)}}
