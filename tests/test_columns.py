@@ -97,3 +97,16 @@ def test_gap_slope(comm):
     exact = np.sqrt(np.sum((qx[:, None] ** 2 + qy**2) * power))
     found = contact_of(comm, 1.0 * (gap == 0), gap, OBSERVABLES["gap_slope"](), lengths)
     assert found["loads"]["gap_rms_slope"] == pytest.approx(exact, rel=1e-12, abs=0)
+
+
+def test_pressure_skewness(comm):
+    """pressure_skewness: of two pressures a < b with shares 1 − s and s it is (1 − 2s)/√(s(1 − s)), whatever a and b;
+    points out of contact do not count; equal pressures, or none, have none.
+    """
+    pressure = np.zeros((8, 10))
+    pressure[1:5, ::2], pressure[2, 4] = 1e-9, 3.0  # 20 points in contact, one of them at 3
+    kind, share = OBSERVABLES["pressure_skewness"](), 1 / 20
+    found = contact_of(comm, pressure, 1.0 * (pressure == 0), kind)["loads"]["pressure_skewness"]
+    assert found == pytest.approx((1 - 2 * share) / math.sqrt(share * (1 - share)), rel=1e-12, abs=0)
+    for even in (0.1 * (pressure > 0), np.zeros_like(pressure)):
+        assert np.isnan(contact_of(comm, even, 1.0 * (even == 0), kind)["loads"]["pressure_skewness"])

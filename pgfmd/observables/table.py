@@ -11,6 +11,7 @@ from pgfmd.observables.gap_spectrum import GapSpectrum
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Spectra
 from pgfmd.observables.stiffness import Stiffness
@@ -19,6 +20,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
     kind.name: kind
     for kind in (
         Histogram,
+        PressureSkewness,
         Spectra,
         Acf,
         GapSpectrum,
