@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import h5py
 import numpy as np
 import pytest
 from job_texts import rough_job
 from solids import elastic
 
+import pgfmd
 from pgfmd.application import job
 from pgfmd.application.files import Form
 from pgfmd.application.info import as_csv, summary
@@ -110,3 +112,49 @@ def test_pressure_skewness(comm):
     assert found == pytest.approx((1 - 2 * share) / math.sqrt(share * (1 - share)), rel=1e-12, abs=0)
     for even in (0.1 * (pressure > 0), np.zeros_like(pressure)):
         assert np.isnan(contact_of(comm, even, 1.0 * (even == 0), kind)["loads"]["pressure_skewness"])
+
+
+JOB = {
+    "grid": {"n": 24},
+    "surface": {"kind": "self-affine", "hurst": 0.8, "lambda_s": 6.0, "rms_slope": 0.1, "seed": 3},
+    "solid": {"contact_modulus": 1.0},
+    "load": {"pressure": [0.004]},
+    "output": {"fields": ["height", "pressure", "gap"], "observables": ["gap_slope", "pressure_skewness"]},
+}
+
+
+def skewness_of(load):
+    """Of the pressures that a run wrote."""
+    pressure = load.field("pressure")
+    inside = pressure[pressure > 0] - pressure[pressure > 0].mean()
+    return np.mean(inside**3) / np.mean(inside**2) ** 1.5
+
+
+def test_columns_of_a_run(comm, shared_tmp_path):
+    """Each load has its own numbers, those of a continued run too; `solve` of the same contact gives them."""
+    pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
+    longer = JOB | {"load": {"pressure": [0.004, 0.02]}}
+    results = pgfmd.run(longer, shared_tmp_path / "out", comm=comm, restart=True)
+    for load in results:
+        assert load.numbers["pressure_skewness"] == pytest.approx(skewness_of(load), rel=1e-9, abs=0)
+    light, heavy = results.loads["gap_rms_slope"]
+    assert 0.1 > light > heavy > 0  # the surface's slope without contact, 0 in full contact
+    heights = results.field("height")[SlabGrid(comm, (24, 24)).rows].copy()
+    contact = pgfmd.solve(heights, 0.02, comm=comm)
+    found = contact.observables("gap_slope", "pressure_skewness")["loads"]
+    assert found["gap_rms_slope"] == pytest.approx(heavy, rel=1e-3, abs=0)
+    assert found["pressure_skewness"] == pytest.approx(results.loads["pressure_skewness"][1], rel=1e-2, abs=0)
+
+
+def test_columns_of_an_ensemble(comm, shared_tmp_path):
+    """Mean and standard error over the seeds, with the number of seeds."""
+    job = JOB | {"surface": JOB["surface"] | {"seed": [3, 4, 5]}}
+    ensemble = pgfmd.run(job, shared_tmp_path / "out", comm=comm)
+    values = np.array([run.loads["gap_rms_slope"][0] for run in ensemble.runs])
+    mean = ensemble.mean()
+    assert mean["gap_rms_slope"][0] == pytest.approx(values.mean(), rel=1e-12, abs=0)
+    assert mean["gap_rms_slope_error"][0] == pytest.approx(values.std(ddof=1) / math.sqrt(3), rel=1e-9, abs=0)
+    assert mean["seeds"][0] == 3
+    with h5py.File(shared_tmp_path / "out" / "ensemble.h5") as file:
+        assert file["loads/gap_rms_slope"][0] == mean["gap_rms_slope"][0]
+        assert file["loads/gap_rms_slope"].attrs["units"] == "1"
