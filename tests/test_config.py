@@ -9,6 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -234,8 +235,9 @@ def test_relative_heights_path(tmp_path, monkeypatch):
     jobs, data = tmp_path / "jobs", tmp_path / "data"
     jobs.mkdir()
     data.mkdir()
-    (jobs / "h.npy").touch()
-    (data / "g.h5").touch()
+    np.save(jobs / "h.npy", np.eye(8))
+    with h5py.File(data / "g.h5", "w") as file:
+        file["a/b"] = np.eye(8)
     (jobs / "job.toml").write_text('[grid]\nn = 8\n[surface]\nkind = "file"\npath = "h.npy"\n' + TAIL)
     monkeypatch.chdir(data)
     assert config.load(jobs / "job.toml").surface.source == (str(jobs / "h.npy"), None)

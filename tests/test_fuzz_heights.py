@@ -124,7 +124,7 @@ def odd_npy(folder):
         "turned": (np.ones(SHAPE[::-1]), "holds 10 x 12 points"),
         "deep": (np.ones((*SHAPE, 1)), "shape (12, 10, 1)"),
         "empty": (np.ones((0, 10)), "shape (0, 10)"),
-        "nan": (np.full(SHAPE, np.nan), "[0, 0] is nan"),
+        "nan": (np.full(SHAPE, np.nan), "no point was measured"),
         "inf": (np.full(SHAPE, -np.inf, np.float16), "is -inf"),
     }
     for name, (array, words) in arrays.items():

@@ -24,8 +24,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.surfaces import measurement
 from pgfmd.surfaces.file import FromFile
-from pgfmd.surfaces.heights_file import digest
-from pgfmd.surfaces.missing import fill_missing
+from pgfmd.surfaces.heights_file import digest, fill_missing
 from pgfmd.surfaces.sinusoid import Sinusoid
 
 pytestmark = pytest.mark.mpi
@@ -199,8 +198,8 @@ def test_packed_dataset(comm, shared_tmp_path):
     path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, packed, **attributes))
     grid = SlabGrid(comm, (4, 6))
     with pytest.raises(InputError, match=r"\[1, 1\] is nan"):
-        read_heights(grid, path)
-    found = whole(grid, read_heights(grid, path, missing="interpolate"))
+        read_heights(grid, path, missing="refuse")
+    found = whole(grid, read_heights(grid, path))
     assert np.allclose(found, 0.5 * packed + 100, rtol=1e-11, atol=0)
 
 
@@ -224,9 +223,9 @@ def filled(heights, spacing):
 @pytest.mark.parametrize("suffix", ["npy", "h5", "txt", "xyz"])
 @pytest.mark.parametrize("seed", range(3))
 def test_missing_points(comm, shared_tmp_path, suffix, seed):
-    """Points that were not measured, up to half of them, edges included: refused by default; on request filled with
-    what a dense solver of Laplace's equation gives, to 1e-10, on any number of ranks, mirrored or turned, before the
-    plane is taken out.
+    """Points that were not measured, up to half of them, edges included, are filled with what a dense solver of
+    Laplace's equation gives, to 1e-10, on any number of ranks, mirrored or turned, before the plane is taken out; by
+    default if they are at most a third, on request always or never.
     """
     chance = np.random.default_rng(seed)
     heights = chance.normal(size=SHAPE)
@@ -239,7 +238,12 @@ def test_missing_points(comm, shared_tmp_path, suffix, seed):
     expected = filled(heights, spacing)
     grid = SlabGrid(comm, SHAPE, lengths)
     with pytest.raises(InputError, match=r"is nan; .* missing = \"interpolate\""):
-        read_heights(grid, path)
+        read_heights(grid, path, missing="refuse")
+    if gone.sum() > gone.size / 3:
+        with pytest.raises(InputError, match=rf"{gone.sum()} of 264 points .*too many.* missing = \"interpolate\""):
+            read_heights(grid, path)
+    else:
+        assert np.allclose(whole(grid, read_heights(grid, path)), expected, rtol=0, atol=1e-10)
     found = whole(grid, read_heights(grid, path, missing="interpolate"))
     assert np.allclose(found, expected, rtol=0, atol=1e-10)
     assert np.array_equal(found[~gone], heights[~gone])
@@ -287,7 +291,7 @@ def test_log_says_what_was_understood(comm, shared_tmp_path, tilted, caplog):
     said = "\n".join(record.getMessage() for record in caplog.records)
     assert all(re.search(each, said) for each in words) == (comm.rank == 0)
     warnings = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-    assert all("do not match" in line for line in warnings)  # it is tilted
+    assert all("opposite edges" in line for line in warnings)  # it is tilted
     for scale in (1e4, 1e-9):
         caplog.clear()
         read_heights(grid, path, height_scale=scale)
@@ -301,7 +305,7 @@ BAD = {
     "cube.h5": np.ones((2, *SHAPE)),
     "unit.h5": np.ones(SHAPE),
     "small.xyz": np.ones((3, 5)),
-    "hole.txt": np.diag([1, 2, 3, np.nan]),
+    "holes.txt": np.diag([1, 2, 3, 4]) + np.where(np.arange(4) % 2, np.nan, 0),
     "good.npy": np.ones(SHAPE),
 }
 
@@ -332,7 +336,8 @@ def test_check_opens_the_file(tmp_path):
     heights[3, 4] = np.nan
     code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.application.cli import main; sys.exit(main())"
     (tmp_path / "job.toml").write_text(SOLID + head)
-    for shape, words in ((SHAPE, "11 x 24 points, first axis x, unit not said; 1 missing"), ((24, 11), "24 x 11")):
+    said = "11 x 24 points, first axis x, unit not said; 1 of 264 points"
+    for shape, words in ((SHAPE, said), ((24, 11), "24 x 11")):
         made(tmp_path / "a.npy", heights.reshape(shape))
         command = [sys.executable, "-c", code, "check", str(tmp_path / "job.toml")]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -448,7 +453,7 @@ def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, leng
     [
         (SDF.read_bytes()[:5000], "cannot be read by SurfaceTopography"),
         (b"neither heights nor anything else\n", "cannot be read by SurfaceTopography"),
-        (SDF.read_bytes()[:81] + b"\0\0\xc0\x7f" + SDF.read_bytes()[85:], r"is nan; .* fills what was not measured"),
+        (SDF.read_bytes()[:81] + 6000 * b"\0\0\xc0\x7f" + SDF.read_bytes()[24081:], "6000 of 12288 points .* too many"),
         ("\n".join(f"{x} {x % 3}" for x in range(20)).encode(), "line scan"),
     ],
 )

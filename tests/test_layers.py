@@ -117,7 +117,7 @@ def test_library_needs_no_hdf5():
 sys.modules.update(h5py=None, tomllib=None)
 import numpy as np
 import pgfmd
-import pgfmd.surfaces.table, pgfmd.observables.table
+import pgfmd.surfaces.surface_kinds, pgfmd.observables.table
 from pgfmd.surfaces.heights_file import read_heights
 wave = np.cos(2 * np.pi * np.arange(32) / 32)
 contact = pgfmd.solve(wave[:, None] * wave, 0.01)

@@ -9,9 +9,9 @@ import pytest
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.surfaces import tiff
+from pgfmd.surfaces import readers
 from pgfmd.surfaces.file import FromFile
-from pgfmd.surfaces.text import read as read_text
+from pgfmd.surfaces.plain_text import read as read_text
 
 pytestmark = pytest.mark.mpi
 
@@ -84,12 +84,12 @@ def test_tables_of_a_spreadsheet(comm, shared_tmp_path, heights, table):
 
 
 def test_points_with_a_header(comm, shared_tmp_path, heights):
-    """Columns x, y, height under their names are points of a lattice; a missing one is filled on request."""
+    """Columns x, y, height under their names are points of a lattice; a missing one is filled."""
     lines = [f"{i},{j},{float(heights[i, j])!r}" for i, j in np.ndindex(SHAPE) if (i, j) != (5, 5)]
     path = saved(comm, shared_tmp_path / "a.csv", lambda path: path.write_text("\n".join(["x,y,z", *lines])))
     with pytest.raises(InputError, match="missing"):
-        read(comm, path)
-    found = read(comm, path, missing="interpolate")
+        read(comm, path, missing="refuse")
+    found = read(comm, path)
     gap = np.zeros(SHAPE, bool)
     gap[5, 5] = True
     np.testing.assert_array_equal(found[~gap], heights[~gap])
@@ -121,7 +121,7 @@ def test_images_that_are_no_heights(comm, shared_tmp_path):
         with pytest.raises(InputError, match=f"{path.name}: .*{message}"):
             read(comm, path, (4, 4))
     with pytest.raises(InputError, match="TIFF"):
-        tiff.read(str(shared_tmp_path / "missing.tif"))
+        readers._tiff(str(shared_tmp_path / "missing.tif"))
 
 
 @pytest.mark.parametrize(
@@ -136,8 +136,8 @@ def test_images_that_are_no_heights(comm, shared_tmp_path):
     ],
 )
 def test_edges_that_do_not_match(comm, shared_tmp_path, caplog, monkeypatch, surface, options, edges):
-    """Taken as it is, a surface whose opposite edges differ by much more than neighbours is warned of, once for each
-    pair; one that is periodic, of noise alone, levelled or mirrored is not."""
+    """Taken as it is, a surface whose opposite edges differ by much more than neighbours is warned of, once, with both
+    pairs; one that is periodic, of noise alone, levelled or mirrored is not."""
     n = 32
     x, y = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
     rng = np.random.default_rng(3)
@@ -151,6 +151,7 @@ def test_edges_that_do_not_match(comm, shared_tmp_path, caplog, monkeypatch, sur
     monkeypatch.setattr(logging.getLogger("pgfmd"), "propagate", True)
     side = 2 * n if options.get("periodic") == "mirror" else n
     read(comm, path, (side, side), **options)
-    said = [record.getMessage() for record in caplog.records if "do not match" in record.getMessage()]
-    assert len(said) == (len(edges) if comm.rank == 0 else 0)
-    assert all(f"edges across {name} do not match" in line for name, line in zip(edges, said, strict=False))
+    said = [record.getMessage() for record in caplog.records if "opposite edges differ" in record.getMessage()]
+    assert len(said) == (bool(edges) if comm.rank == 0 else 0)
+    assert all((f"across {name} by" in line) == (name in edges) for name in "xy" for line in said)
+    assert all('periodic = "mirror"' in line for line in said)

@@ -7,7 +7,7 @@ import pytest
 from conftest import SIZE
 
 from pgfmd.errors import InputError
-from pgfmd.surfaces import text
+from pgfmd.surfaces import plain_text as text
 
 pytestmark = pytest.mark.skipif(SIZE > 1, reason="serial")
 

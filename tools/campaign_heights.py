@@ -53,8 +53,8 @@ def draw(seed: int, number: int, folder: Path) -> File:
         made.expected = made.expected.T
         made.lengths = made.lengths and made.lengths[::-1]
     if made.expected is not None:
-        if np.isnan(made.expected).any() and chance.random() < 0.5:
-            made.keys["missing"] = "interpolate"
+        if np.isnan(made.expected).any() and chance.random() < 0.7:
+            made.keys["missing"] = str(chance.choice(["interpolate", "refuse"]))
         if chance.random() < 0.2:
             made.keys["height_scale"] = float(chance.choice([-1.0, 2.0, 1e-3]))
     return made
@@ -173,6 +173,12 @@ def _other(chance, heights, folder) -> File:
 MAKERS = {"npy": _npy, "hdf5": _hdf5, "matrix": _matrix, "points": _points, "masked": _masked, "other": _other}
 
 
+def too_many_holes(file: File) -> bool:
+    """Whether the reader must refuse the missing points."""
+    missing, asked = np.isnan(file.expected).mean(), file.keys.get("missing", "few")
+    return bool(missing > {"few": 1 / 3, "refuse": 0, "interpolate": 1}[asked])
+
+
 def judge(file: File) -> tuple[str, str]:
     """("right" | "refused" | "wrong" | "traceback", what the reader says or what is wrong)."""
     shape = (4, 4) if file.expected is None else file.expected.shape
@@ -185,8 +191,7 @@ def judge(file: File) -> tuple[str, str]:
         message = str(error)
         if not (message.isprintable() and len(message) < 1200):
             return "wrong", f"message {message!r}"
-        missing = file.expected is not None and np.isnan(file.expected).any() and "missing" not in file.keys
-        right = file.expected is None or file.may_refuse or missing
+        right = file.expected is None or file.may_refuse or too_many_holes(file)
         return ("refused" if right else "wrong"), message
     except Exception:
         return "traceback", traceback.format_exc()
@@ -196,7 +201,7 @@ def judge(file: File) -> tuple[str, str]:
         return ("right" if file.may_refuse else "wrong"), "heights of a file that holds none"
     expected = file.expected * file.keys.get("height_scale", 1.0)
     known = ~np.isnan(expected)
-    if not known.all() and "missing" not in file.keys:
+    if too_many_holes(file):
         return "wrong", "missing points were accepted"
     apart = np.abs(found - expected)[known].max(initial=0)
     size = np.abs(expected[known]).max(initial=0)

@@ -18,7 +18,6 @@ from pgfmd.observables.contact import Certified, certified
 from pgfmd.options.text import printable
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.surfaces.array_files import opened
 from pgfmd.surfaces.file import FromFile
 from pgfmd.surfaces.heights_file import Source, read_heights
 
@@ -31,12 +30,9 @@ def job_on(surface: str, overrides: Sequence[str] = ()) -> Job:
         return load(surface, list(overrides))
     if os.path.isdir(surface):
         return parse(Results(surface).provenance["effective_toml"], surface, list(overrides))
-    source = FromFile(path=os.path.abspath(surface)).source
-    with opened(*source) as found:
-        grid = {"n": list(found.shape)} | ({"length": list(found.lengths)} if found.lengths else {})
-    heights = {"kind": "file", "path": source[0]} | ({"dataset": source[1]} if source[1] else {})
-    tables = {"grid": grid, "surface": heights, "load": {"pressure": 1.0}}
-    return parse(tables_as_toml(tables), surface, list(overrides))
+    heights = {"kind": "file", "path": os.path.abspath(surface)}
+    tables = {"surface": heights, "load": {"pressure": 1.0}}
+    return parse(tables_as_toml(tables), surface, list(overrides), folder=os.getcwd())
 
 
 def certify_file(job: Job, path: str, mean_pressure: float | None = None) -> Certified:

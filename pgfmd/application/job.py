@@ -31,7 +31,7 @@ from pgfmd.physics.solids.kinds import SOLIDS
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.options import CONTROLS, Load, Solver
 from pgfmd.surfaces.surface import Surface
-from pgfmd.surfaces.table import SURFACES
+from pgfmd.surfaces.surface_kinds import SURFACES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,9 @@ class Written(Section):
         example=("histogram", "spectra"),
     )
     precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
-    length_unit: str = key(text(), "length", "label; heights from a file that has a unit are converted to it")
+    length_unit: str = key(
+        text(), "length", "label; heights from a file that has a unit are converted to it; left out: that of the file"
+    )
     pressure_unit: str = key(text(), "pressure", "label")
 
     def check(self) -> None:
@@ -157,17 +159,17 @@ def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -
         raise InputError(f"{printable(name, 400)}: not a text in UTF-8 (byte {error.start})") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{printable(name, 400)}: cannot be read: {getattr(error, 'strerror', '') or error}") from None
-    job = parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
-    for section, (path, _) in job.sources.items():
-        if not os.path.isfile(path):
-            raise InputError(f"{printable(name, 400)}: {section}.path: no such file: {printable(path, 400)}")
-    return job
+    return parse(source, name, overrides, folder=os.path.dirname(os.path.abspath(name)))
 
 
 def parse(
     source: str, name: str = "job", overrides: list[str] | tuple[str, ...] = (), folder: str | None = None
 ) -> Job:
-    """The job in a TOML text; `name`: of the file, for messages.  Relative paths count from `folder` if it is given."""
+    """The job in a TOML text; `name`: of the file, for messages.
+
+    If `folder` is given, relative paths count from it, files must exist, and points, size and unit that the job leaves
+    out are those of its file of heights.  The job of results says all of them: no file is opened for it.
+    """
     try:
         document = tomllib.loads(source)
     except RecursionError:
@@ -183,6 +185,8 @@ def parse(
         _make_way(document, {dotted: value for dotted, (value, _) in changes.items()})
         for dotted, (value, entry) in changes.items():
             _override(document, dotted, value, entry)
+        if folder is not None:
+            _complete(document)
         sections: dict[str, Any] = {}
         for section, table in document.items():
             if section not in SECTIONS:
@@ -198,8 +202,9 @@ def parse(
         raise InputError(f"{at_fault}: {error}") from None
 
 
+NO_UNIT = "length"  # the length_unit of jobs that do not say one
 NEEDED = {
-    "grid": "n, the points per side",
+    "grid": "n, the points per side (those of a file of heights if it is left out)",
     "surface": "kind, the sort of heights",
     "load": f"one of {', '.join(CONTROLS)}",
 }
@@ -253,6 +258,34 @@ def _anchor(document: dict, folder: str) -> None:
     for table in document.values():
         if isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
             table["path"] = os.path.join(folder, table["path"])
+
+
+def _complete(document: dict) -> None:
+    """Put points, size and unit of the file of heights into the document where it does not say them.  Raises InputError
+    if a file is missing, or that of heights cannot be read.
+    """
+    for section, table in document.items():
+        if section in SECTIONS and isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
+            path, _ = build(SECTIONS[section], table).source or (table["path"], None)
+            if not os.path.isfile(path):
+                raise InputError(f"{section}.path: no such file: {printable(path, 400)}")
+    table = document.get("surface")
+    grid, output = document.get("grid", {}), document.get("output", {})
+    if not (isinstance(table, dict) and isinstance(grid, dict) and isinstance(output, dict)):
+        return  # `build` says so
+    sized, unit = {"length", "spacing"} & grid.keys(), output.get("length_unit", NO_UNIT)
+    if "path" not in table or sized and "n" in grid and unit != NO_UNIT:
+        return
+    surface: Any = build(SURFACES, table)
+    extent = surface.extent(unit if isinstance(unit, str) and unit != NO_UNIT else None)
+    if extent is None:
+        return
+    document.update(grid=grid, output=output)
+    grid.setdefault("n", list(extent.n))
+    if extent.lengths and not sized:
+        grid["length"] = list(extent.lengths)
+    if extent.unit and unit == NO_UNIT:
+        output["length_unit"] = extent.unit
 
 
 def as_toml(job: Job) -> str:

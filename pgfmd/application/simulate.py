@@ -39,7 +39,7 @@ from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.heights_file import digest
-from pgfmd.surfaces.refined import refined_heights
+from pgfmd.surfaces.surface import refined_heights
 
 log = logging.getLogger("pgfmd")
 HELD_BACK = 5.0  # seconds for which a run of an ensemble may hold back finished loads, to write them together

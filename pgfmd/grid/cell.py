@@ -20,10 +20,13 @@ class Cell(Section):
     """The periodic cell and its grid of points."""
 
     where = "grid"
-    n: tuple[int, int] = key(pair(integer(1)), about="points [nx, ny]; one number: both", needed=True, example=512)
+    n: tuple[int, int] = key(
+        pair(integer(1)), about="points [nx, ny]; one number: both; left out: those of the file of heights",
+        needed=True, example=512,
+    )  # fmt: skip
     length: tuple[float, float] | None = key(pair(POSITIVE), about="of the cell, [lx, ly]; or spacing", unit="length")
     spacing: tuple[float, float] | None = key(
-        pair(POSITIVE), about="of the grid, [ax, ay]; 1 if neither is given", unit="length"
+        pair(POSITIVE), about="of the grid, [ax, ay]; neither given: as in the file of heights, else 1", unit="length"
     )
     refine: int = key(
         integer(1),

@@ -15,9 +15,9 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import choice, number, text
 from pgfmd.options.section import key, path_key, wrong
 from pgfmd.options.text import printable
-from pgfmd.surfaces.measurement import named
-from pgfmd.surfaces.mirror import folded
-from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.measurement import UNITS, named, usual_name
+from pgfmd.surfaces.readers import opened
+from pgfmd.surfaces.surface import Extent, Surface
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
@@ -26,8 +26,14 @@ log = logging.getLogger("pgfmd")
 
 ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
 CLIFF = 5.0  # jump between opposite edges over the rms step between neighbours above which the user is warned
+WAYS_OUT = (
+    'the cell is periodic, so a cliff is pressed there; close it by detrend, or periodic = "mirror" or "taper", under '
+    "[surface]"
+)
 SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 CHECKED = 2**21  # heights that are read at once to be checked
+FEW = 1 / 3  # of the points: so many at most are filled unasked
+DOUBTFUL = 0.01  # of the points: if more were filled, a warning says so
 MARGIN = 0.1  # part of a side that a taper changes at each edge
 
 
@@ -42,15 +48,21 @@ class FromFile(Surface):
 
     kind = "file"
     path: str = path_key(
-        ".npy, HDF5 (file.h5:dataset), text, .csv, .tif, or what SurfaceTopography reads; relative to the job's folder",
+        ".npy, HDF5 (file.h5:dataset), text, .csv, .tif, or what SurfaceTopography reads (file:channel), also as .gz "
+        "or .zip (file.zip:name); relative to the job's folder",
         "heights.npy",
     )
-    dataset: str | None = key(text(), None, "of an HDF5 file; the same as the part of the path after the colon")
+    dataset: str | None = key(
+        text(), None, "of an HDF5 file, or channel, or name in a .zip; the same as the part of the path after the colon"
+    )
     first_axis: str = key(
         choice("x", "y"), "x", 'axis of an array\'s first index, or of a text\'s lines; "x": [i, j] is at x = i a'
     )
     missing: str = key(
-        choice("refuse", "interpolate"), "refuse", "points that were not measured: NaN, masked, or left out of a list"
+        choice("few", "refuse", "interpolate"),
+        "few",
+        "points that were not measured (NaN, masked, left out of a list) are filled by Laplace's equation, "
+        '"few": as long as they are at most a third, "interpolate": always',
     )
     detrend: str = key(
         choice("none", "mean", "plane", "quadratic"), "none", "subtract the mean, plane or paraboloid that fits best"
@@ -80,34 +92,44 @@ class FromFile(Surface):
             allowed = f"doubles the file, the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
             raise wrong(self, "periodic", allowed)
 
+    def extent(self, length_unit: str | None = None) -> Extent:
+        with opened(*self.source) as found:
+            found = found.turned() if self.first_axis == "y" else found
+            unit = usual_name(found.unit)
+            found = found.converted(length_unit) if unit in UNITS else found
+            nx, ny = (self._copies * count for count in found.shape)
+            sides = found.lengths and (self._copies * found.lengths[0], self._copies * found.lengths[1])
+            return Extent((nx, ny), sides, unit if unit in UNITS else None)
+
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         """Read, filled, scaled, levelled and made periodic, as the keys say.  Collective.
 
         Logs a description of the file, and a warning if the slope is too small or too large for a rough surface.
         """
         from pgfmd.parallel.collectives import raise_together  # needs MPI
-        from pgfmd.surfaces.heights_file import read_heights
-        from pgfmd.surfaces.missing import count_missing, fill_missing
+        from pgfmd.surfaces.heights_file import fill_missing, read_heights
 
         self.check_in(Cell(n=grid.shape, length=grid.lengths))
         heights, said = read_heights(grid, self.source, self.first_axis == "y", self._copies, length_unit)
         with raise_together(grid.comm), named(self.source[0]):
             self._check_measured(heights, grid.rows.start)
-        missing = count_missing(grid, heights)
-        if missing:
-            with named(self.source[0]):
+        holes, size = int(grid.reduction.sum(np.isnan(heights))) // self._copies**2, grid.size // self._copies**2
+        with named(self.source[0]):
+            filled = self._filled(holes, size)
+            if holes:
                 fill_missing(grid, heights)
         with raise_together(grid.comm), named(self.source[0]), np.errstate(over="ignore"):
             heights *= self.height_scale
             self._check_measured(heights, grid.rows.start)
         if grid.comm.rank == 0:
-            filled = f"; {missing} missing points interpolated" * (missing > 0)
-            log.info("surface: %s: %s%s", printable(self.path, 400), said, filled)
-        _log_range(grid, heights, length_unit)
+            log.info("surface: %s: %s", printable(self.path, 400), said)
+            if holes:
+                log.log(logging.WARNING if holes > DOUBTFUL * size else logging.INFO, "surface: %s", filled)
+        log_range(grid, heights, length_unit)
         if self.detrend != "none":
-            _subtract_trend(grid, heights, ORDERS[self.detrend], [folded(count, self._copies) for count in grid.shape])
+            _subtract_trend(grid, heights, ORDERS[self.detrend], self._copies)
         if self.periodic == "as-is":
-            _warn_of_cliffs(grid, heights)
+            warn_of_edges(grid, heights)
         if self.periodic == "taper":
             mean = grid.reduction.sum(heights) / grid.size
             weights = [_edge_weights(count) for count in grid.shape]
@@ -115,18 +137,28 @@ class FromFile(Surface):
         return heights
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
-        from pgfmd.surfaces.array_files import opened
-
         with opened(*self.source) as found:
-            found = (found.turned() if self.first_axis == "y" else found).converted(length_unit)
-            found.check(cell.shape, cell.lengths, self._copies)
+            found = found.turned() if self.first_axis == "y" else found
+            found = found.fitted(cell.shape, cell.lengths, self._copies, length_unit)
             step = max(1, CHECKED // found.shape[1])
-            missing = 0
+            holes = 0
             for first in range(0, found.shape[0], step):
                 block = found.rows(first, min(first + step, found.shape[0]))
                 self._check_measured(block, first)
-                missing += int(np.isnan(block).sum())
-            return found.described() + f"; {missing} missing points to interpolate" * (missing > 0)
+                holes += int(np.isnan(block).sum())
+            return "; ".join(filter(None, [found.described(), self._filled(holes, math.prod(found.shape))]))
+
+    def _filled(self, holes: int, size: int) -> str:
+        """What happens to so many missing points, in words; raises InputError if they are too many."""
+        part = f"{holes} of {size} points ({holes / size:.2g} of all) were not measured"
+        if holes == size:
+            raise InputError("no point was measured")
+        if holes > FEW * size and self.missing == "few":
+            raise InputError(
+                f'{part}: too many to fill them unasked; missing = "interpolate" under [surface] does so all the same '
+                "(contacts there are lost), or cut out a part that was measured"
+            )
+        return f"{part}: interpolated between their neighbours" * (holes > 0)
 
     def _check_measured(self, heights: np.ndarray, first: int) -> None:
         """Raise InputError at the first height that is not finite, unless it is missing and to be filled.
@@ -134,7 +166,7 @@ class FromFile(Surface):
         heights (rows, ny): some rows of the surface; first: number of the first of them, for the message.
         """
         fine = np.isfinite(heights)
-        if self.missing == "interpolate":
+        if self.missing != "refuse":
             fine |= np.isnan(heights)
         if not fine.all():
             row, column = np.argwhere(~fine)[0]
@@ -143,7 +175,7 @@ class FromFile(Surface):
             raise InputError(f"the height at [{row + first}, {column}] is {value}; all must be finite{hint}")
 
 
-def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> None:
+def log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> None:
     """Log range, rms value and slope of the scaled heights, with a warning if the slope is not within SLOPES.
     Collective.
     """
@@ -171,13 +203,15 @@ def _log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> 
         )  # fmt: skip
 
 
-def _subtract_trend(grid: SlabGrid, heights: np.ndarray, order: int, folds: list[np.ndarray]) -> None:
+def _subtract_trend(grid: SlabGrid, heights: np.ndarray, order: int, copies: int) -> None:
     """Subtract the polynomial of that order that fits the file's heights best, in place.  Collective.
 
     Least squares in products of polynomials of x and of y that are orthogonal over the points, so that each coefficient
     is a sum of its own.  A mirrored point has the coordinates of its original.
     """
-    along_x, along_y = (_orthogonal(fold, order) for fold in folds)
+    from pgfmd.surfaces.heights_file import folded
+
+    along_x, along_y = (_orthogonal(folded(count, copies), order) for count in grid.shape)
     terms = [(f, g) for m, f in enumerate(along_x) for n, g in enumerate(along_y) if m + n <= order]
     mine = [f[grid.rows] for f, _ in terms]
     sums = grid.reduction.sums(*(f @ (heights @ g) for f, (_, g) in zip(mine, terms, strict=True)))
@@ -196,7 +230,7 @@ def _orthogonal(fold: np.ndarray, order: int) -> list[np.ndarray]:
     return [np.ones(len(fold)), t, t**2 - np.mean(t**2)][: order + 1]
 
 
-def _warn_of_cliffs(grid: SlabGrid, heights: np.ndarray) -> None:
+def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
     """Log a warning if heights jump from one edge of the cell to the opposite one more than they do between neighbours.
     Collective.
     """
@@ -210,15 +244,14 @@ def _warn_of_cliffs(grid: SlabGrid, heights: np.ndarray) -> None:
         np.sum(steps_x[: len(steps_x) - at_edge] ** 2),
         np.sum(steps_y**2),
     )
+    cliffs = []
     for axis, name in enumerate("xy"):
         count, across = grid.shape[axis], grid.shape[1 - axis]
         jump, step = math.sqrt(squares[axis] / across), math.sqrt(squares[2 + axis] / max((count - 1) * across, 1))
-        if jump > CLIFF * step and grid.comm.rank == 0:
-            log.warning(
-                "surface: the edges across %s do not match: they differ by %.3g (rms), neighbours by %.3g; the cell is "
-                'periodic, so a cliff is pressed there (periodic = "mirror" or "taper", detrend, under [surface])',
-                name, unit * jump, unit * step,
-            )  # fmt: skip
+        if jump > CLIFF * step:
+            cliffs.append(f"across {name} by {unit * jump:.3g} (rms), neighbours by {unit * step:.3g}")
+    if cliffs and grid.comm.rank == 0:
+        log.warning("surface: opposite edges differ %s: %s", ", and ".join(cliffs), WAYS_OUT)
 
 
 def _edge_weights(count: int) -> np.ndarray:

@@ -84,6 +84,38 @@ class Measurement:
         """The same with x and y exchanged."""
         return dataclasses.replace(self, lengths=self.lengths and self.lengths[::-1], transposed=not self.transposed)
 
+    def fitted(
+        self, shape: tuple[int, int], lengths: tuple[float, float], copies: int, unit: str | None
+    ) -> Measurement:
+        """The same in `unit` (as it is if one of the two units is None), for a cell of so many points and that size;
+        `copies` = 2 if the cell is made of mirror images.
+
+        Raises InputError that names all of points, unit and size that disagree, and what to write.
+        """
+        converted, faults = self, []
+        points = [copies * count for count in self.shape]
+        mirrored = ", with its mirror images" * (copies == 2)
+        if tuple(points) != tuple(shape):
+            turned = ' (or first_axis, the other of "x" and "y", under [surface])' * (points[::-1] == list(shape))
+            faults.append(
+                f"holds {points[0]} x {points[1]} points{mirrored}, the grid has {shape[0]} x {shape[1]}: "
+                f"write n = {points} under [grid]{turned}"
+            )
+        try:
+            converted = self.converted(unit)
+        except InputError as error:
+            faults.append(str(error))
+        sides = [copies * side for side in converted.lengths or ()]
+        if sides and not np.allclose(sides, lengths, rtol=CELL_DIGITS, atol=0):
+            given = f" {converted.unit}" if converted.unit else ""
+            faults.append(
+                f"measures {sides[0]:.9g} x {sides[1]:.9g}{given}{mirrored}, the cell is "
+                f"{lengths[0]:.9g} x {lengths[1]:.9g}: write length = [{sides[0]:.9g}, {sides[1]:.9g}] under [grid]"
+            )
+        if faults:
+            raise InputError("; it ".join(faults) + "; or leave out what the file says")
+        return converted
+
     def converted(self, unit: str | None) -> Measurement:
         """The same in `unit`; unchanged if one of the two units is None.
 
@@ -97,32 +129,17 @@ class Measurement:
             self, lengths=lengths, unit=unit, factor=by * self.factor, offset=by * self.offset
         )  # fmt: skip
 
-    def check(self, shape: tuple[int, int], lengths: tuple[float, float], copies: int) -> None:
-        """Raise InputError if grid or cell do not fit; `copies` = 2 if the cell is made of mirror images."""
-        points = [copies * count for count in self.shape]
-        mirrored = ", with its mirror images" * (copies == 2)
-        if tuple(points) != tuple(shape):
-            turned = ' (or first_axis, the other of "x" and "y", under [surface])' * (points[::-1] == list(shape))
-            raise InputError(
-                f"holds {points[0]} x {points[1]} points{mirrored}, the grid has {shape[0]} x {shape[1]}: "
-                f"write n = {points} under [grid]{turned}"
-            )
-        if self.lengths is None:
-            return
-        sides = [copies * side for side in self.lengths]
-        if not np.allclose(sides, lengths, rtol=CELL_DIGITS, atol=0):
-            unit = f" {self.unit}" if self.unit else ""
-            raise InputError(
-                f"measures {sides[0]:.9g} x {sides[1]:.9g}{unit}{mirrored}, the cell is "
-                f"{lengths[0]:.9g} x {lengths[1]:.9g}: write length = [{sides[0]:.9g}, {sides[1]:.9g}] under [grid]"
-            )
-
     def described(self) -> str:
         """Format, points, size and unit, in words."""
         (nx, ny), unit = self.shape, self.unit or "unit not said"
         size = f"{self.lengths[0]:.6g} x {self.lengths[1]:.6g}, " if self.lengths else ""
         axis = "y" if self.transposed else "x"
         return f"{self.format}, {nx} x {ny} points, first axis {axis}, {size}{printable(unit)}"
+
+
+def usual_name(unit: str | None) -> str | None:
+    """The spelling in UNITS of a unit of length; any other name, or None, as it is."""
+    return ALIASES.get(unit, unit) if unit else unit
 
 
 def conversion(given: str, wanted: str) -> float:

@@ -28,6 +28,17 @@ def single(seed: int | tuple[int, ...]) -> int:
     return seed
 
 
+@dataclass(frozen=True)
+class Extent:
+    """What the file of a surface says of the cell: points (nx, ny), lengths (lx, ly) and the unit of length; None where
+    it does not say them.
+    """
+
+    n: tuple[int, int]
+    lengths: tuple[float, float] | None
+    unit: str | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Surface(Section):
     """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface]."""
@@ -57,6 +68,12 @@ class Surface(Section):
         shortest = self.shortest_wavelength(cell)
         return 2 * math.pi / shortest if shortest else None
 
+    def extent(self, length_unit: str | None = None) -> Extent | None:
+        """What the file that `path` names says of the cell, in `length_unit` if that is given; None if nothing.  No
+        MPI.  Raises InputError if it cannot be read.
+        """
+        return None
+
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
         """Check the file that `path` names; describes what it holds ("" if there is none).  No MPI.
 
@@ -77,3 +94,18 @@ def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
     """Positions x (nx_local, 1) and y (1, ny) of the grid points, from 0 on."""
     x = grid.spacing[0] * np.arange(grid.rows.start, grid.rows.stop)[:, None]
     return x, grid.spacing[1] * np.arange(grid.shape[1])[None, :]
+
+
+def refined_heights(surface: Surface, cell: Cell, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
+    """The heights (nx_local, ny) of a surface in a cell, on the grid of `cell.refined` on which contacts are solved.
+    Collective.
+
+    Raises InputError on all ranks, as `Surface.heights` does.
+    """
+    from pgfmd.grid.transfer import interpolate  # compiles loops
+
+    if cell.refine == 1:
+        return surface.heights(grid, length_unit)
+    own = grid.like(grid.comm, cell.shape, cell.lengths)
+    with own.freed():
+        return interpolate(own, grid, surface.heights(own, length_unit))

@@ -1,0 +1,152 @@
+"""From an instrument's file to an answer: what the file says need not be typed, what is typed is compared."""
+
+from __future__ import annotations
+
+import gzip
+import logging
+import zipfile
+
+import h5py
+import numpy as np
+import pytest
+from conftest import ROOT, SIZE
+
+from pgfmd.application import job
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.surfaces.file import FromFile
+
+SDF = ROOT / "jobs" / "data" / "measured.sdf"
+REST = "[solid]\ncontact_modulus = 1e9\n[load]\npressure = 1e6\n"
+
+
+def asked(path, more="", rest=REST):
+    """The job on a file of heights that says nothing of points, size and unit but what `more` does."""
+    return job.parse(f'[surface]\nkind = "file"\npath = "{path}"\n{more}\n{rest}', folder=str(ROOT))
+
+
+def saved(comm, path, write):
+    """The path of a file that rank 0 has written."""
+    if comm.rank == 0:
+        write(path)
+    comm.Barrier()
+    return path
+
+
+@pytest.mark.parametrize(
+    ("more", "n", "length", "unit"),
+    [
+        ("", (128, 96), (12.8, 11.52), "µm"),
+        ('first_axis = "y"', (96, 128), (11.52, 12.8), "µm"),
+        ('periodic = "mirror"', (256, 192), (25.6, 23.04), "µm"),
+        ('[output]\nlength_unit = "nm"', (128, 96), (12800, 11520), "nm"),
+        ('[output]\nlength_unit = "length"', (128, 96), (12.8, 11.52), "µm"),
+        ("[grid]\nn = [128, 96]", (128, 96), (12.8, 11.52), "µm"),
+        ("[grid]\nspacing = [0.1, 0.12]", (128, 96), (12.8, 11.52), "µm"),
+    ],
+)
+def test_points_size_and_unit_come_from_the_file(more, n, length, unit):
+    """What the job leaves out is as in the file, turned, mirrored or converted like the heights; to rounding."""
+    pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    found = asked(SDF, more)
+    assert found.grid.n == n and found.output.length_unit == unit
+    assert found.grid.lengths == pytest.approx(length, rel=1e-14)
+    assert job.parse(job.as_toml(found)) == found  # results say all of it, and open no file
+
+
+def test_what_a_file_does_not_say_keeps_its_default(tmp_path):
+    """An array has points only, and perhaps a unit of heights: one that is no length is left to the job."""
+    np.save(tmp_path / "a.npy", np.eye(4, 6))
+    found = asked(tmp_path / "a.npy")
+    assert (found.grid.n, found.grid.spacings, found.output.length_unit) == ((4, 6), (1, 1), "length")
+    for unit, expected in (("um", "µm"), ("V", "length"), ("length", "length")):
+        with h5py.File(tmp_path / "a.h5", "w") as file:
+            file["heights"] = np.eye(4, 6)
+            file["heights"].attrs["units"] = unit
+        assert asked(tmp_path / "a.h5").output.length_unit == expected
+
+
+def test_all_that_disagrees_is_named_at_once():
+    """Points, size and unit that differ from the file's, each with what to write, in one line."""
+    pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    for unit, words in (
+        ("m", ("measures 1.28e-05 x 1.152e-05 m, the cell is 1 x 2: write length",)),
+        ("K", ('is in µm: write length_unit = "µm" under [output]',)),
+    ):
+        wrong = asked(SDF, f'[grid]\nn = 128\nlength = [1, 2]\n[output]\nlength_unit = "{unit}"')
+        with pytest.raises(InputError) as caught:
+            wrong.surface.check_inputs(wrong.grid, unit)
+        common = ("holds 128 x 96 points", "write n = [128, 96] under [grid]", "leave out what the file says")
+        assert all(each in str(caught.value) for each in (*common, *words))
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("suffix", ["gz", "zip"])
+@pytest.mark.parametrize("inner", ["a.npy", "a.h5", "a.txt"])
+def test_packed_files(comm, shared_tmp_path, suffix, inner):
+    """A .gz or .zip of a readable file is that file, bit for bit, on any number of ranks."""
+    heights = np.random.default_rng(1).normal(size=(8, 6))
+
+    def write(path):
+        if inner == "a.npy":
+            np.save(path, heights)
+        elif inner == "a.txt":
+            np.savetxt(path, heights)
+        else:
+            with h5py.File(path, "w") as file:
+                file["other"], file["x/y"] = np.eye(3), heights
+        if suffix == "gz":
+            with gzip.open(f"{path}.gz", "wb") as packed:
+                packed.write(path.read_bytes())
+        else:
+            with zipfile.ZipFile(f"{path}.zip", "w") as packed:
+                packed.write(path, "folder/" + inner)
+        path.unlink()
+
+    path = saved(comm, shared_tmp_path / inner, write)
+    name = f"{path}.{suffix}" + ":x/y" * (inner == "a.h5")
+    grid = SlabGrid(comm, (8, 6))
+    found = FromFile(path=name, detrend="none").heights(grid, None)
+    assert np.array_equal(grid.fetch(found, 0, 8), heights)
+
+
+@pytest.mark.mpi
+def test_archives_of_several_files(comm, shared_tmp_path):
+    """One of them is named after a colon; without a name, and for a damaged archive, one line says what to do."""
+
+    def write(path):
+        with zipfile.ZipFile(path, "w") as packed:
+            for name, factor in (("a.txt", 1), ("b/c.txt", 2)):
+                packed.writestr(name, "\n".join(" ".join(map(str, row)) for row in factor * np.eye(4)))
+
+    path, grid = saved(comm, shared_tmp_path / "a.zip", write), SlabGrid(comm, (4, 4))
+    found = FromFile(path=f"{path}:b/c.txt").heights(grid, None)
+    assert np.array_equal(grid.fetch(found, 0, 4), 2 * np.eye(4))
+    with pytest.raises(InputError, match=r"say which of its files .*found: a\.txt, b/c\.txt"):
+        FromFile(path=str(path)).heights(grid, None)
+    for name in ("cut.zip", "cut.npy.gz"):
+        cut = saved(comm, shared_tmp_path / name, lambda path: path.write_bytes(b"PK\3\4 no archive"))
+        with pytest.raises(InputError, match=f"{name}: cannot be unpacked"):
+            FromFile(path=str(cut)).heights(grid, None)
+
+
+@pytest.mark.mpi
+def test_holes_are_counted_in_the_log(comm, shared_tmp_path, caplog, monkeypatch):
+    """A line says how many points of the file were filled, a warning if they are more than a hundredth; mirror images
+    do not count."""
+    monkeypatch.setattr(logging.getLogger("pgfmd"), "propagate", True)
+    caplog.set_level(logging.INFO, "pgfmd")
+    for holes, level in ((1, logging.INFO), (5, logging.WARNING)):
+        heights = np.random.default_rng(1).normal(size=(16, 16))
+        heights.flat[2 : 2 + holes] = np.nan
+        path = saved(comm, shared_tmp_path / f"{holes}.npy", lambda path, values=heights: np.save(path, values))
+        FromFile(path=str(path), periodic="mirror").heights(SlabGrid(comm, (32, 32)), None)
+        said = [record for record in caplog.records if f"{holes} of 256 points" in record.getMessage()]
+        assert [record.levelno for record in said] == [level] * (comm.rank == 0)
+
+
+@pytest.mark.skipif(SIZE > 1, reason="serial")
+def test_missing_files_are_named_before_they_are_read(tmp_path):
+    """Of any section, with the key."""
+    with pytest.raises(InputError, match=r"surface\.path: no such file"):
+        asked(tmp_path / "none.npy")
