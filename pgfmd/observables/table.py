@@ -11,6 +11,7 @@ from pgfmd.observables.gap_spectrum import GapSpectrum
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.percolation import Percolation
 from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Spectra
@@ -30,6 +31,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
         Lowpass,
         Discretisation,
         Stiffness,
+        Percolation,
     )
 }
 

@@ -1,0 +1,64 @@
+"""Whether the contact and the gap percolate, and the narrowest place of the widest path through the gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import TABLE, Dataset, Groups
+
+if TYPE_CHECKING:
+    from pgfmd.observables.measured_contact import MeasuredContact
+
+
+@dataclass(frozen=True, kw_only=True)
+class Percolation(Observable):
+    """Whether a path in the contact, over edges and corners, or one in the gap, over edges, winds around the periodic
+    cell.  The critical constriction is the least gap on the path along which the least gap is largest.
+    """
+
+    name = "percolation"
+    where = "output.percolation"
+    layout = {
+        TABLE: {
+            **{
+                f"{part}_percolates_{axis}": Dataset("1", f"1: a path in the {part} winds around the cell along {axis}")
+                for part in ("contact", "gap")
+                for axis in "xy"
+            },
+            **{
+                f"constriction_{axis}": Dataset("{length}", f"critical constriction of paths along {axis}; 0: no path")
+                for axis in "xy"
+            },
+        },
+        "percolation": {
+            **{
+                f"constriction_{axis}_at": Dataset("1", f"its row and column, of paths along {axis}; −1: no path")
+                for axis in "xy"
+            },
+            "labellings": Dataset("1", "labellings of the grid that both constrictions took"),
+        },
+    }
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """Some ten labellings, each of the time of a fraction of a transform; fields of labels and shifts."""
+        return Cost(transforms=4.0, memory=50.0)
+
+    def measure(self, contact: MeasuredContact) -> Groups:
+        """Labels the contact and the gap.  Collective."""
+        from pgfmd.observables.patches.bottleneck import bottlenecks, percolates
+
+        found = bottlenecks(contact.grid, contact.solution.gap, contact.pressure <= 0)
+        touching = percolates(contact.labels(8))
+        numbers: dict[str, float] = {}
+        at: dict[str, np.ndarray] = {"labellings": np.array(found[0].labellings)}
+        for axis, solid, open_ in zip("xy", touching, found, strict=True):
+            numbers |= {f"contact_percolates_{axis}": solid, f"gap_percolates_{axis}": open_.value > 0}
+            numbers[f"constriction_{axis}"] = open_.value
+            at[f"constriction_{axis}_at"] = np.array(open_.point)
+        return {TABLE: {name: np.array(float(value)) for name, value in numbers.items()}, "percolation": at}

@@ -1,0 +1,98 @@
+"""Percolation of contact and gap around the periodic cell; the critical constriction against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from solids import elastic
+
+import pgfmd
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.patches import bottleneck
+from pgfmd.observables.patches.bottleneck import bottlenecks, percolates
+from pgfmd.observables.patches.labelling import label_patches
+
+pytestmark = pytest.mark.mpi
+EDGES = (1, 0), (-1, 0), (0, 1), (0, -1)
+CORNERS = (1, 1), (1, -1), (-1, 1), (-1, -1)
+
+
+def flood(mask, connectivity):
+    """Whether the set points wind along x and along y: a flood fill that keeps unrolled coordinates."""
+    (nx, ny), seen, winds = mask.shape, {}, [False, False]
+    for start in map(tuple, np.argwhere(mask)):
+        if start in seen:
+            continue
+        seen[start], stack = start, [start]
+        while stack:
+            x, y = stack.pop()
+            for dx, dy in EDGES + (CORNERS if connectivity == 8 else ()):
+                place, there = ((x + dx) % nx, (y + dy) % ny), (x + dx, y + dy)
+                if not mask[place]:
+                    continue
+                if place not in seen:
+                    seen[place] = there
+                    stack.append(there)
+                elif seen[place] != there:
+                    winds[0] |= seen[place][0] != there[0]
+                    winds[1] |= seen[place][1] != there[1]
+    return tuple(winds)
+
+
+def widest(gap, mask):
+    """The largest g with which {gap ≥ g} percolates along x, and along y, by trial of all values; 0 if none does."""
+    found = [0.0, 0.0]
+    for g in np.unique(gap[mask]):
+        for axis, winds in enumerate(flood(mask & (gap >= g), 4)):
+            found[axis] = float(g) if winds else found[axis]
+    return tuple(found)
+
+
+@pytest.mark.parametrize("connectivity", [4, 8])
+def test_masks_against_a_flood_fill(comm, connectivity):
+    """Random masks of any density, oblong cells, spirals: as a serial flood fill with windings says."""
+    rng = np.random.default_rng(12)
+    for _ in range(60):
+        mask = rng.random(rng.integers(4, 12, 2)) < rng.uniform(0.2, 0.9)
+        grid = SlabGrid(comm, mask.shape)
+        found = percolates(label_patches(comm, mask[grid.rows].copy(), grid.starts, connectivity))
+        assert found == flood(mask, connectivity)
+
+
+def test_spiral(comm):
+    """A line of slope 1/3 closes after three turns: it winds along both axes; one step short of that, along none."""
+    line = np.zeros((12, 12), bool)
+    for i in range(36):
+        line[i % 12, (i // 3) % 12] = line[i % 12, (i // 3 + ((i + 1) % 3 == 0)) % 12] = True
+    grid = SlabGrid(comm, line.shape)
+    for cut in (False, True):
+        line[5, :] &= not cut
+        assert percolates(label_patches(comm, line[grid.rows].copy(), grid.starts, 4)) == 2 * (not cut,)
+
+
+@pytest.mark.parametrize("gathered", [0, 20, 10**5])
+def test_constriction_against_brute_force(comm, monkeypatch, gathered):
+    """The critical constriction is the largest g at which {gap ≥ g} percolates, wherever labelling stops and rank 0
+    takes over; the gap at its place is g.
+    """
+    monkeypatch.setattr(bottleneck, "GATHERED", gathered)
+    rng = np.random.default_rng(4)
+    for _ in range(12):
+        shape = rng.integers(4, 13, 2)
+        gap = np.round(rng.random(shape), 1 + rng.integers(3)) + 0.01  # with and without equal values
+        mask = rng.random(shape) < rng.uniform(0.6, 1)
+        grid = SlabGrid(comm, gap.shape)
+        found = bottlenecks(grid, gap[grid.rows].copy(), mask[grid.rows].copy())
+        assert tuple(each.value for each in found) == widest(gap, mask)
+        assert all(gap[each.point] == each.value for each in found if each.value)
+
+
+def test_stripes(comm):
+    """A wave pressed flat along y: the gap's channels run along y and not along x; across waves it is the reverse."""
+    grid = SlabGrid(comm, (32, 16))
+    wave = np.cos(2 * np.pi * np.arange(32) / 32)[:, None] * np.ones(16)
+    contact = pgfmd.solve(wave[grid.rows], 0.02, comm=comm, solid=elastic(1.0))
+    found = contact.observables("percolation")["loads"]
+    assert [found[f"{part}_percolates_{axis}"] for part in ("contact", "gap") for axis in "xy"] == [0, 1, 0, 1]
+    largest = grid.reduction.max(contact.gap)
+    assert found["constriction_y"] == largest and found["constriction_x"] == 0
