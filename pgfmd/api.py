@@ -33,6 +33,9 @@ from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
+from pgfmd.surfaces.file import warn_of_edges
+from pgfmd.surfaces.heights_file import fill_holes
+from pgfmd.surfaces.measurement import is_topography, measured_heights
 
 log = logging.getLogger("pgfmd")
 
@@ -41,7 +44,7 @@ class Options(TypedDict, total=False):
     """Arguments of `solve` other than the heights and what is imposed."""
 
     contact_modulus: float
-    spacing: float | tuple[float, float]
+    spacing: float | tuple[float, float] | None
     tolerance: float
     wall: ContactLaw | Mapping[str, Any] | None
     zeta: float | None
@@ -96,7 +99,7 @@ def solve(
     displacement: Any = None,
     force: Any = None,
     contact_modulus: float = 1.0,
-    spacing: float | tuple[float, float] = 1.0,
+    spacing: float | tuple[float, float] | None = None,
     tolerance: float = 1e-8,
     wall: ContactLaw | Mapping[str, Any] | None = None,
     zeta: float | None = None,
@@ -118,6 +121,8 @@ def solve(
     heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
     They are copied, once, unless the array cannot be written (`heights.flags.writeable = False` saves the memory).
+    Or a two-dimensional topography of the package SurfaceTopography, whole on each rank or decomposed like the rows:
+    then the spacing is its own, in its unit, and up to a third of its points may be undefined; they are filled.
 
     contact_modulus: E', by default 1, the unit of pressures then.  A job has no default for it.
 
@@ -125,14 +130,15 @@ def solve(
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
     them, each starting from the last if its p̄ is within 5 %.  area_tolerance, gap_tolerance: see [load] of a job.
 
-    spacing: of the grid.  wall: a contact law, or its keys as in [wall] of a job; a hard wall if this and zeta are
-    None.  zeta: the range of an exponential wall with σ_ref = contact_modulus.  thickness, base ("bonded" if None),
-    poisson: a slab instead of a half-space.  solid: a solid, or its keys as in [solid], instead of these and
-    contact_modulus.  comm: the ranks that solve together; None: this process alone.  method: see `solvers.options`.
-    start: a pressure to begin with, split like the fields of the answer.  refine: those are on a grid with so many
-    times the points each way, onto which the heights of a periodic surface are interpolated by their Fourier modes.
-    tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their rms value).  threads: of
-    this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar; None: in notebooks only.
+    spacing: of the grid; None: that of a topography, else 1.  wall: a contact law, or its keys as in [wall] of a job; a
+    hard wall if this and zeta are None.  zeta: the range of an exponential wall with σ_ref = contact_modulus.
+    thickness, base ("bonded" if None), poisson: a slab instead of a half-space.  solid: a solid, or its keys as in
+    [solid], instead of these and contact_modulus.  comm: the ranks that solve together; None: this process alone.
+    method: see `solvers.options`.  start: a pressure to begin with, split like the fields of the answer.  refine: those
+    are on a grid with so many times the points each way, onto which the heights of a periodic surface are interpolated
+    by their Fourier modes.  tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their
+    rms value).  threads: of this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar;
+    None: in notebooks only.
 
     Raises InputError for heights that are masked, not finite or wrongly split, values out of range and arguments that
     differ between ranks, SolverError if the tolerance cannot be reached, Unreachable if no load gives the target.
@@ -149,7 +155,8 @@ def solve(
     imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
     imposed |= {"displacement": displacement, "force": force}
     with raise_together(comm):
-        heights = _surface(heights)
+        topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
+        heights = _surface(heights, topography)
         name, targets, single = _targets(imposed)
         refine = _checked("refine", refine, integer(1))
         solid = _solid(contact_modulus, thickness, base, poisson, solid)
@@ -159,6 +166,7 @@ def solve(
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
     _agree(comm, (name, targets, single, solid, law, options, closeness, refine, start is None))
     grid = _grid(comm, heights, spacing, threads)
+    _mend(grid, heights, topography)
     if refine > 1:
         own, grid = grid, grid.like(comm, (refine * grid.shape[0], refine * grid.shape[1]), grid.lengths)
         with own.freed():
@@ -191,7 +199,7 @@ def certify(
     mean_pressure: float | None = None,
     *,
     contact_modulus: float = 1.0,
-    spacing: float | tuple[float, float] = 1.0,
+    spacing: float | tuple[float, float] | None = None,
     wall: ContactLaw | Mapping[str, Any] | None = None,
     zeta: float | None = None,
     solid: Solid | Mapping[str, Any] | None = None,
@@ -220,7 +228,8 @@ def certify(
     """
     comm = ALONE if comm is None else comm
     with raise_together(comm):
-        heights = _surface(heights)
+        topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
+        heights = _surface(heights, topography)
         given = _like("pressure", pressure, heights)
         if not np.isfinite(given).all():
             raise InputError("pressure: all values must be finite")
@@ -228,6 +237,7 @@ def certify(
         mean = None if mean_pressure is None else _checked("mean_pressure", mean_pressure, POSITIVE)
     _agree(comm, (solid, law, mean))
     grid = _grid(comm, heights, spacing, threads)
+    _mend(grid, heights, topography)
     solid.prepare(grid)
     contact = certified(ContactProblem(grid, heights, solid, law), given, mean)
     if contact.projection.doubt and comm.rank == 0:
@@ -235,16 +245,23 @@ def certify(
     return contact
 
 
-def _surface(values: Any) -> np.ndarray:
-    """The heights of the arguments of `solve`, which a later change of the caller's array leaves alone; raises
-    InputError.
+def _surface(values: Any, given: Any) -> np.ndarray:
+    """The heights of the arguments of `solve`, which a later change of what was given leaves alone; raises InputError.
     """
     heights = _real("heights", values)
     if heights.ndim != 2 or heights.size == 0:
         raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
-    if not np.isfinite(heights).all():
+    if not np.isfinite(heights).all() and not is_topography(given):
         raise InputError("heights: all must be finite")
     return _kept(heights, values)
+
+
+def _mend(grid: SlabGrid, heights: np.ndarray, given: Any) -> None:
+    """Fill the undefined points of a topography, in place, and warn of edges that do not match.  Collective."""
+    if is_topography(given):
+        fill_holes(grid, heights)
+        if not given.is_periodic:
+            warn_of_edges(grid, heights)
 
 
 def _like(name: str, values: Any, heights: np.ndarray) -> np.ndarray:
@@ -266,7 +283,7 @@ def _kept(array: np.ndarray, given: Any) -> np.ndarray:
 def _grid(comm: MPI.Comm, heights: np.ndarray, spacing: Any, threads: Any) -> SlabGrid:
     """The grid of heights that are split over the ranks; raises InputError.  Collective."""
     with raise_together(comm):
-        ax, ay = _checked("spacing", spacing, SPACING)
+        ax, ay = _checked("spacing", 1.0 if spacing is None else spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
     rows, ny = comm.allgather(len(heights)), heights.shape[1]
     _agree(comm, (ax, ay, ny))

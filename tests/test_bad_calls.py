@@ -24,7 +24,7 @@ ODD = (
 ALLOWED = {
     "pressure": (0, [1, 2], (1, 2, 3), np.ones(3)),
     "contact_modulus": (),
-    "spacing": ([1, 2],),
+    "spacing": ([1, 2], None),
     "tolerance": (),
     "zeta": (None,),
     "thickness": (math.inf, 1e300),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import logging
+import tomllib
 import zipfile
 
 import h5py
@@ -11,10 +12,13 @@ import numpy as np
 import pytest
 from conftest import ROOT, SIZE
 
+import pgfmd
 from pgfmd.application import job
+from pgfmd.application.cli import main
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.surfaces.file import FromFile
+from pgfmd.surfaces.heights_file import fill_missing
 
 SDF = ROOT / "jobs" / "data" / "measured.sdf"
 REST = "[solid]\ncontact_modulus = 1e9\n[load]\npressure = 1e6\n"
@@ -150,3 +154,59 @@ def test_missing_files_are_named_before_they_are_read(tmp_path):
     """Of any section, with the key."""
     with pytest.raises(InputError, match=r"surface\.path: no such file"):
         asked(tmp_path / "none.npy")
+
+
+def topography(heights, **options):
+    """Of the package SurfaceTopography."""
+    package = pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    return package.Topography(heights, (6.4, 3.2), unit="nm", **options)
+
+
+@pytest.mark.mpi
+def test_a_topography_is_solved_as_its_heights(comm, caplog, monkeypatch):
+    """Its spacing is taken, undefined points are filled as those of a file, edges that do not match are warned of
+    unless it is periodic; another spacing or too many holes are refused.  Bit for bit, on any number of ranks.
+    """
+    monkeypatch.setattr(logging.getLogger("pgfmd"), "propagate", True)
+    x = np.arange(32) / 32
+    heights = np.cos(2 * np.pi * x)[:, None] * np.cos(2 * np.pi * x[:16] * 2) + 2 * x[:, None]
+    rows = SlabGrid(comm, heights.shape).rows
+    contact = pgfmd.solve(topography(heights), 0.1, comm=comm)
+    expected = pgfmd.solve(heights[rows], 0.1, spacing=0.2, comm=comm)
+    assert np.array_equal(contact.pressure, expected.pressure)
+    assert pgfmd.certify(topography(heights), expected.pressure, comm=comm).certified_error < 1e-7
+    assert caplog.text.count("opposite edges differ across x") == 2 * (comm.rank == 0)
+    pgfmd.solve(topography(heights, periodic=True), 0.1, comm=comm)
+    assert caplog.text.count("opposite edges differ") == 2 * (comm.rank == 0)
+    holes = np.ma.array(heights, mask=np.abs(heights - 1) < 0.02)
+    grid, filled = SlabGrid(comm, heights.shape), holes.filled(np.nan)[rows]
+    fill_missing(grid, filled)
+    contact, expected = pgfmd.solve(topography(holes), 0.1, comm=comm), pgfmd.solve(filled, 0.1, spacing=0.2, comm=comm)
+    assert np.array_equal(contact.pressure, expected.pressure)
+    for wrong, options, words in (
+        (topography(heights), {"spacing": 1.0}, "the topography's is 0.2, 0.2; leave it out"),
+        (topography(np.ma.masked_less(heights, 2)), {}, "too many to fill them unasked"),
+    ):
+        with pytest.raises(InputError, match=words):
+            pgfmd.solve(wrong, 0.1, comm=comm, **options)
+
+
+@pytest.mark.skipif(SIZE > 1, reason="serial")
+def test_a_new_job_on_a_file(tmp_path, monkeypatch, capsys):
+    """`pgfmd new --heights` prints a job that runs as it is; missing points and edges that do not match are treated."""
+    monkeypatch.chdir(tmp_path)
+    heights = np.random.default_rng(1).normal(size=(32, 12))
+    for name, values, keys in (
+        ("noise.npy", heights, {"detrend"}),
+        ("cubic.npy", np.linspace(-1, 1, 32)[:, None] ** 3 + 0 * heights, {"detrend", "periodic"}),
+        ("holes.npy", np.where(heights > 0, heights, np.nan), {"detrend", "missing"}),
+    ):
+        np.save(name, values)
+        assert main(["new", "--heights", name]) == 0
+        text = capsys.readouterr().out
+        assert tomllib.loads(text)["surface"].keys() - {"kind", "path"} == keys
+        (tmp_path / "job.toml").write_text(text)
+        found = job.load(tmp_path / "job.toml")
+        assert found.grid.n == tuple((2 if "periodic" in keys else 1) * n for n in (32, 12))
+    assert pgfmd.run(tmp_path / "job.toml")[0].numbers["contact_area"] == pytest.approx(0.05, abs=0.01)
+    assert main(["new", "--heights", "none.npy"]) == 2

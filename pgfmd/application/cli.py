@@ -81,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
 
     new = commands.add_parser("new", help="print a commented job to start from", allow_abbrev=False)
     new.add_argument("kinds", nargs="*", metavar="KIND", help='of surface or wall; "all": every key of every kind')
+    new.add_argument("--heights", metavar="FILE", help="a job on this file of heights")
 
     run = commands.add_parser("run", help="run a job, under mpirun or as one process", allow_abbrev=False)
     run.add_argument("job", metavar="JOB.toml")
@@ -132,6 +133,10 @@ def _folder(text: str) -> str:
 
 
 def _new(options: argparse.Namespace) -> str:
+    if options.heights:
+        from pgfmd.application.new_job import job_on_file
+
+        return job_on_file(options.heights)
     from pgfmd.application.job import SECTIONS
     from pgfmd.options.reference import example, reference
 

@@ -15,7 +15,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import choice, number, text
 from pgfmd.options.section import key, path_key, wrong
 from pgfmd.options.text import printable
-from pgfmd.surfaces.measurement import UNITS, named, usual_name
+from pgfmd.surfaces.measurement import UNITS, holes_in_words, named, usual_name
 from pgfmd.surfaces.readers import opened
 from pgfmd.surfaces.surface import Extent, Surface
 
@@ -32,8 +32,6 @@ WAYS_OUT = (
 )
 SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 CHECKED = 2**21  # heights that are read at once to be checked
-FEW = 1 / 3  # of the points: so many at most are filled unasked
-DOUBTFUL = 0.01  # of the points: if more were filled, a warning says so
 MARGIN = 0.1  # part of a side that a taper changes at each edge
 
 
@@ -107,27 +105,22 @@ class FromFile(Surface):
         Logs a description of the file, and a warning if the slope is too small or too large for a rough surface.
         """
         from pgfmd.parallel.collectives import raise_together  # needs MPI
-        from pgfmd.surfaces.heights_file import fill_missing, read_heights
+        from pgfmd.surfaces.heights_file import fill_holes, read_heights
 
         self.check_in(Cell(n=grid.shape, length=grid.lengths))
         heights, said = read_heights(grid, self.source, self.first_axis == "y", self._copies, length_unit)
         with raise_together(grid.comm), named(self.source[0]):
             self._check_measured(heights, grid.rows.start)
-        holes, size = int(grid.reduction.sum(np.isnan(heights))) // self._copies**2, grid.size // self._copies**2
         with named(self.source[0]):
-            filled = self._filled(holes, size)
-            if holes:
-                fill_missing(grid, heights)
+            fill_holes(grid, heights, self.missing, self._copies)
         with raise_together(grid.comm), named(self.source[0]), np.errstate(over="ignore"):
             heights *= self.height_scale
             self._check_measured(heights, grid.rows.start)
         if grid.comm.rank == 0:
             log.info("surface: %s: %s", printable(self.path, 400), said)
-            if holes:
-                log.log(logging.WARNING if holes > DOUBTFUL * size else logging.INFO, "surface: %s", filled)
         log_range(grid, heights, length_unit)
         if self.detrend != "none":
-            _subtract_trend(grid, heights, ORDERS[self.detrend], self._copies)
+            subtract_trend(grid, heights, ORDERS[self.detrend], self._copies)
         if self.periodic == "as-is":
             warn_of_edges(grid, heights)
         if self.periodic == "taper":
@@ -146,19 +139,8 @@ class FromFile(Surface):
                 block = found.rows(first, min(first + step, found.shape[0]))
                 self._check_measured(block, first)
                 holes += int(np.isnan(block).sum())
-            return "; ".join(filter(None, [found.described(), self._filled(holes, math.prod(found.shape))]))
-
-    def _filled(self, holes: int, size: int) -> str:
-        """What happens to so many missing points, in words; raises InputError if they are too many."""
-        part = f"{holes} of {size} points ({holes / size:.2g} of all) were not measured"
-        if holes == size:
-            raise InputError("no point was measured")
-        if holes > FEW * size and self.missing == "few":
-            raise InputError(
-                f'{part}: too many to fill them unasked; missing = "interpolate" under [surface] does so all the same '
-                "(contacts there are lost), or cut out a part that was measured"
-            )
-        return f"{part}: interpolated between their neighbours" * (holes > 0)
+            filled = holes_in_words(holes, math.prod(found.shape), self.missing)
+            return found.described() + (filled and f"; {filled}")
 
     def _check_measured(self, heights: np.ndarray, first: int) -> None:
         """Raise InputError at the first height that is not finite, unless it is missing and to be filled.
@@ -203,7 +185,7 @@ def log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> N
         )  # fmt: skip
 
 
-def _subtract_trend(grid: SlabGrid, heights: np.ndarray, order: int, copies: int) -> None:
+def subtract_trend(grid: SlabGrid, heights: np.ndarray, order: int, copies: int) -> None:
     """Subtract the polynomial of that order that fits the file's heights best, in place.  Collective.
 
     Least squares in products of polynomials of x and of y that are orthogonal over the points, so that each coefficient
@@ -231,7 +213,14 @@ def _orthogonal(fold: np.ndarray, order: int) -> list[np.ndarray]:
 
 
 def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
-    """Log a warning if heights jump from one edge of the cell to the opposite one more than they do between neighbours.
+    """Log a warning if opposite edges of the cell do not match.  Collective."""
+    cliffs = jumps(grid, heights)
+    if cliffs and grid.comm.rank == 0:
+        log.warning("surface: opposite edges differ %s: %s", ", and ".join(cliffs), WAYS_OUT)
+
+
+def jumps(grid: SlabGrid, heights: np.ndarray) -> list[str]:
+    """Where heights jump from one edge of the cell to the opposite one more than they do between neighbours, in words.
     Collective.
     """
     unit = max(-grid.reduction.min(heights), grid.reduction.max(heights)) or 1.0  # so that squares do not overflow
@@ -244,14 +233,13 @@ def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
         np.sum(steps_x[: len(steps_x) - at_edge] ** 2),
         np.sum(steps_y**2),
     )
-    cliffs = []
+    found = []
     for axis, name in enumerate("xy"):
         count, across = grid.shape[axis], grid.shape[1 - axis]
         jump, step = math.sqrt(squares[axis] / across), math.sqrt(squares[2 + axis] / max((count - 1) * across, 1))
         if jump > CLIFF * step:
-            cliffs.append(f"across {name} by {unit * jump:.3g} (rms), neighbours by {unit * step:.3g}")
-    if cliffs and grid.comm.rank == 0:
-        log.warning("surface: opposite edges differ %s: %s", ", and ".join(cliffs), WAYS_OUT)
+            found.append(f"across {name} by {unit * jump:.3g} (rms), neighbours by {unit * step:.3g}")
+    return found
 
 
 def _edge_weights(count: int) -> np.ndarray:

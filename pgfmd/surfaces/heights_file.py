@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import math
 
 import numpy as np
@@ -11,11 +12,13 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import from_root, raise_together, slab
 from pgfmd.parallel.mpi import MPI
-from pgfmd.surfaces.measurement import Measurement
+from pgfmd.surfaces.measurement import Measurement, holes_in_words
 from pgfmd.surfaces.readers import is_array, opened
 
+log = logging.getLogger("pgfmd")
 Source = tuple[str, str | None]  # file, dataset
 DIGESTED = 2**21  # heights that are read at once to be digested
+DOUBTFUL = 0.01  # of the points: if more were filled, a warning says so
 ACCURACY = 1e-12  # norm of the residual, relative to that at the start, at which holes are filled
 
 
@@ -87,6 +90,20 @@ def _of_file(path: str) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def fill_holes(grid: SlabGrid, heights: np.ndarray, rule: str = "few", copies: int = 1) -> None:
+    """Fill the heights (nx_local, ny) that are NaN, in place, and log how many they are; a warning if many.  copies: 2
+    for mirror images.  Collective.
+
+    Raises InputError if they are more than the rule allows (`missing` under [surface]).
+    """
+    holes, size = int(grid.reduction.sum(np.isnan(heights))) // copies**2, grid.size // copies**2
+    words = holes_in_words(holes, size, rule)
+    if holes:
+        fill_missing(grid, heights)
+        if grid.comm.rank == 0:
+            log.log(logging.WARNING if holes > DOUBTFUL * size else logging.INFO, "surface: %s", words)
 
 
 def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
+from pgfmd.parallel.collectives import slab
 
 # Powers of ten of a metre.
 UNITS = {"km": 3, "m": 0, "cm": -2, "mm": -3, "µm": -6, "nm": -9, "Å": -10, "pm": -12}
@@ -19,6 +20,7 @@ ALIASES = {"um": "µm", "\u03bcm": "µm", "A": "Å", "\u212b": "Å"}  # Greek mu
 for _prefix, _unit in {"kilo": "km", "": "m", "centi": "cm", "milli": "mm", "micro": "µm", "nano": "nm"}.items():
     ALIASES |= {f"{_prefix}{name}": _unit for name in ("meter", "meters", "metre", "metres")}
 ALIASES |= {"micron": "µm", "microns": "µm", "angstrom": "Å", "angstroms": "Å"}
+FEW = 1 / 3  # of the points: so many at most are filled unasked
 CELL_DIGITS = 1e-3  # relative tolerance of the cell's sides against the file's: jobs give them with a few digits
 
 
@@ -135,6 +137,43 @@ class Measurement:
         size = f"{self.lengths[0]:.6g} x {self.lengths[1]:.6g}, " if self.lengths else ""
         axis = "y" if self.transposed else "x"
         return f"{self.format}, {nx} x {ny} points, first axis {axis}, {size}{printable(unit)}"
+
+
+def holes_in_words(holes: int, size: int, rule: str) -> str:
+    """What happens to so many missing points of so many, "" if there are none.  Raises InputError if the rule, one of
+    those of `missing` under [surface], does not let them be filled.
+    """
+    part = f"{holes} of {size} points ({holes / size:.2g} of all) were not measured"
+    if holes == size:
+        raise InputError("no point was measured")
+    if holes > FEW * size and rule == "few":
+        raise InputError(
+            f'{part}: too many to fill them unasked; missing = "interpolate" under [surface] does so all the same '
+            "(contacts there are lost), or cut out a part that was measured"
+        )
+    return f"{part}: interpolated between their neighbours" * (holes > 0)
+
+
+def is_topography(given: Any) -> bool:
+    """Whether this is a topography of the package SurfaceTopography."""
+    return hasattr(given, "heights") and hasattr(given, "physical_sizes")
+
+
+def measured_heights(given: Any, spacing: Any, comm: Any) -> tuple[Any, Any]:
+    """Heights of this rank's rows of a topography, NaN where they are undefined, and its spacing; what is none, as it
+    is.  Raises InputError if that is not the spacing which is given.
+    """
+    if not is_topography(given):
+        return given, spacing
+    if given.dim != 2 or given.physical_sizes is None:
+        raise InputError("heights: a topography must be two-dimensional and have a size")
+    own = tuple(float(side) / count for side, count in zip(given.physical_sizes, given.nb_grid_pts, strict=True))
+    if spacing is not None and not np.allclose(spacing, own, rtol=CELL_DIGITS, atol=0):
+        raise InputError(f"spacing = {spacing}: the topography's is {own[0]:.9g}, {own[1]:.9g}; leave it out")
+    heights = np.ma.filled(np.ma.asarray(given.heights(), dtype=np.float64), np.nan)
+    if comm.size > 1 and not given.is_domain_decomposed:
+        heights = heights[slab(len(heights), comm.size, comm.rank)]
+    return heights, own
 
 
 def usual_name(unit: str | None) -> str | None:
