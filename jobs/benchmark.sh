@@ -17,7 +17,7 @@ for argument in "$@"; do
 done
 bash tools/setup.sh bench
 source tools/env.sh
-run() { .venv/bin/python tools/benchmark.py "$1" "$folder" "${@:2}"; }
+run() { .venv/bin/python tools/bench/benchmark.py "$1" "$folder" "${@:2}"; }
 
 run transforms
 run cores

@@ -88,6 +88,6 @@ plan() {
 }
 
 mkdir -p "$folder"
-plan | "$python" tools/runs.py "$folder" --jobs "$jobs"
-"$python" tools/report.py "$folder" --output "$folder/report" --jobs "$jobs" $([ "$small" = 1 ] || echo --small)
+plan | "$python" tools/paper/runs.py "$folder" --jobs "$jobs"
+"$python" tools/paper/report.py "$folder" --output "$folder/report" --jobs "$jobs" $([ "$small" = 1 ] || echo --small)
 echo "report: $folder/report/report.html"

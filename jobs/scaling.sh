@@ -18,7 +18,7 @@ ranks=("$@")
 n=${N:-1024}
 
 tool() { # RANKS COMMAND OPTIONS…
-    mpirun -n "$1" .venv/bin/python -m mpi4py tools/scaling.py "$2" "$folder/measured.jsonl" "${@:3}"
+    mpirun -n "$1" .venv/bin/python -m mpi4py tools/bench/scaling.py "$2" "$folder/measured.jsonl" "${@:3}"
 }
 
 for size in ${SIZES:-256 512 1024 2048}; do
@@ -30,6 +30,6 @@ for count in "${ranks[@]}"; do
     tool "$count" memory --n "${MEMORY:-4096}"
 done
 for share in "2048 1" "4096 512" "16384 512" "65536 4096" "32768 4096"; do
-    .venv/bin/python tools/scaling.py emulate "$folder/measured.jsonl" --n "${share% *}" --ranks "${share#* }"
+    .venv/bin/python tools/bench/scaling.py emulate "$folder/measured.jsonl" --n "${share% *}" --ranks "${share#* }"
 done
-.venv/bin/python tools/scaling.py draw "$folder/measured.jsonl" --output "$folder"
+.venv/bin/python tools/bench/scaling.py draw "$folder/measured.jsonl" --output "$folder"

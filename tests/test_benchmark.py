@@ -1,4 +1,4 @@
-"""tools/benchmark.py: what it measures is right, on problems of a second."""
+"""tools/bench/benchmark.py: what it measures is right, on problems of a second."""
 
 import csv
 import os
@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
+from benchmarks import ratios, total_error, worker  # noqa: E402
 from benchmarks import recorder as recording  # noqa: E402
-from benchmarks import report, total_error, worker  # noqa: E402
 from benchmarks.case import Case  # noqa: E402
 from benchmarks.cores import PLAN as CORES  # noqa: E402
 from benchmarks.recorder import EnoughError, Recorder  # noqa: E402
@@ -126,9 +126,9 @@ def test_a_run_ends_once_it_is_accurate_enough():
 def test_cost_interpolates_for_those_who_could_stop_anywhere():
     """Between (1 s, 1e-2) and (3 s, 1e-4), 1e-3 is reached after 2 s; without interpolation after 3 s; 1e-5 never."""
     points = [{"seconds": 1.0, "pressure_error": 1e-2}, {"seconds": 3.0, "pressure_error": 1e-4}]
-    assert report.cost(points, 1e-3) == pytest.approx(2.0)
-    assert report.cost(points, 1e-3, between=False) == 3.0
-    assert report.cost(points, 1e-5) == np.inf
+    assert ratios.cost(points, 1e-3) == pytest.approx(2.0)
+    assert ratios.cost(points, 1e-3, between=False) == 3.0
+    assert ratios.cost(points, 1e-5) == np.inf
 
 
 def test_peers_areas_lose_the_pixels_that_edges_count_too_much():
@@ -178,7 +178,7 @@ def test_a_small_benchmark_from_end_to_end(tmp_path):
     """Ours and plain Polonsky–Keer reach the reference to 1e-6; a second call measures nothing again."""
     if os.environ.get("OMPI_COMM_WORLD_SIZE") or shutil.which("mpirun") is None:
         pytest.skip("starts processes of its own")
-    command = [sys.executable, str(ROOT / "tools" / "benchmark.py"), "run", str(tmp_path), "--n", "64"]
+    command = [sys.executable, str(ROOT / "tools" / "bench" / "benchmark.py"), "run", str(tmp_path), "--n", "64"]
     command += ["--lambda-s", "8", "--repeat", "1", "--threads", "1"]
     command += ["--methods", "pgfmd", "pgfmd steps", "Polonsky-Keer"]
     for _ in range(2):
@@ -200,7 +200,7 @@ def test_cores_are_compared_in_turns(tmp_path):
     """
     if os.environ.get("OMPI_COMM_WORLD_SIZE") or shutil.which("mpirun") is None:
         pytest.skip("starts processes of its own")
-    command = [sys.executable, str(ROOT / "tools" / "benchmark.py"), "cores", str(tmp_path), "--n", "64"]
+    command = [sys.executable, str(ROOT / "tools" / "bench" / "benchmark.py"), "cores", str(tmp_path), "--n", "64"]
     command += ["--lambda-s", "8", "--repeat", "1"]
     for rounds in (1, 2):
         environment = dict(os.environ)  # without what MPI adds for this process behind it

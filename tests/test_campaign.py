@@ -1,4 +1,4 @@
-"""Random jobs against the slow reference, the quick version of tools/campaign.py; and the judge itself."""
+"""Random jobs against the slow reference, the quick version of tools/bench/campaign.py; and the judge itself."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from conftest import ROOT, SIZE, broad
 pytest.importorskip("mpi4py")
 if np.finfo(np.longdouble).eps > 1e-18:
     pytest.skip("the reference needs extended precision", allow_module_level=True)
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
 
-from campaigns import case as cases  # noqa: E402
+from campaigns import random_case as cases  # noqa: E402
 from campaigns import running  # noqa: E402
 from campaigns.drawing import draw  # noqa: E402
 from campaigns.shrinking import shrink  # noqa: E402

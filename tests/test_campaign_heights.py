@@ -1,4 +1,4 @@
-"""Random heights files of all kinds, the quick version of tools/campaign_heights.py."""
+"""Random heights files of all kinds, the quick version of tools/bench/campaign_heights.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT, SIZE
 
 pytest.importorskip("mpi4py")
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
 
 import campaign_heights  # noqa: E402
 

@@ -14,7 +14,7 @@ pytest.importorskip("mpi4py")
 
 from pgfmd.solvers.solution import Certificate
 
-PATH = Path(__file__).resolve().parent.parent / "tools" / "extremes.py"
+PATH = Path(__file__).resolve().parent.parent / "tools" / "bench" / "extremes.py"
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from pgfmd.application import job
 from pgfmd.application.simulate import simulate
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "plots"))
 
 import figures  # noqa: E402
 import overview_charts  # noqa: E402

@@ -67,7 +67,7 @@ def folder(tmp_path_factory) -> Path:
             simulate(job.parse(JOB.format(seed=seed, wall=WALLS[wall])), MPI.COMM_SELF, path)
             runs[wall].append(str(path))
     calls = [[figure, *runs[wall], *options, "--output", str(root)] for figure, (wall, options) in CALLS.items()]
-    script = f"import sys\nsys.path.insert(0, {str(ROOT / 'tools')!r})\nimport figures\n"
+    script = f"import sys\nsys.path.insert(0, {str(ROOT / 'tools' / 'plots')!r})\nimport figures\n"
     script += f"for words in {calls!r}:\n    assert figures.main(words) == 0, words\n"
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, timeout=900)
     return root

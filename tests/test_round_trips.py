@@ -1,4 +1,4 @@
-"""Load → area, gap, displacement or force → load: the quick version of tools/round_trips.py; and its judge."""
+"""Load → area, gap, displacement or force → load: the quick version of tools/bench/round_trips.py; and its judge."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from conftest import ROOT, SIZE
 
 import pgfmd
 
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
 
 import round_trips  # noqa: E402
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 from conftest import ROOT, SIZE
 
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
 import scaling_model
 from scaling_model import COMPUTED, Machine, Parts, levels_of, model
 
@@ -65,7 +65,7 @@ def test_costs_are_a_line():
 def test_a_share_of_many_ranks(tmp_path):
     """One process does the share of one rank of 32: transform, mesh and blocks of its eight rows."""
     words = ["emulate", tmp_path / "found.jsonl", "--n", "256", "--ranks", "32"]
-    subprocess.run([sys.executable, ROOT / "tools" / "scaling.py", *map(str, words)], check=True, timeout=300)
+    subprocess.run([sys.executable, ROOT / "tools" / "bench" / "scaling.py", *map(str, words)], check=True, timeout=300)
     found = json.loads((tmp_path / "found.jsonl").read_text())
     assert found["rows"] == 8
     assert all(0 < found[name] < 1e6 for name in ("pair", "mesh", "blocks"))

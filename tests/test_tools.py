@@ -17,8 +17,8 @@ from pgfmd.errors import InputError
 from pgfmd.observables.statistics import spectra
 
 ROOT = Path(__file__).resolve().parent.parent
-TOOLS = ROOT / "tools"
-sys.path.insert(0, str(TOOLS))
+PLOTS, PAPER = ROOT / "tools" / "plots", ROOT / "tools" / "paper"
+sys.path[:0] = [str(PLOTS), str(PAPER)]
 
 import choosing  # noqa: E402
 import claims  # noqa: E402
@@ -373,10 +373,10 @@ def test_a_folder_that_is_not_there_is_named(tmp_path, capsys):
 
 
 def test_every_folder_is_installed():
-    """The packages named in pyproject.toml are the folders of pgfmd/ that hold modules, and tools/."""
+    """The packages named in pyproject.toml are the folders of pgfmd/ that hold modules, and the figures."""
     plan = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     folders = {path.parent.relative_to(ROOT) for path in (ROOT / "pgfmd").rglob("*.py")}
-    assert sorted(plan["packages"]) == sorted({".".join(folder.parts) for folder in folders} | {"pgfmd_tools"})
+    assert sorted(plan["packages"]) == sorted({".".join(folder.parts) for folder in folders} | {"pgfmd_plots"})
 
 
 def test_without_matplotlib_one_line_says_how_to_get_it(runs):
@@ -417,8 +417,8 @@ def test_every_figure_explains_itself(figure, capsys):
 
 
 def test_a_figure_can_be_drawn_by_its_file(runs, tmp_path):
-    """`python tools/NAME.py DIR` works as `pgfmd plot NAME DIR` does."""
-    command = [sys.executable, str(TOOLS / "area_load.py"), str(runs["kept"]), "--output", str(tmp_path)]
+    """`python tools/plots/NAME.py DIR` works as `pgfmd plot NAME DIR` does."""
+    command = [sys.executable, str(PLOTS / "area_load.py"), str(runs["kept"]), "--output", str(tmp_path)]
     subprocess.run(command, check=True, capture_output=True, timeout=300)
     assert (tmp_path / "area_load.pdf").stat().st_size > 0
 
@@ -545,9 +545,9 @@ def test_jobs_and_claims_of_the_paper_are_valid():
     """Every job of the paper parses; its 27 claims refer to figures that exist, drawn by tools that exist."""
     for path in sorted((ROOT / "jobs" / "paper").glob("*.toml")):
         config.load(path)
-    plan = report.read_figures(TOOLS / "paper.toml")
+    plan = report.read_figures(PAPER / "claims.toml")
     assert {figure.tool for figure in plan} <= set(figures.FIGURES)
-    asked = claims.read(TOOLS / "paper.toml", {figure.key for figure in plan})
+    asked = claims.read(PAPER / "claims.toml", {figure.key for figure in plan})
     assert [claim.number for claim in asked] == list(range(1, 28))
     assert all(claim.parts for claim in asked)
 

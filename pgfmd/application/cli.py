@@ -192,11 +192,11 @@ def _certify(options: argparse.Namespace) -> str:
 
 
 def _plot(words: list[str]) -> str:
-    """Draw a figure; what to print.  The figures are in pgfmd_tools/ or, in a checkout, tools/ next to the package."""
+    """Draw a figure; what to print.  The figures are in pgfmd_plots/ or tools/plots/, next to the package."""
     here = Path(__file__).resolve().parents[2]
-    folders = [here / name for name in ("pgfmd_tools", "tools") if (here / name / "figures.py").is_file()]
+    folders = [here / name for name in ("pgfmd_plots", "tools/plots") if (here / name / "figures.py").is_file()]
     if not folders:
-        raise InputError("plot: the figures are not installed; they are the folder tools/ of a checkout of pgfmd")
+        raise InputError("plot: the figures are not installed; they are the folder tools/plots/ of a checkout of pgfmd")
     sys.path.insert(0, str(folders[0]))
     try:
         return importlib.import_module("figures").plot(words)

@@ -1,7 +1,7 @@
 """The same passes as `transforms.Transform`, left to mpi4py-fft: whole local arrays instead of blocks in cache.
 
-Slower than blocked transforms (`tools/benchmark.py transforms`), but it needs neither pyfftw nor shared memory, and it
-shares no code with them, so that each checks the other.
+Slower than blocked transforms (`tools/bench/benchmark.py transforms`), but it needs neither pyfftw nor shared memory,
+and it shares no code with them, so that each checks the other.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ import numpy as np
 
 STAIRCASE = 0.101378
 """Area error of counting square pixels, in pixels, per pixel edge that separates contact from non-contact, averaged
-over offsets and directions: ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ.  Computed by `tools/contact_line.py constant`.  Geometry
-alone, doi:10.1016/j.triboint.2017.04.023, gives 0.118."""
+over offsets and directions: ∮ δ dθ / ∮ (|cos θ| + |sin θ|) dθ.  Computed by `tools/bench/contact_line.py constant`.
+Geometry alone, doi:10.1016/j.triboint.2017.04.023, gives 0.118."""
 
 
 Stiffness = Callable[[np.ndarray], np.ndarray]

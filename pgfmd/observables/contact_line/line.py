@@ -36,7 +36,7 @@ LARGEST_RATIO = 5.0
 """`bound` of `pairs.locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight edge of
 an unbounded contact is clipped to 1/LARGEST_RATIO … LARGEST_RATIO.  Where contacts or openings are about a pixel wide,
 this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives the smallest error on exact waves whose
-contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
+contacts and openings are at least one pixel wide: `tools/bench/contact_line.py limit`."""
 
 WINKLER = 0.25
 """`table.hardening` below which there is a line on any surface.  At λ_s = 1 … 2.5 pixels, its rms error in pixels, per

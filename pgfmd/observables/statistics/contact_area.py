@@ -13,8 +13,8 @@ The solver: an error e of the pressure moves the line by e over the rise of the 
 order of the rms pressure in contact, on a thin slab K(π/a) a g_rms: the pressure follows the slope of the surface.  The
 more is in contact, the more does a change of the pressure open or close: 1/(1 − f_c).
 
-FACTORS: so that errors are large enough in 19 cases of 20; from 400 contacts (`tools/discretisation.py held`, seeds 77
-and 78), and tested on others.
+FACTORS: so that errors are large enough in 19 cases of 20; from 400 contacts (`tools/bench/error_bars.py held`, seeds
+77 and 78), and tested on others.
 """
 
 from __future__ import annotations

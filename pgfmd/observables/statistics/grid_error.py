@@ -26,7 +26,7 @@ edges that move with the load pass points.  At λ_s = 4a, 8a, 16a, 32a, the meas
 
 c is from contacts of 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; 16 λ_s across; λ_s = 4a, 8a, 16a,
 for 38 of them 32a), compared with λ_s = 64a, for 32a with 128a, such that the error is large enough in 19 cases of 20:
-`tools/discretisation.py bars` checks it on others.
+`tools/bench/error_bars.py bars` checks it on others.
 
 **Band.** Where roughness reaches the pixel, the coarser grid lacks a part of it.  The errors against the same heights,
 interpolated onto a grid eight times finer, are then estimated from the roughness s of the surface (`rough_surface`) and

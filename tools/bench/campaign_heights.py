@@ -1,7 +1,7 @@
 """Random heights files of all kinds: the reader gives the heights that were written, or refuses in one line.
 
-    python tools/campaign_heights.py --files 5000 --seed 1
-    python tools/campaign_heights.py --seed 1 --only 17 --keep DIR     # that file alone, kept in DIR
+    python tools/bench/campaign_heights.py --files 5000 --seed 1
+    python tools/bench/campaign_heights.py --seed 1 --only 17 --keep DIR     # that file alone, kept in DIR
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The figures, one line each, and the command that draws any of them: `pgfmd plot`, or `python tools/NAME.py DIR…`.
+"""The table of figures and the command that draws one: `pgfmd plot`, or `python tools/plots/NAME.py DIR…`.
 
-A figure is a file tools/NAME.py with
+A figure is a file tools/plots/NAME.py with
     a docstring        what it shows; its first line stands in the list
     CAPTION            the text below the figure, for readers who do not know the paper
     NEEDS              what a load must have, names of `choosing.NEEDS`; other loads are left out, with a note

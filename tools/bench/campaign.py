@@ -1,7 +1,7 @@
 """Random jobs over all keys, each answer against a slow reference (tests/reference.py).
 
-    python tools/campaign.py --jobs 20000 --seed 1          # counts, and a minimal job of each that went wrong
-    python tools/campaign.py --seed 1 --only 4711           # that job alone, as TOML, with its verdict
+    python tools/bench/campaign.py --jobs 20000 --seed 1  # counts, and a minimal job of each that went wrong
+    python tools/bench/campaign.py --seed 1 --only 4711  # that job alone, as TOML, with its verdict
 
 A job ends right (its true error is within the certified one; pressure, gap, area, mean gap and energy agree with the
 reference), or is refused in one line.  Anything else is wrong: an error larger than its bound, a number that does not
@@ -26,8 +26,8 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from campaigns.case import BAD, HANGS, RIGHT, TRACEBACK, VERDICTS, show
 from campaigns.drawing import draw
+from campaigns.random_case import BAD, HANGS, RIGHT, TRACEBACK, VERDICTS, show
 from campaigns.running import HANG, run
 from campaigns.shrinking import kind, shrink
 

@@ -1,7 +1,7 @@
 """Round trips: the contact at a load, and from its area, mean gap, displacement or force back to the load.
 
-    python tools/round_trips.py --trips 2000 --seed 1       # counts, and the worst of each law and control
-    python tools/round_trips.py --seed 1 --only 4711        # that trip alone
+    python tools/bench/round_trips.py --trips 2000 --seed 1       # counts, and the worst of each law and control
+    python tools/bench/round_trips.py --seed 1 --only 4711        # that trip alone
 
 Random self-affine surfaces, half-spaces and slabs, loads from first touch to full contact; each law with each control
 in turn.  A trip is right if the value at the load that comes back, of a contact as exact as rounding allows, is the

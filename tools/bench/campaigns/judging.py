@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import reference
-from campaigns.case import RIGHT, UNJUDGED, WRONG
+
+from campaigns.random_case import RIGHT, UNJUDGED, WRONG
 
 AREA_PIXEL = 1.0  # pixels by which an area may miss, whatever area_tolerance says: README
 JUMP = 1e-4  # relative width of the loads across which an area jumps

@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import reference
-from campaigns.case import REFUSED, RIGHT, TRACEBACK, UNCERTIFIED, UNJUDGED, WRONG, Case, toml
+
 from campaigns.judging import Answer, judge
+from campaigns.random_case import REFUSED, RIGHT, TRACEBACK, UNCERTIFIED, UNJUDGED, WRONG, Case, toml
 
 HANG = 120.0  # seconds of processor time that a job of at most 24² points may take
 

@@ -1,6 +1,6 @@
 """Many runs, N at a time, each in one process.
 
-    printf '%s\\n' "NAME JOB.toml section.key=value …" … | python tools/runs.py RESULTS [--jobs 2]
+    printf '%s\\n' "NAME JOB.toml section.key=value …" … | python tools/paper/runs.py RESULTS [--jobs 2]
 
 Reads one run per line; those whose folder RESULTS/NAME holds a complete run of the same job are not repeated.  Each
 run has OMP_NUM_THREADS threads, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its message.

@@ -6,7 +6,8 @@ import copy
 import math
 
 import numpy as np
-from campaigns.case import Case
+
+from campaigns.random_case import Case
 
 LARGEST_SIDE = 24
 

@@ -1,8 +1,8 @@
 """The paper compared with the runs: one self-contained HTML page with every claim, figure, number and run.
 
-    python tools/report.py results/paper [--output results/paper/report]
+    python tools/paper/report.py results/paper [--output results/paper/report]
 
-Makes all figures anew.  Claims and rules are in tools/paper.toml; a note names what has not been run yet.
+Makes all figures anew.  Claims and rules are in tools/paper/claims.toml; a note names what has not been run yet.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from datetime import datetime
 from pathlib import Path
 
 import claims
-import figures
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "plots"))
+import figures  # noqa: E402
 from claims import Claim
 from plotting import Findings
 
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 
-CLAIMS = Path(__file__).with_name("paper.toml")
+CLAIMS = Path(__file__).with_name("claims.toml")
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #111; }
@@ -68,7 +70,7 @@ class Figure:
 
 
 def read_figures(path: Path) -> list[Figure]:
-    """The figures of a file such as tools/paper.toml."""
+    """The figures of a file such as tools/paper/claims.toml."""
     with open(path, "rb") as file:
         tables = tomllib.load(file)["figure"]
     return [Figure(**table) for table in tables]
@@ -220,7 +222,7 @@ def _section(figure: Figure, folder: Path, drawn: dict[str, Drawn], asked, findi
             f'<p class="small">{html.escape(caption)}{notes}</p>',
             _table_one(figure, findings) if figure.key == "T1" else "",
             _claims(mine, findings),
-            f'<p class="small">tools/{html.escape(figure.tool)}.py; data in {html.escape(figure.picture)}*.csv. '
+            f'<p class="small">tools/plots/{html.escape(figure.tool)}.py; data in {html.escape(figure.picture)}*.csv. '
             f"{len(runs)} runs, {_duration(sum(map(_seconds, runs)))} together: {names}.</p>",
         ]
     )

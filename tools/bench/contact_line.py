@@ -1,8 +1,8 @@
 """The numbers behind the contact line between pixels.
 
-    python tools/contact_line.py constant     # area per pixel edge: `theory.lattice_edge.STAIRCASE`
-    python tools/contact_line.py directions   # δ and the area per pixel edge by direction
-    python tools/contact_line.py limit        # `observables.contact_line.line.LARGEST_RATIO`, on exact waves (minutes)
+    python tools/bench/contact_line.py constant  # area per pixel edge: `theory.lattice_edge.STAIRCASE`
+    python tools/bench/contact_line.py directions  # δ and the area per pixel edge by direction
+    python tools/bench/contact_line.py limit  # `observables.contact_line.line.LARGEST_RATIO`, on exact waves (minutes)
 """
 
 from __future__ import annotations

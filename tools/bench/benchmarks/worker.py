@@ -1,6 +1,6 @@
 """One process (or one per rank) that times one method on one case and appends a line of JSON per run to a file.
 
-Started by tools/benchmark.py.  A small problem is solved first, unmeasured: it loads libraries and compiled kernels.
+Started by tools/bench/benchmark.py.  A small problem is solved first, unmeasured, to load libraries and compiled loops.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TIGHTEST = 1e-12  # what methods that are watched at each iteration are asked fo
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("job", help="the run as JSON, as tools/benchmark.py writes it")
+    parser.add_argument("job", help="the run as JSON, as tools/bench/benchmark.py writes it")
     job = json.loads(parser.parse_args(arguments).job)
     case, folder = Case(**job["case"]), Path(job["folder"])
     if job["method"] == "prepare":

@@ -1,9 +1,9 @@
 """How the solver scales: messages, memory and waiting of a run on many ranks, and from these a model of a big machine.
 
-mpirun -n P python -m mpi4py tools/scaling.py measure OUT.jsonl --n 1024 [--exchanged]  # seconds, messages by level
-mpirun -n P python -m mpi4py tools/scaling.py memory OUT.jsonl --n 1024 [--nodes 2]     # points and bytes held
-python tools/scaling.py emulate OUT.jsonl --n 4096 --ranks 512                          # one rank's share of a grid
-python tools/scaling.py draw OUT.jsonl --output DIR                                     # model, CSV and picture
+mpirun -n P python -m mpi4py tools/bench/scaling.py measure OUT.jsonl --n 1024 [--exchanged]  # seconds, messages
+mpirun -n P python -m mpi4py tools/bench/scaling.py memory OUT.jsonl --n 1024 [--nodes 2]  # points and bytes held
+python tools/bench/scaling.py emulate OUT.jsonl --n 4096 --ranks 512  # one rank's share of a grid
+python tools/bench/scaling.py draw OUT.jsonl --output DIR  # model, CSV and picture
 
 All but `draw` append one line to OUT.jsonl.
 """

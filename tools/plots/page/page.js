@@ -1,7 +1,7 @@
 "use strict";
 /* The overview page: fields that are zoomed together, curves, the table of loads.  No libraries, nothing from a network.
    The data are in the page (element "data"); tiles that did not fit lie in a folder beside it and are loaded as scripts,
-   since pages opened as files may load nothing else.  Tiles: see tools/pyramid.py. */
+   since pages opened as files may load nothing else.  Tiles: see tools/plots/pyramid.py. */
 
 const D = JSON.parse(document.getElementById("data").textContent);
 const $ = id => document.getElementById(id);

@@ -1,5 +1,5 @@
 """Claims of a paper, and the rule by which a measured number decides on each; read from a file such as
-tools/paper.toml.
+tools/paper/claims.toml.
 
 A claim has parts, each of which holds one number found by a figure against what the paper says of it:
 

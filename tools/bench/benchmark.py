@@ -1,14 +1,14 @@
 #!/usr/bin/env python
 """Run time against error: this solver, the fastest peers and plain Polonsky–Keer, in one run on this machine.
 
-    python tools/benchmark.py run DIR --n 1024 --hurst 0.8 --lambda-s 16 --area 0.08    # measure cases, in turns
-    python tools/benchmark.py resolution DIR                                            # discretisation error against n
-    python tools/benchmark.py transforms DIR                                            # an FFT pair, ours and others'
-    python tools/benchmark.py cores DIR                                                 # what a second core gains
-    python tools/benchmark.py phases DIR --n 4096                                       # a whole run, phase by phase
-    python tools/benchmark.py counts DIR --n 4096 --area .2 .5 --seeds 1 2 --ranks 1 2  # transforms, memory of a solve
-    python tools/benchmark.py total DIR --hurst 0.8                                     # to a total error of the area
-    python tools/benchmark.py report DIR                                                # tables, pictures once more
+    python tools/bench/benchmark.py run DIR --n 1024 --hurst 0.8 --lambda-s 16 --area 0.08  # measure cases, in turns
+    python tools/bench/benchmark.py resolution DIR  # discretisation error against n
+    python tools/bench/benchmark.py transforms DIR  # an FFT pair, ours and others'
+    python tools/bench/benchmark.py cores DIR  # what a second core gains
+    python tools/bench/benchmark.py phases DIR --n 4096  # a whole run, phase by phase
+    python tools/bench/benchmark.py counts DIR --n 4096 --area .2 .5 --seeds 1 2 --ranks 1 2  # transforms, memory
+    python tools/bench/benchmark.py total DIR --hurst 0.8  # to a total error of the area
+    python tools/bench/benchmark.py report DIR  # tables, pictures once more
 
 All times are wall seconds of a complete solution: planning, coarse grids and all, but not the start of Python, the
 loading of compiled code and the surface.  Errors are relative to a solution certified to 1e-20 on the same grid.  Runs
@@ -126,7 +126,7 @@ def main(arguments: list[str] | None = None) -> int:
         for surface in itertools.product(options.hurst, options.across):
             total(options.folder, surface, plan, options.budget, options.clock)
     if options.what not in ("transforms", "cores", "phases", "counts", "total"):
-        from benchmarks.report import report
+        from benchmarks.ratios import report
 
         report(options.folder, options.clock)
     return 0

@@ -7,14 +7,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def launch(module: str, arguments: list[str], ranks: int, threads: int) -> subprocess.Popen:
     """Start `python -m benchmarks.<module> arguments`; its output goes to pipes, as text."""
     names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     environment = os.environ | dict.fromkeys(names, str(threads))
-    environment["PYTHONPATH"] = os.pathsep.join([str(ROOT / "tools"), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    folders = [str(ROOT / "tools" / "bench"), str(ROOT), os.environ.get("PYTHONPATH", "")]
+    environment["PYTHONPATH"] = os.pathsep.join(folders)
     command = [sys.executable, "-m", "mpi4py", "-m", f"benchmarks.{module}", *arguments]
     if ranks > 1:
         command = ["mpirun", "-n", str(ranks), *command]

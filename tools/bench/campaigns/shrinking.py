@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import reference
-from campaigns.case import TRACEBACK, Case
+
+from campaigns.random_case import TRACEBACK, Case
 from campaigns.running import run
 
 

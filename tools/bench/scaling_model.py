@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import csv
 import math
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from plotting import COLOURS, GREY, MARKERS, PAGE, plt
 
 from pgfmd.grid.holders import holders
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "plots"))
+from plotting import COLOURS, GREY, MARKERS, PAGE, plt  # noqa: E402
 
 
 class Machine(NamedTuple):
@@ -36,7 +39,7 @@ LABELS = {"other": "other loops", "overhead": "per call, whatever the size", "la
 RANKS = [2**k for k in range(4, 15)]
 STRONG, WEAK = (4096, 16384, 65536), 1024  # points per side; points per side of a rank
 LARGEST = 131072
-COUNTS = Path(__file__).parents[1] / "jobs/benchmark/counts.csv"  # of `benchmark.py counts`
+COUNTS = Path(__file__).parents[2] / "jobs/benchmark/counts.csv"  # of `benchmark.py counts`
 CASES = {"method": "pgfmd", "lambda_s": "16", "tolerance": "1e-08", "ranks": "1"}  # of those that count
 
 

@@ -1,8 +1,8 @@
 """Discretisation errors of contacts, and the quality of their error bars, on new surfaces.
 
-    python tools/discretisation.py bars [--seed 1] [--across 16] [--finest 64]
-    python tools/discretisation.py held FILE.csv [--seed 1] [--count 200]
-    python tools/discretisation.py area FILE.csv [--seed 1] [--across 32] [--finest 128] [--places 1] [--only H AREA]
+    python tools/bench/error_bars.py bars [--seed 1] [--across 16] [--finest 64]
+    python tools/bench/error_bars.py held FILE.csv [--seed 1] [--count 200]
+    python tools/bench/error_bars.py area FILE.csv [--seed 1] [--across 32] [--finest 128] [--places 1] [--only H AREA]
 
 bars: for each number and λ_s/a, how many of the bars are at least as large as the error against λ_s = finest · a, and
 the median of bar over error.

@@ -1,1 +1,0 @@
-"""Figures (`pgfmd plot`), the paper, benchmarks: installed as pgfmd_tools, see README.md."""

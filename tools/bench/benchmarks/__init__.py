@@ -1,0 +1,1 @@
+"""Parts of tools/bench/benchmark.py: cases, methods, one timed run, pictures and tables."""

@@ -1,1 +1,0 @@
-"""Parts of tools/benchmark.py: cases, methods, one timed run, pictures and tables."""

@@ -1,0 +1,1 @@
+"""Figures of result folders (`pgfmd plot`), installed as pgfmd_plots."""
