@@ -29,8 +29,9 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.kinds import SOLIDS
 from pgfmd.physics.solids.solid import POISSON, Solid
+from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.load_control import LoadControl
+from pgfmd.solvers.load_control import LoadControl, load_control
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.file import warn_of_edges
@@ -180,8 +181,9 @@ def solve(
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
     asked_load = Load(**{name: targets, **closeness})
     shown = "ipykernel" in sys.modules and "IPython" in sys.modules if progress is None else progress
-    solver = partial(_solve, options, shown)
-    control = LoadControl(asked_load, ContactProblem(grid, heights, solid, law), options.tolerance, solver)
+    control = load_control(asked_load, ContactProblem(grid, heights, solid, law), options.tolerance)
+    if isinstance(control, LoadControl):
+        control.solver = partial(_solve, options, shown)
     control.check_targets(targets)
     control.resume(start)
     contacts = _contacts(control, targets)
@@ -347,7 +349,7 @@ def _made(kinds: Kinds, sort: type[Section], given: object) -> Any:
     return made
 
 
-def _contacts(control: LoadControl, targets: Sequence[float]) -> Generator[Contact, None, None]:
+def _contacts(control: LoadControl | Branch, targets: Sequence[float]) -> Generator[Contact, None, None]:
     """The contacts at the targets, one after another.  Collective."""
     with control.grid.freed():
         for target in targets:

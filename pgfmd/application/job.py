@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
+from pgfmd.observables.adhesion import Adhesion
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import FIELDS
@@ -124,6 +125,18 @@ class Job:
         self.surface.check_in(self.grid)
         self.solver.check_law(self.wall)
         self.load.check_law(self.wall)
+        if not self.wall.convex:
+            self._of_attraction()
+
+    def _of_attraction(self) -> None:
+        """What walls that attract ask of the output: columns of their own, no observable that knows hard walls only."""
+        kind = show(self.wall.kind)
+        for observable in self.output.asked:
+            if not observable.attraction:
+                raise InputError(f"output.observables: {observable.name} is not measured with wall.kind = {kind}")
+        if Adhesion.name not in self.output.observables:
+            names = (*self.output.observables, Adhesion.name)
+            object.__setattr__(self, "output", dataclasses.replace(self.output, observables=names))
 
     @property
     def cell(self) -> Cell:

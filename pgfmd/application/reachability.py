@@ -22,7 +22,7 @@ def doubts(job: Job) -> list[str]:
 
     Raises InputError for a target, and for a surface, that a run would refuse before its first solution.
     """
-    if job.load.control == "pressure":
+    if job.load.control == "pressure" or not job.wall.convex:
         return []  # any surface takes it
     seeds = job.surface.seeds
     surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]

@@ -35,8 +35,9 @@ from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root, shared
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.load_control import LoadControl
+from pgfmd.solvers.load_control import LoadControl, load_control
 from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.heights_file import digest
 from pgfmd.surfaces.surface import refined_heights
@@ -106,7 +107,7 @@ def simulate(
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         observer = Observer(problem, job.output.asked, cutoff, fields=job.output.fields)
-        control = LoadControl(job.load, problem, job.solver.tolerance)
+        control = load_control(job.load, problem, job.solver.tolerance)
         impossible = _impossible(control, job.load.targets, alone)
         checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job), job.run.io_hints)
         with phases("write"):
@@ -123,17 +124,24 @@ def simulate(
         unreachable: dict[int, Exception] = {index: impossible[index] for index in pending if index in impossible}
         progress = Progress(comm.rank, len(pending), grid.shape, job.solver.tolerance)
         steps = _Steps(grid, interruptions, checkpoints, progress)
-        control.solver = partial(solve, job, steps)
+        if isinstance(control, Branch):
+            control.monitor = steps.follow
+        else:
+            control.solver = partial(solve, job, steps)
         for index in [index for index in pending if index not in impossible]:
             target = job.load.targets[index]
             try:
                 progress.begin(f"load {index + 1}/{count}")
                 with phases("solve"), steps.of_load(index):
-                    start = checkpoints.load(index)
+                    start = None if isinstance(control, Branch) and control.last else checkpoints.load(index)
                     interruptions.load_begins(resumed=start is not None)
-                    control.resume(start)
+                    if isinstance(control, Branch):
+                        control.resume(start, job.load.targets[index - 1])
+                    else:
+                        control.resume(start)
                     solution = control.solution(target)
-                    steps.solved(solution)
+                    if not isinstance(control, Branch):
+                        steps.solved(solution)
             except Unreachable as failure:
                 if not shared(comm, failure):
                     raise
@@ -148,6 +156,8 @@ def simulate(
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
                 checkpoints.remove()
+                if isinstance(control, Branch) and index + 1 < count:
+                    checkpoints.save(index + 1, solution.gap)  # from which the next load continues
             interruptions.load_done()
             interruptions.resumption = "--restart"
             progress.end()
@@ -162,7 +172,7 @@ def simulate(
         raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")
 
 
-def _impossible(control: LoadControl, targets: Sequence[float], alone: bool) -> dict[int, InputError]:
+def _impossible(control: LoadControl | Branch, targets: Sequence[float], alone: bool) -> dict[int, InputError]:
     """The targets that are wrong input on this surface, by index; for a surface that is `alone`, or without another
     target, InputError is raised.  A seed of an ensemble solves the others, so that no load's mean lacks a seed that can
     reach it.  Collective.
@@ -224,6 +234,11 @@ class _Steps:
             self.interruptions.between_steps(partial(self._save, mean_pressure, state))
         elif grid.comm is self.grid.comm:
             self.interruptions.between_steps()
+
+    def follow(self, grid: SlabGrid, state: SolverState) -> None:
+        """The monitor along a branch, which restarts from its last load.  Collective."""
+        self.progress.step(grid.shape, state.error, state.contact / grid.size, grid.transforms - self.transforms)
+        self.interruptions.between_steps()
 
     def solved(self, solution: ContactSolution) -> None:
         """Called when a load is solved, before it is written.  Collective."""

@@ -29,6 +29,7 @@ class Discretisation(Observable):
     """
 
     name = "discretisation"
+    attraction = False
     where = "output.discretisation"
     layout = {
         "discretisation": {

@@ -41,6 +41,7 @@ class Lowpass(Observable):
     """
 
     name = "lowpass"
+    attraction = False
     where = "output.lowpass"
     layout = {
         "lowpass_area": {

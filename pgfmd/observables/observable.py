@@ -30,12 +30,13 @@ class Observable(Section):
 
     name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.  The group
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
-    fields: of `schema.FIELDS`, that it can write.
+    fields: of `schema.FIELDS`, that it can write.  attraction: whether it can be measured where the wall attracts.
     """
 
     name: ClassVar[str]
     layout: ClassVar[GroupLayout]
     fields: ClassVar[tuple[str, ...]] = ()
+    attraction: ClassVar[bool] = True
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """What measuring one load costs, at most (what several observables need is computed once).

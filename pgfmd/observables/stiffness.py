@@ -32,6 +32,7 @@ class Stiffness(Observable):
     """
 
     name = "stiffness"
+    attraction = False
     where = "output.stiffness"
     fields = ("current_density",)
     layout = {

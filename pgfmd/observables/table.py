@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pgfmd.observables.acf import Acf
+from pgfmd.observables.adhesion import Adhesion
 from pgfmd.observables.bearing import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
@@ -32,6 +33,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
         Discretisation,
         Stiffness,
         Percolation,
+        Adhesion,
     )
 }
 

@@ -27,6 +27,7 @@ MESH = 4.5  # meshes, means over blocks, and what is measured of every contact, 
 # Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse
 # grid (6): single precision where that serves.
 NEWTON = 55.0
+ADHESIVE = 100.0  # gaps and stresses of three states (48), five fields in single precision (20), temporary ones
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
 GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 
@@ -40,6 +41,8 @@ def cost(
     of their own.  single: whether the active set can keep pressure and gap in single precision.
     """
     heights = SCALED * scaled
+    if method == "adhesive":
+        return Cost(70, ADHESIVE)
     if method == "newton":
         return Cost(70, heights + NEWTON)
     if method == "gfmd":

@@ -12,6 +12,7 @@ from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.adhesive_branch import solve_adhesive
 from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
 from pgfmd.solvers.options import Solver
@@ -21,6 +22,7 @@ SOLVERS: dict[str, Callable[..., ContactSolution]] = {
     "active-set": solve_hard_wall,
     "newton": solve_exponential_wall,
     "gfmd": solve_gfmd,
+    "adhesive": solve_adhesive,
 }
 SMALLEST = 1e-290  # least sum of a start: the load over it does not overflow
 LEFT = 1e-12, 1e-9  # parts of p̄: pressures below them are taken off points in turn, until the rest is certified

@@ -16,6 +16,7 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.controls import CONTROLS, LEAST_ERROR
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Load, Solver
@@ -163,6 +164,11 @@ class LoadControl:
                 asked = f"not even a certified error of {tolerance:g} is reached on the way"
             failure.args = (f"load.{self.name} = {target:g}: {asked}: {failure}",)
             raise
+
+
+def load_control(load: Load, problem: ContactProblem, tolerance: float = 1e-8) -> LoadControl | Branch:
+    """What finds the contacts that a load asks for, under any law.  Collective to call."""
+    return (LoadControl if problem.law.convex else Branch)(load, problem, tolerance)
 
 
 class _Search:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import TRANSFORMS
-from pgfmd.options.rules import choice, integer, many, number
+from pgfmd.options.rules import choice, flag, integer, many, number
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 from pgfmd.physics.laws.law import ContactLaw
@@ -71,6 +71,17 @@ class Load(Section):
         "highest point",
         unit="length",
     )
+    cycle: bool = key(flag(), False, "the list is followed by itself backwards: loading, then unloading")
+    branch: str = key(
+        choice("follow", "cold", "probe"), "follow",
+        'of a wall that attracts. "follow": each contact continues from the last; "cold": from the undeformed solid; '
+        '"probe": from the contact at longer ranges, which often finds states of lower energy',
+    )  # fmt: skip
+    jump_accuracy: float = key(
+        number(low=0, high=1), 0.02,
+        "width to which the place of a jump between two targets is bisected, over their distance; 0: it is not",
+        unit="1",
+    )  # fmt: skip
     area_tolerance: float = key(
         number(above=0, below=1),
         0.005,
@@ -95,6 +106,9 @@ class Load(Section):
         if len(given) != 1:
             found = f"found {' and '.join(given)}" if given else "found none"
             raise InputError(f"load: give exactly one of {', '.join(CONTROLS)}; {found}")
+        if self.cycle:  # written out, so that a list can be compared with that of earlier results
+            object.__setattr__(self, given[0], self.targets + self.targets[-2::-1])
+            object.__setattr__(self, "cycle", False)
 
     def check_law(self, law: ContactLaw) -> None:
         """Raises InputError for targets that a law cannot have."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -57,7 +57,8 @@ class ContactSolution:
     the law over the rms height; iterations and transforms (pairs, in double-precision equivalents of the finest grid);
     seconds of wall time; threshold, the pressure above which a point counts as in contact (0 but under laws that touch
     everywhere; −inf: points of gap 0 do); approach of the solid from where the undeformed one touches the highest
-    point; pressure_error, an estimate of ‖p − p*‖₂/‖p*‖₂ (NaN where the solver gives none).
+    point; pressure_error, an estimate of ‖p − p*‖₂/‖p*‖₂ (NaN where the solver gives none);
+    details, further numbers of the solver.
     """
 
     pressure: np.ndarray
@@ -75,6 +76,7 @@ class ContactSolution:
     pressure_error: float = math.nan
     plastic_depth: np.ndarray = None  # type: ignore[assignment]  # zeros, if not given
     mean_plastic_depth: float = 0.0
+    details: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.plastic_depth is None:

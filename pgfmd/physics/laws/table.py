@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pgfmd.options.section import Kinds
+from pgfmd.physics.laws.adhesive import AdhesiveWall, Dugdale, Potential
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
@@ -15,6 +16,9 @@ LAWS = Kinds(
         ExponentialWall,
         Hardness,
         FormulaWall,
+        AdhesiveWall,
+        Dugdale,
+        Potential,
     ),
     default=HardWall,
 )

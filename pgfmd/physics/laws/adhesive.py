@@ -1,0 +1,207 @@
+"""Walls that attract: an energy per area W(g) of the gap g, with the pressure p = −W'(g), negative where it attracts.
+
+The gap is at least `least`, where the wall is hard; there the pressure may be any above −W'.  The energy of a contact,
+½⟨u, Ku⟩ + ΣW(g), has several minima.  To solvers, gaps are in units of the range ρ and pressures in units of σ₀ = w/ρ,
+w the work of adhesion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from pgfmd.options import formula
+from pgfmd.options.rules import POSITIVE, flag, interval, number
+from pgfmd.options.section import key, wrong
+from pgfmd.physics.laws.law import ContactLaw
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+NODES = 20001  # of the spline through a formula, which is the law
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttractiveWall(ContactLaw):
+    """What laws that attract have in common.  least: the smallest gap over ρ, where the wall is hard."""
+
+    methods: ClassVar[tuple[str, ...]] = ("adhesive",)
+    convex: ClassVar[bool] = False
+    least: ClassVar[float] = 0.0
+
+    unresolved: bool = key(flag(), False, "solve also where the process zone ρ²E'/w is shorter than .8 pixels")
+
+    @property
+    def lowest(self) -> float:
+        """No limit: a job may ask for any mean tension, and learns whether a contact bears it."""
+        return -math.inf
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """ρ and σ₀."""
+        raise NotImplementedError
+
+    def process_zone(self, contact_modulus: float) -> float:
+        """ℓ = ρ E'/σ₀ = ρ²E'/w, the length along the surface over which the attraction falls at an edge of contact."""
+        return self.units[0] * contact_modulus / self.units[1]
+
+    def energy(self, gap: np.ndarray) -> np.ndarray:
+        """W/w at gaps over ρ."""
+        raise NotImplementedError
+
+    def traction(self, gap: np.ndarray) -> np.ndarray:
+        """W'/σ₀ at gaps over ρ: positive where the wall attracts."""
+        raise NotImplementedError
+
+    def curvature(self, gap: np.ndarray) -> np.ndarray:
+        """W''ρ/σ₀ at gaps over ρ."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdhesiveWall(AttractiveWall):
+    """A hard wall that attracts: energy −work exp(−gap/range) per area."""
+
+    kind: ClassVar[str] = "adhesive"
+    work: float = key(
+        POSITIVE, about="work of adhesion w, per area", unit="pressure*length", needed=True, example=0.05
+    )
+    range: float = key(POSITIVE, about="ρ, over which the attraction decays", unit="length", needed=True, example=0.5)
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """ρ and w/ρ."""
+        return self.range, self.work / self.range
+
+    def energy(self, gap: np.ndarray) -> np.ndarray:
+        """−exp(−g)."""
+        return -np.exp(-gap)
+
+    def traction(self, gap: np.ndarray) -> np.ndarray:
+        """exp(−g)."""
+        return np.exp(-gap)
+
+    def curvature(self, gap: np.ndarray) -> np.ndarray:
+        """−exp(−g)."""
+        return -np.exp(-gap)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dugdale(AttractiveWall):
+    """A hard wall that attracts with the traction work/range up to the gap `range` (Dugdale, Maugis)."""
+
+    kind: ClassVar[str] = "dugdale"
+    work: float = key(
+        POSITIVE, about="work of adhesion w, per area", unit="pressure*length", needed=True, example=0.05
+    )
+    range: float = key(POSITIVE, about="gap up to which it attracts", unit="length", needed=True, example=0.5)
+    edge: float = key(
+        number(low=0, high=2),
+        0.0,
+        "width over range in which the traction falls to 0, about the range, by a cubic polynomial; 0: it jumps",
+        unit="1",
+    )
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """The range and work/range."""
+        return self.range, self.work / self.range
+
+    def _across(self, gap: np.ndarray) -> np.ndarray:
+        """The place in the edge, 0 … 1."""
+        return np.clip((gap - 1) / self.edge + 0.5, 0.0, 1.0)
+
+    def energy(self, gap: np.ndarray) -> np.ndarray:
+        """−∫ traction from the gap to infinity."""
+        if self.edge == 0:
+            return np.minimum(gap - 1, 0.0)
+        x = self._across(gap)
+        return np.minimum(gap - 1 + self.edge / 2, 0.0) - self.edge * (0.5 - x + x**3 - x**4 / 2)
+
+    def traction(self, gap: np.ndarray) -> np.ndarray:
+        """1 − 3x² + 2x³ at x across the edge."""
+        if self.edge == 0:
+            return np.where(gap < 1, 1.0, 0.0)
+        x = self._across(gap)
+        return 1 - x * x * (3 - 2 * x)
+
+    def curvature(self, gap: np.ndarray) -> np.ndarray:
+        """−6x(1 − x)/edge."""
+        if self.edge == 0:
+            return np.zeros_like(gap)
+        x = self._across(gap)
+        return -6 / self.edge * x * (1 - x)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Potential(AttractiveWall):
+    """A pressure that is any formula of the gap, with repulsion at small gaps and attraction at large ones (Morse,
+    Lennard-Jones).  The gap is at least the first of `gaps`; beyond the second the pressure is 0.
+    """
+
+    kind: ClassVar[str] = "potential"
+    pressure: str = key(
+        formula.formula("gap"), about="p(gap), in the units of both, negative where it attracts", needed=True,
+        example="0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))",
+    )  # fmt: skip
+    gaps: tuple[float, float] = key(
+        interval(), about="smallest and largest gap", unit="length", needed=True, example=[0.3, 10.0]
+    )
+
+    def check(self) -> None:
+        """The formula is finite between the gaps, and attracts somewhere."""
+        try:
+            found = _spline(self.pressure, self.gaps)
+        except ValueError as error:
+            raise wrong(self, "pressure", str(error)) from None
+        if not found[2] < 0:
+            raise wrong(self, "pressure", 'attracts nowhere between the gaps; without attraction: kind = "formula"')
+
+    @property
+    def units(self) -> tuple[float, float]:
+        """Depth of the energy over the largest tension, and that tension."""
+        _, depth, lowest = _spline(self.pressure, self.gaps)
+        return depth / -lowest, -lowest
+
+    @property
+    def least(self) -> float:  # type: ignore[override]
+        """The first of `gaps`."""
+        return self.gaps[0] / self.units[0]
+
+    def _at(self, gap: np.ndarray, derivative: int) -> np.ndarray:
+        spline, (length, pressure) = _spline(self.pressure, self.gaps)[0], self.units
+        physical = np.minimum(gap * length, self.gaps[1])
+        value = spline(physical, derivative) if derivative >= 0 else spline.antiderivative()(physical)
+        end = spline.antiderivative()(self.gaps[1]) if derivative < 0 else 0.0
+        inside = gap * length < self.gaps[1]
+        return np.where(inside, -(value - end), 0.0) / (pressure * length ** -derivative)
+
+    def energy(self, gap: np.ndarray) -> np.ndarray:
+        """−∫ p from the last gap, so that it is 0 there."""
+        return self._at(gap, -1)
+
+    def traction(self, gap: np.ndarray) -> np.ndarray:
+        """−p."""
+        return self._at(gap, 0)
+
+    def curvature(self, gap: np.ndarray) -> np.ndarray:
+        """−dp/dg."""
+        return self._at(gap, 1)
+
+
+@cache
+def _spline(written: str, gaps: tuple[float, float]) -> tuple[PPoly, float, float]:
+    """The cubic spline through the formula, the depth of its energy, and its least pressure; raises ValueError."""
+    from scipy.interpolate import CubicSpline
+
+    of, nodes = formula.function(written, "gap"), np.linspace(*gaps, NODES)
+    values = np.array([formula.value(of, at) for at in nodes])
+    if not np.isfinite(values).all():
+        raise ValueError(f"is not finite at gap = {nodes[~np.isfinite(values)][0]:g}")
+    spline = CubicSpline(nodes, values)
+    energy = spline.antiderivative()(nodes)
+    return spline, float(np.max(energy - energy[-1])), float(values.min())

@@ -1,0 +1,211 @@
+"""Adhesive contacts: exact solutions, dense problems, branches, what is said of a state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import pgfmd
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.mpi import ALONE
+from pgfmd.physics.laws.adhesive import AdhesiveWall, Dugdale, Potential
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.solvers.adhesive import AdhesiveContact, Hold
+from pgfmd.solvers.adhesive_branch import Branch
+from pgfmd.solvers.options import Load
+
+MORSE = "0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))"
+LAWS = {
+    "adhesive": AdhesiveWall(work=0.6, range=1.5),
+    "dugdale": Dugdale(work=0.6, range=1.5, unresolved=True),
+    "edge": Dugdale(work=0.6, range=1.5, edge=0.2),
+    "morse": Potential(pressure=MORSE, gaps=(-1.0, 12.0)),
+}
+ROUGH = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.7, "seed": 3}
+
+
+def rough(n=32):
+    return pgfmd.surface({"grid": {"n": n}, "surface": ROUGH})
+
+
+def branch(heights, law, load, tolerance=1e-10, comm=ALONE, solid=None):
+    shape = comm.allreduce(len(heights)), heights.shape[1]
+    problem = ContactProblem(SlabGrid(comm, shape), heights, solid or Homogeneous(contact_modulus=1.0), law)
+    return Branch(load, problem, tolerance)
+
+
+def dense_stiffness(n, modulus=1.0):
+    """K of a periodic half-space as a matrix, by its Fourier symbol E'q/2."""
+    q = 2 * np.pi * np.hypot(*np.meshgrid(np.fft.fftfreq(n), np.fft.fftfreq(n), indexing="ij"))
+    unit = np.zeros((n * n, n, n))
+    unit.reshape(n * n, -1)[np.diag_indices(n * n)] = 1
+    return np.fft.ifft2(np.fft.fft2(unit) * (modulus / 2 * q)).real.reshape(n * n, n * n)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+def test_traction_and_curvature_are_derivatives_of_the_energy(law):
+    """W' and W'' against differences of W, away from kinks; ∫ W' = w from the range on inwards."""
+    gap = np.linspace(max(law.least, 0.05), 3.0, 200)
+    gap = gap[np.abs(gap - 1) > 1e-3]
+    step = 1e-5
+    slope = (law.energy(gap + step) - law.energy(gap - step)) / (2 * step)
+    np.testing.assert_allclose(law.traction(gap), slope, rtol=1e-6, atol=1e-7)
+    gap, step = gap[5:], 1e-4
+    bend = (law.traction(gap + step) - law.traction(gap - step)) / (2 * step)
+    np.testing.assert_allclose(law.curvature(gap), bend, rtol=1e-5, atol=2e-5)
+    assert law.energy(np.linspace(law.least, 3, 20001)).min() == pytest.approx(-1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["adhesive", "edge", "morse"])
+@pytest.mark.parametrize("control", ["mean_gap", "pressure"])
+def test_a_state_is_a_minimum_of_the_energy(name, control):
+    """On 16² points with K as a matrix: forces balance where the gap is open, press where it is closed, and no small
+    admissible change lowers the energy."""
+    law, heights, n = LAWS[name], rough(16), 16
+    target = (heights.max() - heights.mean()) * 0.8 if control == "mean_gap" else 0.01
+    found = branch(heights, law, Load(**{control: (target,)}), 1e-13).solution(target)
+    length, unit = law.units
+    stiffness, gap = dense_stiffness(n), found.gap.ravel()
+
+    def energy(g):
+        u = g + heights.ravel() - heights.mean()
+        held = found.mean_pressure * g.sum() if control == "pressure" else 0.0
+        return u @ stiffness @ u / 2 + length * unit * law.energy(g / length).sum() + held
+
+    force = stiffness @ (gap + heights.ravel()) + unit * law.traction(gap / length) + found.mean_pressure
+    closed = gap <= law.least * length
+    assert np.abs(force[~closed]).max() < 1e-6 * np.abs(stiffness @ heights.ravel()).max()
+    assert (force[closed] > -1e-9).all()
+    np.testing.assert_allclose(found.pressure.mean(), found.mean_pressure, atol=1e-6)
+    random, least = np.random.default_rng(1), energy(gap)
+    for _ in range(50):
+        change = random.normal(size=gap.size) * 1e-3
+        moved = np.maximum(gap + change, law.least * length)
+        if control == "mean_gap":
+            moved[~closed] -= (moved.sum() - gap.sum()) / np.count_nonzero(~closed)
+        if (moved >= law.least * length).all():
+            assert energy(moved) > least
+
+
+def test_without_work_it_is_the_hard_wall():
+    """w → 0 at a load is the contact under a hard wall, within both certificates."""
+    heights = rough(64)
+    hard = pgfmd.solve(heights, 0.02, tolerance=1e-10)
+    weak = pgfmd.solve(heights, 0.02, tolerance=1e-10, wall=AdhesiveWall(work=1e-9, range=1.0))
+    np.testing.assert_allclose(weak.pressure, hard.pressure, atol=2e-4 * hard.pressure.max())
+    assert weak.mean_gap == pytest.approx(hard.mean_gap, rel=1e-6)
+    assert weak.elastic_energy == pytest.approx(hard.elastic_energy, rel=1e-6)
+
+
+@pytest.mark.parametrize("work", [0.1, 0.8, 3.0])
+def test_the_energy_never_rises(work):
+    """Over all accepted steps of loads along a cycle, computed anew from the gaps."""
+    heights = rough(64)
+    contact = AdhesiveContact(branch(heights, AdhesiveWall(work=work, range=2.0), Load(mean_gap=(1.0,))).problem)
+    for mean in (3.0, 2.0, 1.0, 2.0, 3.0):
+        passed = []
+        contact.minimise(contact.undeformed(mean / 2), Hold("mean_gap", mean / 2), 1e-10, passed.append)
+        energies = [contact.state(state.gap).energy for state in passed]
+        assert len(energies) > 2 and (np.diff(energies) <= 1e-13 * abs(energies[0])).all()
+
+
+def test_loading_and_unloading_lose_energy_in_jumps():
+    """After the cycle of a sticky sphere: the loss is the sum of its energy drops, ≥ 0, and equal to the loop integral
+    of the force; apart again the force is that before."""
+    heights = -np.add.outer(np.arange(-24, 24) ** 2, np.arange(-24, 24) ** 2) / 40.0
+    summit = heights.max() - heights.mean()
+    targets = summit - np.linspace(-6.0, 0.0, 61)
+    load = Load(mean_gap=tuple(targets), cycle=True)
+    run = branch(heights, AdhesiveWall(work=0.5, range=1.0), load, 1e-10)
+    found = [run.solution(target) for target in load.targets]
+    drops = np.array([each.details["energy_drop"] for each in found])
+    assert (drops >= -1e-12).all() and np.count_nonzero(np.isfinite([f.details["jump_to"] for f in found])) >= 2
+    curve = []
+    for target, each in zip(load.targets, found, strict=True):
+        if not math.isnan(each.details["jump_to"]):
+            curve += [(each.details[f"jump_{way}"], each.details[f"pressure_{when}_jump"])
+                      for way, when in (("from", "before"), ("to", "after"))]
+        curve.append((target, each.mean_pressure))
+    gaps, pressures = np.transpose(curve)
+    loop = np.trapezoid(pressures, gaps)
+    assert drops.sum() == pytest.approx(-loop, rel=0.02)
+    assert found[-1].mean_pressure == pytest.approx(found[0].mean_pressure, rel=1e-6)
+
+
+@pytest.mark.parametrize(("transition", "expected"), [(0.5, 1.7780), (1.0, 1.6642), (2.0, 1.5746)])
+def test_pull_off_of_a_sphere(transition, expected):
+    """Largest tension over πwR, against an axisymmetric solution; images in the cell count for .3 %."""
+    work, radius, n = 0.5, 40.0, 128
+    length = (radius * work**2) ** (1 / 3) / transition
+    x = np.arange(n) - n / 2
+    heights = -np.add.outer(x**2, x**2) / (2 * radius)
+    law = AdhesiveWall(work=work, range=length)
+    run = branch(heights, law, Load(displacement=tuple(np.arange(0.5, -2.1, -0.25))), 1e-8)
+    force = np.array([-run.solution(d).mean_pressure * n * n for d in run.load.targets]) / (math.pi * work * radius)
+    top = int(np.argmax(force))
+    a, b, c = force[top - 1 : top + 2]
+    assert b - (a - c) ** 2 / (8 * (a - 2 * b + c)) == pytest.approx(expected, rel=0.006)
+
+
+def test_the_bound_holds_on_dense_problems():
+    """The distance of loosely solved states from their minimum is at most the bound, ν estimated by Lanczos."""
+    for seed in range(12):
+        heights = np.random.default_rng(seed).normal(size=(8, 8))
+        contact = AdhesiveContact(branch(heights, AdhesiveWall(work=0.6, range=1.2), Load(mean_gap=(1.0,))).problem)
+        hold = Hold("mean_gap", 1.0 + seed / 12)
+        loose = contact.minimise(contact.undeformed(hold.gap), hold, 1e-3)
+        _, bound, _ = contact.certified(loose, hold)
+        tight = contact.minimise(loose.gap.copy(), hold, 1e-14)
+        assert loose.energy - tight.energy <= bound * (1 + 1e-6) + 1e-14
+
+
+@pytest.mark.mpi
+def test_ranks_find_the_same_branch(comm):
+    """A cycle of three loads on slabs equals that of one process to 1e-9."""
+    heights, law = rough(32), LAWS["adhesive"]
+    rows = SlabGrid(comm, heights.shape).rows
+    load = Load(mean_gap=(3.0, 1.5), cycle=True)
+    alone, shared = branch(heights, law, load, 1e-12), branch(heights[rows], law, load, 1e-12, comm)
+    for target in load.targets:
+        one, many = alone.solution(target), shared.solution(target)
+        np.testing.assert_allclose(many.gap, one.gap[rows], atol=1e-7)
+        assert many.mean_pressure == pytest.approx(one.mean_pressure, abs=1e-9)
+
+
+def test_a_restart_within_a_cycle_gives_the_same_cycle(tmp_path):
+    """A run of five loads, and one of two continued to five."""
+    job = {
+        "grid": {"n": 32}, "surface": ROUGH, "solid": {"contact_modulus": 1.0},
+        "wall": {"kind": "adhesive", "work": 0.6, "range": 1.5}, "load": {"mean_gap": [3.0, 1.5, 0.5, 1.5, 3.0]},
+        "solver": {"tolerance": 1e-11},
+    }  # fmt: skip
+    whole = pgfmd.run(job, tmp_path / "whole")
+    pgfmd.run(job | {"load": {"mean_gap": [3.0, 1.5, 0.5]}}, tmp_path / "parts")
+    parts = pgfmd.run(job, tmp_path / "parts", restart=True)
+    np.testing.assert_allclose(parts.loads["mean_pressure"], whole.loads["mean_pressure"], rtol=1e-6)
+    np.testing.assert_allclose(parts.loads["energy"], whole.loads["energy"], rtol=1e-8)
+    assert (whole.loads["bound"] == 1).all() and (whole.loads["certified_error"] < 1e-10).all()
+
+
+WRONG = {
+    "contact_area": ({"load": {"contact_area": 0.1}}, "contact_area .* not monotonic"),
+    "pixel": ({"wall": {"kind": "adhesive", "work": 9.0, "range": 1.0}}, r"process zone .* grid.n = \d+"),
+    "observable": ({"output": {"observables": ["lowpass"]}}, "lowpass is not measured with wall.kind"),
+    "closed": ({"load": {"mean_gap": -1.0}}, "all points touch"),
+    "formula": ({"wall": {"kind": "potential", "pressure": "1/gap", "gaps": [1.0, 2.0]}}, "attracts nowhere"),
+}
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG.values(), ids=WRONG)
+def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_path):
+    """Controls, observables, grids and formulas."""
+    job = {
+        "grid": {"n": 32}, "surface": ROUGH, "solid": {"contact_modulus": 1.0},
+        "wall": {"kind": "adhesive", "work": 0.6, "range": 1.5}, "load": {"mean_gap": [3.0]},
+    }  # fmt: skip
+    with pytest.raises(pgfmd.InputError, match=message) as caught:
+        pgfmd.run(job | change, tmp_path / "out")
+    assert "\n" not in str(caught.value)
