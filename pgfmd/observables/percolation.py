@@ -38,8 +38,9 @@ class Percolation(Observable):
         },
         "percolation": {
             **{
-                f"constriction_{axis}_at": Dataset("1", f"its row and column, of paths along {axis}; −1: no path")
+                f"constriction_{axis}_{place}": Dataset("1", f"its {place}, of paths along {axis}; −1: no path")
                 for axis in "xy"
+                for place in ("row", "column")
             },
             "labellings": Dataset("1", "labellings of the grid that both constrictions took"),
         },
@@ -51,7 +52,7 @@ class Percolation(Observable):
 
     def measure(self, contact: MeasuredContact) -> Groups:
         """Labels the contact and the gap.  Collective."""
-        from pgfmd.observables.patches.bottleneck import bottlenecks, percolates
+        from pgfmd.observables.bottleneck import bottlenecks, percolates
 
         found = bottlenecks(contact.grid, contact.solution.gap, contact.pressure <= 0)
         touching = percolates(contact.labels(8))
@@ -60,5 +61,6 @@ class Percolation(Observable):
         for axis, solid, open_ in zip("xy", touching, found, strict=True):
             numbers |= {f"contact_percolates_{axis}": solid, f"gap_percolates_{axis}": open_.value > 0}
             numbers[f"constriction_{axis}"] = open_.value
-            at[f"constriction_{axis}_at"] = np.array(open_.point)
+            for place, index in zip(("row", "column"), open_.point, strict=True):
+                at[f"constriction_{axis}_{place}"] = np.array(index)
         return {TABLE: {name: np.array(float(value)) for name, value in numbers.items()}, "percolation": at}

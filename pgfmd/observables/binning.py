@@ -1,0 +1,169 @@
+"""Bins of wave numbers and distances on doubly periodic grids, and sums over them.  NumPy only.
+
+A field has shape (nx, ny) on a cell of lengths (lx, ly).  Its Fourier coefficients are f̃(q) = (1/N) Σ f(r) exp(−iq·r),
+N = nx·ny, so that Σ_q |f̃|² is the mean square of the field: this is the normalisation of every spectrum in this
+package and in the result files.  Half spectra have shape (nx, ny//2+1), ky ≥ 0.
+
+`bin_edges` and `lag_edges` make bins of a given width; `wave_number_bins` and `lag_bins` those that the keys of a job
+ask for.  Sums take blocks of modes or of points, in any layout, and may be added up over blocks and over ranks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pgfmd.errors import InputError
+
+HAIR = 1e-9
+"""Bin edges lie this much, relatively, above their nominal place: rounding cannot move a mode that lies on an edge."""
+
+BLOCK = 1 << 18
+"""Entries that are binned at a time: temporaries stay in the cache."""
+
+
+def wave_numbers(shape: Sequence[int], lengths: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """qx (nx, 1) in FFT order and qy (1, ny//2+1), ky ≥ 0, of a half spectrum; radians per length."""
+    (nx, ny), (lx, ly) = shape, lengths
+    return 2 * np.pi / lx * (np.fft.fftfreq(nx) * nx)[:, None], 2 * np.pi / ly * np.arange(ny // 2 + 1)[None, :]
+
+
+def hermitian_weight(ny: int) -> np.ndarray:
+    """How many modes of the whole spectrum an entry of the half spectrum stands for: 1 or 2, shape (ny//2+1,)."""
+    weight = np.full(ny // 2 + 1, 2.0)
+    weight[0] = 1
+    if ny % 2 == 0:
+        weight[-1] = 1
+    return weight
+
+
+def bin_edges(
+    shape: Sequence[int],
+    lengths: Sequence[float],
+    spacing: str = "log",
+    *,
+    per_decade: float = 20,
+    width: float | None = None,
+    q_max: float | None = None,
+) -> np.ndarray:
+    """Edges (m+1,) of narrow bins in |q| > 0 that hold every mode of the grid, or every one up to `q_max`.
+
+    "log": `per_decade` bins to a decade, the first centred on the smallest wave number of the cell; at small q, where
+    modes are sparse, each distinct |q| then has a bin of its own and bins between stay empty.  "linear": bins centred
+    on multiples of `width` (default: the smallest wave number); the first begins no higher than half the
+    smallest wave number, so it may be wider.  With `q_max` the last edge lies there, so that no average mixes in
+    modes beyond (set it to the cut-off q_s).  The edges depend on the arguments alone.  Radians per length.
+
+    :raises InputError: if `spacing` is neither, or a width, density or limit is not positive.
+    """
+    _require_positive(per_decade=per_decade, width=1 if width is None else width, q_max=1 if q_max is None else q_max)
+    lowest = 2 * np.pi / max(lengths)
+    highest = 2 * np.pi * math.hypot(*(n // 2 / length for n, length in zip(shape, lengths, strict=True)))
+    top = max(highest, lowest) if q_max is None else q_max
+    if spacing == "log":
+        count = int(np.ceil(max(per_decade * np.log10(top / lowest), 0) + 0.5))
+        edges = lowest * 10 ** ((np.arange(count + 1) - 0.5) / per_decade)
+    elif spacing == "linear":
+        width = lowest if width is None else width
+        edges = width * (np.arange(int(np.ceil(top / width + 0.5))) + 0.5)
+        edges = np.append(min(edges[0], lowest / 2), edges[1:] if edges.size > 1 else 1.5 * width)
+    else:
+        raise InputError(f'spacing = {spacing!r}: must be "log" or "linear"')
+    edges *= 1 + HAIR
+    if q_max is None:
+        return edges
+    return np.append(edges[edges < q_max], q_max * (1 + HAIR))
+
+
+def lag_edges(shape: Sequence[int], lengths: Sequence[float], width: float | None = None) -> np.ndarray:
+    """Edges (m+1,) of bins in the distance r, centred on multiples of `width` (default: the larger grid spacing).
+
+    The first bin holds r = 0 alone; the last one ends at half the shorter side of the cell, up to where circles are
+    whole.
+
+    :raises InputError: if `width` is not positive.
+    """
+    _require_positive(width=1 if width is None else width)
+    spacing = [length / n for n, length in zip(shape, lengths, strict=True)]
+    width = max(spacing) if width is None else width
+    half = min(lengths) / 2
+    edges = width * (np.arange(int(half / width) + 2) - 0.5)
+    edges[1] = min(width, *spacing) / 2
+    return np.append(edges[edges < half], half) * (1 + HAIR)
+
+
+def wave_number_bins(
+    shape: tuple[int, int],
+    lengths: tuple[float, float],
+    spacing: str = "log",
+    bins: int = 20,
+    q_max: float | None = None,
+) -> np.ndarray:
+    """`bin_edges` by the keys of a job: edges (m + 1,) of `bins` bins to a decade ("log"), or of `bins` bins in all, up
+    to the largest |q| or q_max ("linear").
+
+    Raises InputError for another spacing.
+    """
+    if spacing == "linear":
+        top = math.hypot(*(2 * np.pi * (n // 2) / length for n, length in zip(shape, lengths, strict=True)))
+        top = top if q_max is None else min(q_max, top)
+        return bin_edges(shape, lengths, "linear", width=top / bins or 1.0, q_max=q_max)
+    return bin_edges(shape, lengths, spacing, per_decade=bins, q_max=q_max)
+
+
+def lag_bins(shape: tuple[int, int], lengths: tuple[float, float], spacing: str = "log", bins: int = 20) -> np.ndarray:
+    """Edges (k + 1,) of bins in distance, up to half the shorter side of the cell, by the keys of a job: `bins` to a
+    decade ("log"), or in all ("linear": `lag_edges`).  The first bin holds Δr = 0 alone.
+    """
+    half, step = min(lengths) / 2, min(length / n for n, length in zip(shape, lengths, strict=True))
+    if spacing != "log":
+        return lag_edges(shape, lengths, half / bins)
+    count = max(int(np.ceil(bins * np.log10(half / step) + 0.5)), 0)
+    edges = step * 10 ** ((np.arange(count + 1) - 0.5) / bins)
+    edges = np.concatenate([[-edges[0], min(edges[0], step / 2)], edges[1:]]) if len(edges) > 1 else np.array([-half])
+    return np.append(edges[edges < half], half) * (1 + HAIR)
+
+
+def distances(shape: Sequence[int], lengths: Sequence[float], rows: slice = slice(None)) -> np.ndarray:
+    """Distance of each grid point (rows, ny) from the point (0, 0), to the nearest periodic image."""
+    x, y = (np.minimum(np.arange(n), n - np.arange(n)) * (length / n) for n, length in zip(shape, lengths, strict=True))
+    return np.hypot(x[rows, None], y[None, :])
+
+
+def accumulate(edges: np.ndarray, q: ArrayLike, weight: ArrayLike, *values: ArrayLike) -> np.ndarray:
+    """Sums over a block of modes in each bin: rows Σw, Σ w q, and Σ w v for each of `values`; shape (2 + k, m).
+
+    `q`, `weight` and the values broadcast against each other in any layout.  For an autocorrelation, q is the distance.
+    A mode belongs to bin i if edges[i] < q ≤ edges[i+1]; those outside all bins, q = 0 among them, are left out.  Add
+    up the result over blocks or ranks and hand it to `radial_mean`.
+    """
+    q, weight, *fields = np.broadcast_arrays(q, weight, *values)
+    count = len(edges) - 1
+    sums = np.zeros((2 + len(fields), count))
+    step = max(1, BLOCK * len(q) // max(q.size, 1)) if q.ndim else 1
+    for start in range(0, len(q), step):
+        rows = slice(start, start + step)
+        index, block_weight = np.searchsorted(edges, q[rows].ravel()), weight[rows].ravel()
+        for total, value in zip(sums, (None, q, *fields), strict=True):
+            terms = block_weight if value is None else block_weight * value[rows].ravel()
+            total += np.bincount(index, terms, minlength=count + 2)[1 : count + 1]
+    return sums
+
+
+def radial_mean(sums: np.ndarray) -> tuple[np.ndarray, ...]:
+    """From the sums of `accumulate`: mean q, mean of each value and count of modes, for the m' bins that are not empty.
+
+    Returns (q, value, …, count), each of shape (m',).
+    """
+    sums = sums[:, sums[0] > 0]
+    return (*(sums[1:] / sums[0]), sums[0])
+
+
+def _require_positive(**numbers: float) -> None:
+    """:raises InputError: naming the first of the numbers that is not positive and finite."""
+    for name, number in numbers.items():
+        if not 0 < number < np.inf:
+            raise InputError(f"{name} = {number:g}: must be positive and finite")

@@ -1,0 +1,230 @@
+"""The contact area, by counting pixels, from the line between them, or less the staircase of their edges; its error.
+
+**Line.** Each pair of neighbouring pixels of which one is in contact gives, from the exact solution of the
+straight edge on the grid (`theory.lattice_edge`), the place t at which the line crosses it and the angle θ to the
+line's normal.  Then
+
+    area = pixels + Σ (t − ½) cos²θ + b χ,    perimeter = Σ cos θ (spacing across the pair) − χ ∮ δ dθ,
+
+cos²θ sharing the area between crossings of rows and of columns.  This is exact for straight lines.  Along a curved
+line the sums err by a constant times its turning; χ, the number of patches less that of their holes, is the total
+turning over 2π.  Around a circle, the pairs straddle the line at distance δ outside the true one, so that Σ cos θ
+is the length of that outer line.  The sum of the areas is too small by b = π(ax² + ay²)/32 + ½ ∮ δ² dθ.
+
+**Error.** The error has two parts.  In pixels, with n edges between pixels in and out of contact:
+
+The grid: where the line lies between two pixels is wrong at random, and by a little with one sign,
+
+    inside the line √n s and n s,    without it √n and n,
+
+s the roughness of the surface in radians per pixel (`rough_surface`): lines turn on the scale of its waves.
+
+The solver: an error e of the pressure moves the line by e over the rise of the pressure in one pixel at the edge, b.
+Σ |e| over the n edges is at most √n ‖e‖ = √n η ‖p‖, η the relative error of the pressure.  On a half-space b is of the
+order of the rms pressure in contact, on a thin slab K(π/a) a g_rms: the pressure follows the slope of the surface.  The
+more is in contact, the more does a change of the pressure open or close: 1/(1 − f_c).
+
+FACTORS: so that errors are large enough in 19 cases of 20; from 400 contacts (`tools/discretisation.py held`, seeds 77
+and 78), and tested on others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_line import EdgeTable, Lookup, Tables, edge_tables, hardening, lines_of_pixels
+from pgfmd.observables.labelling import Labels
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.solid import Solid
+from pgfmd.solvers.solution import ContactSolution
+
+RESOLVED = 2.0
+"""Largest wave number times the spacing, along x and along y, that the contact line resolves: λ = π pixels.  At λ_s = 3
+pixels, errors of areas are alike inside the line and without it; at 2.5 they are smaller without, at 4 larger."""
+
+LARGEST_RATIO = 5.0
+"""`bound` of `locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight edge of
+an unbounded contact is clipped to 1/LARGEST_RATIO … LARGEST_RATIO.  Where contacts or openings are about a pixel wide,
+this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives the smallest error on exact waves whose
+contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
+
+WINKLER = 0.25
+"""`hardening` below which there is a line on any surface.  At λ_s = 1 … 2.5 pixels, its rms error in pixels, per
+edge of a pixel, is .004 where this is below .05, .009 up to .25, and .015 above; without the line it is .01."""
+
+
+@dataclass
+class ContactLine:
+    """The line of a contact.  `fields`: pressure and gap (nx_local, ny) and the two rows of each before and after."""
+
+    grid: SlabGrid
+    fields: tuple[np.ndarray, np.ndarray, np.ndarray]
+    solid: Solid
+    tables: tuple[EdgeTable, EdgeTable]  # for pairs along x, along y
+    bound: float = LARGEST_RATIO
+    _of_rows: np.ndarray | None = field(default=None, init=False)  # sums of `lines_of_pixels`, (nx_local, 4)
+
+    @cached_property
+    def _lookup(self) -> Lookup:
+        """What `lines_of_pixels` needs in addition to the fields."""
+        ax, ay = self.grid.spacing
+        along_x, along_y = self.tables
+        tables = Tables((along_x.values, along_y.values), self.is_thin)
+        scales = [(table.scale or 1.0) / step for table, step in zip(self.tables, (ax, ay), strict=True)]
+        return self.solid.surface_modulus * np.array(scales), np.array([ay / ax, ax / ay]), tables, self.bound
+
+    @property
+    def is_thin(self) -> bool:
+        """Whether it is that of a thin slab."""
+        return self.tables[0].scale is not None
+
+    @property
+    def _band(self) -> int:
+        """Rows at a time: pairs take more memory than fields do."""
+        return max(1, min(4 * self.grid.band, self.grid.local_shape[0] // 32))
+
+    def _finish(self, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(area beyond that of the pixels, perimeter) from sums (…, 4) of `lines_of_pixels`."""
+        ax, ay = self.grid.spacing
+        offset, length_x, length_y, corners = np.moveaxis(sums, -1, 0)
+        table = self.tables[0]
+        curved = math.pi / 32 * (ax**2 + ay**2) + table.square * ax**2 / 2
+        return offset * (ax * ay) + curved * corners, length_x * ay + length_y * ax - table.shift * ax * corners
+
+    def _sums(self) -> np.ndarray:
+        if self._of_rows is None:
+            sums, ny = np.zeros((self.grid.local_shape[0], 4)), self.grid.shape[1]
+
+            def part(_: int, first: int, stop: int) -> None:
+                pixel, found = lines_of_pixels(self.fields, self._lookup, first, stop)
+                _add(sums, pixel // ny, found)
+
+            self.grid.threads.share(part, len(sums), self._band)
+            self._of_rows = sums
+        return self._of_rows
+
+    def total(self) -> tuple[float, float]:
+        """Area beyond that of the pixels, and perimeter.  Collective."""
+        area, perimeter = self._finish(self.grid.reduction.sums(*self._sums().sum(axis=0)))
+        return float(area), float(perimeter)
+
+    def of_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """The same of the pixels of each of this rank's rows, without communication."""
+        return self._finish(self._sums())
+
+    def of_patches(self, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
+        """The same of each patch that this rank keeps; called first, it spares the others their pass.  Collective."""
+        (rows, ny), patch = self.fields[0].shape, labels.patch[labels.fragment]
+        sums, of_rows = np.zeros((labels.kept + len(labels.foreign), 4)), np.zeros((rows, 4))
+        run_starts = np.repeat(np.arange(-1, rows) * ny, np.diff(labels.first)) + labels.runs[:, 0]
+        for first in range(0, rows, self._band):
+            pixel, found = lines_of_pixels(self.fields, self._lookup, first, min(first + self._band, rows))
+            _add(of_rows, pixel // ny, found)
+            _add(sums, patch[np.searchsorted(run_starts, pixel, side="right") - 1], found)
+        self._of_rows = of_rows
+        np.add.at(sums, labels.returned, labels.to_keepers(sums[labels.kept :]))
+        return self._finish(sums[: labels.kept])
+
+
+def _add(sums: np.ndarray, which: np.ndarray, found: np.ndarray) -> None:
+    """sums[which[k]] += found[:, k] for each k in turn."""
+    for column, values in zip(sums.T, found, strict=True):
+        np.add.at(column, which, values)
+
+
+def line_of(problem: ContactProblem, solution: ContactSolution, smooth: bool) -> ContactLine | None:
+    """The line of a contact.  smooth: whether the grid resolves the surface.  Collective.
+
+    None where it does not, unless the solid is nearly a Winkler foundation, whose pressures and gaps are as smooth as
+    the surface; and under a law by which everything touches.
+    """
+    grid = problem.grid
+    if not problem.law.releases or not (smooth or hardening(problem.solid, min(grid.spacing)) < WINKLER):
+        return None
+    return contact_line(grid, solution.pressure, solution.gap, problem.solid)
+
+
+def contact_line(grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, solid: Solid) -> ContactLine:
+    """The line of a hard contact with this pressure and gap (nx_local, ny).  Collective."""
+    first, stop = grid.rows.start, grid.rows.stop
+    halo = np.array(
+        [
+            np.concatenate([grid.fetch(field, first - 2, first), grid.fetch(field, stop, stop + 2)])
+            for field in (pressure, gap)
+        ]
+    )
+    return ContactLine(grid, (pressure, gap, halo), solid, edge_tables(grid.spacing, solid))
+
+
+FACTORS = {"line": (0.25, 0.0035, 0.8), "line on a thin slab": (0.2, 0.003, 0.15), "staircase": (0.75, 0.005, 0.8)}
+"""Of the random and the systematic part by the grid, and of the part by the solver, for each way to correct an area."""
+
+
+@dataclass(frozen=True)
+class Area:
+    """Contact area of a pressure field; the same on all ranks."""
+
+    pixels: int  # with p > 0
+    edges_x: int  # between contact and non-contact pixels that are neighbours along x
+    edges_y: int
+    fraction: float  # relative contact area f_c
+    edge_length: float  # S_d, length of all these edges
+    corrected: float  # f_c inside the contact line; less the staircase where there is none; at least p̄/σ_Y
+    perimeter: float  # length of the contact line; `edge_length` where there is none
+
+    @property
+    def edges(self) -> int:
+        """Number of edges between contact and non-contact pixels."""
+        return self.edges_x + self.edges_y
+
+    def error(self, way: str, roughness: float, shift: float) -> float:
+        """Error of `corrected`, which is larger in one case of 20.
+
+        way: to correct the area, of FACTORS;  roughness: s, radians per pixel;  shift: η ‖p‖/b
+        """
+        edges = self.edges
+        if not edges:  # full contact, or none: to one pixel
+            return self.fraction / max(self.pixels, 1)
+        random, systematic, solver = FACTORS[way]
+        scale = 1.0 if way == "staircase" else roughness
+        parts = random * scale * math.sqrt(edges), systematic * scale * edges, solver * shift * math.sqrt(edges)
+        pixel = self.fraction / self.pixels
+        return math.hypot(parts[0], parts[1], parts[2] / (1 - self.fraction + edges * pixel)) * pixel
+
+
+def contact_area(
+    grid: SlabGrid, pressure: np.ndarray, line: ContactLine | None, least: float = 0.0, staircase: float = 0.0
+) -> Area:
+    """Count contact pixels of a slab (nx_local, ny) and the edges around them, and measure the line.  Collective.
+
+    staircase: by how much pixels overestimate an area, per length of their edges (`staircase`)
+    least: p̄/σ_Y, the least area of a contact whose pressures are at most σ_Y.  Where most of an edge bears σ_Y, the
+    line, that of an elastic edge, lies too far inside: at λ_s = 8a by up to 5 % of the area, which is then near p̄/σ_Y.
+    """
+    above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
+    parts = grid.threads.collect(lambda a, b: _count_edges(pressure, above, a, b), grid.local_shape[0])
+    pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
+    ax, ay = grid.spacing
+    fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
+    beyond, perimeter = (0.0, 0.0) if line is None else line.total()
+    corrected = fraction + beyond / (grid.size * grid.pixel_area)
+    if line is None or corrected <= 0:  # a contact of a pixel or two has no line
+        corrected, perimeter = fraction - staircase * edge_length / (grid.size * grid.pixel_area), edge_length
+    return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)
+
+
+def _count_edges(pressure: np.ndarray, above: np.ndarray, first: int, stop: int) -> tuple[int, ...]:
+    """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
+
+    `above` (1, ny) is the row before row 0; column 0 follows the last one.
+    """
+    rows = np.concatenate([above, pressure[:stop]]) if first == 0 else pressure[first - 1 : stop]
+    inside = rows > 0
+    here = inside[1:]
+    counts = here, here != inside[:-1], here != np.roll(here, 1, axis=1)
+    return tuple(int(np.count_nonzero(each)) for each in counts)

@@ -1,0 +1,37 @@
+"""The observables that a job may ask for, in the order in which they are measured.  A new one gets a line here."""
+
+from __future__ import annotations
+
+from pgfmd.observables.bearing import Bearing
+from pgfmd.observables.contact_patches import ContactPatches
+from pgfmd.observables.discretisation import Discretisation
+from pgfmd.observables.gap_slope import GapSlope
+from pgfmd.observables.histogram import Histogram
+from pgfmd.observables.lowpass import Lowpass
+from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.percolation import Percolation
+from pgfmd.observables.pressure_skewness import PressureSkewness
+from pgfmd.observables.schema import GroupLayout
+from pgfmd.observables.spectra import Acf, GapSpectrum, Spectra
+from pgfmd.observables.stiffness import Stiffness
+
+OBSERVABLES: dict[str, type[Observable]] = {
+    kind.name: kind
+    for kind in (
+        Histogram,
+        PressureSkewness,
+        Spectra,
+        Acf,
+        GapSpectrum,
+        GapSlope,
+        ContactPatches,
+        Bearing,
+        Lowpass,
+        Discretisation,
+        Stiffness,
+        Percolation,
+    )
+}
+
+LAYOUT: GroupLayout = layout_of(OBSERVABLES.values())
+"""Every group that a load may have in observables.h5, and all columns that observables add to the table of loads."""
