@@ -8,9 +8,9 @@ from solids import elastic
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.bearing import threshold_for_count
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.statistics.threshold import threshold_for_count
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Certificate, ContactSolution

@@ -20,9 +20,9 @@ from pgfmd.application.results import Results
 from pgfmd.application.writer import ResultWriter
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.schema import LOADS, Dataset
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution

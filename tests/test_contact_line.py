@@ -11,11 +11,10 @@ from mpi4py import MPI
 from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.line import LARGEST_RATIO, contact_line
-from pgfmd.observables.contact_line.pairs import Tables, locate
-from pgfmd.observables.contact_line.table import edge_table
+from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
+from pgfmd.observables.contact_line import Tables, edge_table, locate
+from pgfmd.observables.labelling import label_patches
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.patches.labelling import label_patches
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall

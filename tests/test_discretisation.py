@@ -17,9 +17,9 @@ from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
+from pgfmd.observables.discretisation import MODES, change_at_equal_load, long_waves
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.statistics.grid_error import MODES, change_at_equal_load, long_waves
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem

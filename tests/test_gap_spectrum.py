@@ -11,8 +11,8 @@ from pgfmd.application import job
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Certificate, ContactSolution

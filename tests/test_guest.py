@@ -71,7 +71,7 @@ class Look(event.Listener):
     on_end = on_start
 
 event.register("numba:compile", Look())
-from pgfmd.observables.statistics.kernels import histogram
+from pgfmd.observables.histogram import histogram
 histogram(np.ones((4, 8)), np.arange(3.0), 0, 4, np.zeros(2, int))
 print(Look.seen)
 """

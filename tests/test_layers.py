@@ -18,7 +18,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 MODULES = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in FILES}
 MODULES = {name.removesuffix(".__init__"): path for name, path in MODULES.items()}
 # For tools on a laptop.
-SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.application.results", "pgfmd.observables.statistics.spectra")
+SERIAL = ("pgfmd", "pgfmd.theory", "pgfmd.application.results", "pgfmd.observables.binning")
 
 
 def imported(path: Path):
@@ -117,7 +117,7 @@ def test_library_needs_no_hdf5():
 sys.modules.update(h5py=None, tomllib=None)
 import numpy as np
 import pgfmd
-import pgfmd.surfaces.surface_kinds, pgfmd.observables.table
+import pgfmd.surfaces.surface_kinds, pgfmd.observables.observable_kinds
 from pgfmd.surfaces.heights_file import read_heights
 wave = np.cos(2 * np.pi * np.arange(32) / 32)
 contact = pgfmd.solve(wave[:, None] * wave, 0.01)

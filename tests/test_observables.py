@@ -16,16 +16,13 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables import schema
-from pgfmd.observables.contact_line.line import line_of
-from pgfmd.observables.lowpass import coarsening, octaves
+from pgfmd.observables import binning, histogram, rough_surface, schema
+from pgfmd.observables.contact_area import contact_area, line_of
+from pgfmd.observables.histogram import linear_edges, log_edges, pressure_groups
+from pgfmd.observables.lowpass import coarsening, lowpass, octaves, touches_fully
+from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.statistics import kernels, spectra
-from pgfmd.observables.statistics.contact_area import contact_area
-from pgfmd.observables.statistics.correlations import correlate, indicator, mode_rings
-from pgfmd.observables.statistics.distributions import linear_edges, log_edges, pressure_groups
-from pgfmd.observables.statistics.lowpass import lowpass, touches_fully
-from pgfmd.observables.table import LAYOUT, OBSERVABLES
+from pgfmd.observables.rough_surface import correlate, indicator, mode_rings
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -118,7 +115,7 @@ def test_autocorrelations_are_brute_force_means(comm, shape, lengths, bins):
     """C(Δr) = ⟨f(r) f(r + Δr)⟩, averaged over rings of Δr and along both axes; rounding only."""
     found = observe(comm, shape, lengths, acf={"spacing": bins[0], "bins": bins[1]})
     heights, pressure = fields(shape)
-    place = spectra.distances(shape, lengths)
+    place = binning.distances(shape, lengths)
     for name, field in {"stress": pressure, "contact": (pressure > 0) * 1.0, "height": heights}.items():
         shifts = np.ndindex(shape)
         expected = np.reshape([np.mean(field * np.roll(field, shift, (0, 1))) for shift in shifts], shape)
@@ -151,7 +148,7 @@ def sum_rule_residuals(grid, pressure):
     |Θ̃(0)|² = f_c², |σ̃(0)|² = ⟨σ⟩², Σ |Θ̃|² = f_c, Σ |σ̃|² = ⟨σ²⟩, and with m₂ = ⟨σ²⟩ f_c/⟨σ⟩² f_c Σ_{q≠0} |f̃|²/|f̃(0)|² is
     1 − f_c for the contact and m₂ − f_c for the stress.
     """
-    modes = mode_rings(grid, spectra.wave_number_bins(grid.shape, grid.lengths))
+    modes = mode_rings(grid, binning.wave_number_bins(grid.shape, grid.lengths))
     c, s = (correlate(grid, fill, modes).power for fill in (indicator(pressure, 0.0), source(pressure)))
     sums = pressure > 0, pressure, pressure**2
     fraction, mean, square = (grid.reduction.sum(each) / grid.size for each in sums)
@@ -377,11 +374,11 @@ def test_histogram_loops():
     for edges in (even, logarithmic):
         values = np.concatenate([edges, np.nextafter(edges, -9), np.nextafter(edges, 9), [0, 1e9, -1e9]])[None, :]
         counts = np.zeros(len(even) - 1, np.int64)
-        kernels.histogram(values, even, 0, 1, counts)
+        histogram.histogram(values, even, 0, 1, counts)
         np.testing.assert_array_equal(counts, np.histogram(values[values != 0], even)[0])
         both = tuple((each, np.zeros(len(each) - 1, np.int64)) for each in (even, logarithmic))
         powers = np.zeros(2)
-        kernels.contact_sums(values, 0.5, 0, 1, both, powers)
+        histogram.contact_sums(values, 0.5, 0, 1, both, powers)
         for each, found in both:
             np.testing.assert_array_equal(found, np.histogram(values[values > 0], each)[0])
         np.testing.assert_allclose(powers, [np.sum((values[values > 0] / 0.5) ** n) for n in (1, 2)], rtol=1e-14)
@@ -406,8 +403,8 @@ def test_bin_loops(n):
     place = along + across[:, None]
     index = np.searchsorted(edges, place.ravel())
     sums, counts, roots = np.zeros((3, 6))
-    kernels.bin_rows(values, along, across, weight, edges, sums)
-    kernels.bin_geometry(along, across, weight, edges, counts, roots)
+    rough_surface.bin_rows(values, along, across, weight, edges, sums)
+    rough_surface.bin_geometry(along, across, weight, edges, counts, roots)
     for got, terms in ((sums, values), (counts, 1 + 0 * place), (roots, np.sqrt(place))):
         np.testing.assert_allclose(got, np.bincount(index, (terms * weight[:, None]).ravel(), 6), atol=1e-14)
 

@@ -24,7 +24,7 @@ from pgfmd.application.provenance import Origin
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.observables import schema
-from pgfmd.observables.table import LAYOUT
+from pgfmd.observables.observable_kinds import LAYOUT
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi

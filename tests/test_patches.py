@@ -14,9 +14,9 @@ import pytest
 from scipy import ndimage, sparse
 
 from pgfmd.errors import InputError
-from pgfmd.observables.patches.labelling import label_patches
-from pgfmd.observables.patches.run_length import find_fragments, find_runs
-from pgfmd.observables.patches.table import patch_table
+from pgfmd.observables.labelling import label_patches
+from pgfmd.observables.patch_table import patch_table
+from pgfmd.observables.run_length import find_fragments, find_runs
 from pgfmd.parallel.collectives import slab_starts
 
 pytestmark = pytest.mark.mpi

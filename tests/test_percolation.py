@@ -8,9 +8,9 @@ from solids import elastic
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.patches import bottleneck
-from pgfmd.observables.patches.bottleneck import bottlenecks, percolates
-from pgfmd.observables.patches.labelling import label_patches
+from pgfmd.observables import bottleneck
+from pgfmd.observables.bottleneck import bottlenecks, percolates
+from pgfmd.observables.labelling import label_patches
 
 pytestmark = pytest.mark.mpi
 EDGES = (1, 0), (-1, 0), (0, 1), (0, -1)

@@ -122,7 +122,7 @@ def test_nowhere_to_keep_anything():
 KEEP = """
 import numpy as np
 from pgfmd.grid import fftw
-from pgfmd.observables.statistics.kernels import histogram
+from pgfmd.observables.histogram import histogram
 counts, a = np.zeros(2, int), np.empty((4, 96), complex)
 histogram(np.ones((4, 8)), np.arange(3.0), 0, 4, counts)
 transform = fftw.plan(a, a, True)
@@ -262,7 +262,7 @@ from numba.core import event
 import numpy as np
 import pgfmd
 from pgfmd.grid import kernels
-from pgfmd.observables.statistics.kernels import histogram
+from pgfmd.observables.histogram import histogram
 
 class Count(event.Listener):
     names = []

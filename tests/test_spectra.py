@@ -9,7 +9,7 @@ import pytest
 from whole_fields import autocorrelation, power_spectrum, radial_autocorrelation, radial_average
 
 from pgfmd.errors import InputError
-from pgfmd.observables.statistics import spectra
+from pgfmd.observables import binning
 
 # Square, odd, stretched, and a cell whose shorter side has fewer points
 GRIDS = [
@@ -44,7 +44,7 @@ def all_modes(field, lengths):
 def test_radial_average_is_the_mean_over_all_modes_of_a_ring(shape, lengths, bins):
     """The average over a half spectrum with Hermitian weights is the mean over all modes of a bin; rounding only."""
     field = fields(shape)[0]
-    edges = spectra.bin_edges(shape, lengths, **bins)
+    edges = binning.bin_edges(shape, lengths, **bins)
     expected = []
     for low, high in itertools.pairwise(edges):
         inside = [(q, abs(c) ** 2) for q, c in all_modes(field, lengths) if low < q <= high]
@@ -79,9 +79,9 @@ def test_no_bin_reaches_beyond_the_cut_off():
 def test_rounding_cannot_move_a_mode_to_another_bin(per_decade):
     """Bins are the same if every |q| moves by some units in the last place, also |k|² = 10 that lies on an edge."""
     shape, lengths = (64, 64), (64.0, 64.0)
-    q = np.hypot(*spectra.wave_numbers(shape, lengths))
-    edges = spectra.bin_edges(shape, lengths, per_decade=per_decade)
-    counts = [spectra.accumulate(edges, q * factor, 1.0)[0] for factor in (1 - 1e-14, 1, 1 + 1e-14)]
+    q = np.hypot(*binning.wave_numbers(shape, lengths))
+    edges = binning.bin_edges(shape, lengths, per_decade=per_decade)
+    counts = [binning.accumulate(edges, q * factor, 1.0)[0] for factor in (1 - 1e-14, 1, 1 + 1e-14)]
     np.testing.assert_array_equal(counts[0], counts[1])
     np.testing.assert_array_equal(counts[2], counts[1])
 
@@ -90,13 +90,13 @@ def test_blocks_in_any_layout_add_up(monkeypatch):
     """Sums over uneven blocks of the transposed spectrum are those of the whole: what ranks do.  Rounding only."""
     shape, lengths = (24, 17), (3.0, 5.0)
     height, pressure = (power_spectrum(field) for field in fields(shape))
-    edges = spectra.bin_edges(shape, lengths)
-    qx, qy = spectra.wave_numbers(shape, lengths)
-    weight = spectra.hermitian_weight(shape[1])
-    whole = spectra.accumulate(edges, np.hypot(qx, qy), weight, height, pressure)
-    monkeypatch.setattr(spectra, "BLOCK", 50)
+    edges = binning.bin_edges(shape, lengths)
+    qx, qy = binning.wave_numbers(shape, lengths)
+    weight = binning.hermitian_weight(shape[1])
+    whole = binning.accumulate(edges, np.hypot(qx, qy), weight, height, pressure)
+    monkeypatch.setattr(binning, "BLOCK", 50)
     parts = sum(
-        spectra.accumulate(edges, np.hypot(qx.T, qy.T[rows]), weight[rows, None], height.T[rows], pressure.T[rows])
+        binning.accumulate(edges, np.hypot(qx.T, qy.T[rows]), weight[rows, None], height.T[rows], pressure.T[rows])
         for rows in (slice(0, 1), slice(1, 6), slice(6, 6), slice(6, 9))
     )
     np.testing.assert_allclose(parts, whole, rtol=1e-13)
@@ -119,7 +119,7 @@ def test_radial_autocorrelation_is_the_mean_over_rings_of_nearest_images(shape, 
     """Each lag is measured to the nearest image, found by trying all; rings end at half the shorter side."""
     (nx, ny), (lx, ly) = shape, lengths
     correlation = fields(shape)[0]
-    edges = spectra.lag_edges(shape, lengths)
+    edges = binning.lag_edges(shape, lengths)
     assert edges[-1] == pytest.approx(min(lengths) / 2, rel=1e-8, abs=0)
     expected = []
     for low, high in itertools.pairwise(edges):
@@ -141,4 +141,4 @@ def test_radial_autocorrelation_is_the_mean_over_rings_of_nearest_images(shape, 
 def test_wrong_bins_are_refused(bad):
     """A bin width, density or limit that is not positive, or an unknown spacing, is an input error that names it."""
     with pytest.raises(InputError, match=list(bad)[-1]):
-        spectra.bin_edges((8, 8), (8.0, 8.0), **bad)
+        binning.bin_edges((8, 8), (8.0, 8.0), **bad)

@@ -18,8 +18,8 @@ from pgfmd.grid.cell import Cell
 from pgfmd.observables.adhesion import Adhesion
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.schema import FIELDS
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.options.rules import assignment, choice, many, number, text
 from pgfmd.options.section import Kinds, Section, build, key, wrong
 from pgfmd.options.section import as_toml as section_as_toml

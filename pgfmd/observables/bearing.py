@@ -10,13 +10,19 @@ import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.observables.acf import acf_layout
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
+from pgfmd.observables.labelling import label_patches
 from pgfmd.observables.observable import Observable, spectrum_layout
+from pgfmd.observables.rough_surface import indicator
 from pgfmd.observables.schema import Dataset, Groups
+from pgfmd.observables.spectra import acf_layout
+from pgfmd.parallel.compiled import compiled
+from pgfmd.parallel.mpi import MPI
 
 if TYPE_CHECKING:
     from pgfmd.observables.measured_contact import MeasuredContact
+
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +47,6 @@ class Bearing(Observable):
 
     def measure(self, contact: MeasuredContact) -> Groups:
         """Four passes over the heights for the threshold.  Collective."""
-        from pgfmd.observables.patches.labelling import label_patches
-        from pgfmd.observables.statistics.correlations import indicator
-        from pgfmd.observables.statistics.threshold import threshold_for_count
-
         surface, heights, groups = contact.surface, contact.surface.heights, dict[str, Mapping[str, np.ndarray]]()
         threshold = threshold_for_count(contact.grid, heights, contact.area.pixels)
         if {"spectra", "acf"} & contact.asked.keys():
@@ -57,3 +59,65 @@ class Bearing(Observable):
             labels = label_patches(contact.grid.comm, heights > threshold, contact.grid.starts, patches.connectivity)
             groups["bearing_patches"] = contact.patches(labels, None)
         return {"bearing": {"threshold": np.array(threshold)}, **groups}
+
+
+@compiled(fastmath={"contract", "nsz"})
+def count_digits(field: np.ndarray, prefix: np.uint64, shift: int, first: int, stop: int, counts: np.ndarray) -> None:
+    """counts[(key >> shift) & 0xFFFF] += 1 for the keys with key >> shift >> 16 == prefix, of rows first … stop−1.
+
+    field: float64 numbers, viewed as int64.  The key of a number is an unsigned integer; keys have the order of the
+    numbers.
+    """
+    for i in range(first, stop):
+        for j in range(field.shape[1]):
+            bits = field[i, j]
+            key = np.uint64(bits) ^ np.uint64(0x8000000000000000) if bits >= 0 else ~np.uint64(bits)
+            high = key >> np.uint64(shift)
+            if shift == 48 or (high >> np.uint64(16)) == prefix:
+                counts[high & np.uint64(0xFFFF)] += 1
+
+
+DIGIT = 16  # bits of t that one pass over the field fixes
+
+
+def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> float:
+    """The height t above which exactly `count` points of the distributed field (nx_local, ny) lie: h > t.  Collective.
+
+    t is the largest height that is not among them; if all heights are, t lies just below the lowest.  Where heights are
+    equal, no such t may exist; then fewer points lie above.  Radix selection: four passes each fix 16 bits of t by
+    counting; nothing is sorted, and no message has the size of the field.  Raises ValueError if 0 ≤ count ≤ N fails.
+    """
+    if not 0 <= count <= grid.size:
+        raise ValueError(f"{count} of {grid.size} points")
+    if count == grid.size:
+        return float(np.nextafter(grid.reduction.min(heights), -np.inf))
+    place = grid.size - count - 1  # of the threshold among the heights in rising order, from 0
+    prefix = 0
+    bits = heights.view(np.int64)
+    for shift in range(64 - DIGIT, -1, -DIGIT):
+        below = _count_up_to(grid, bits, prefix, shift)
+        digit = int(np.searchsorted(below, place, side="right"))
+        place -= int(below[digit - 1]) if digit else 0
+        del below  # half a megabyte, before the next is made
+        prefix = prefix << DIGIT | digit
+    found = prefix ^ (1 << 63) if prefix >> 63 else ~prefix & (1 << 64) - 1
+    return float(np.array(found, np.uint64).view(np.float64))
+
+
+def _count_up_to(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndarray:
+    """Number of heights whose keys (`count_digits`) begin with the digits `prefix` and go on with at most each next
+    digit: (2^16,) int64.  Collective.
+    """
+    parts = []
+
+    def part(first: int, stop: int) -> None:
+        counts = np.zeros(1 << DIGIT, np.int64)
+        count_digits(bits, np.uint64(prefix), shift, first, stop, counts)
+        parts.append(counts)
+
+    grid.threads.split(part, len(bits))
+    total = parts.pop()  # every rank of a grid has rows
+    while parts:
+        total += parts.pop()
+    grid.comm.Allreduce(MPI.IN_PLACE, total)
+    return np.cumsum(total, out=total)

@@ -12,9 +12,9 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.observer import Observer
 from pgfmd.observables.schema import FIELDS, LOADS, Groups
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.options.section import build
 from pgfmd.options.text import guess
 from pgfmd.physics.problem import ContactProblem

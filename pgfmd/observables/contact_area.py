@@ -24,8 +24,8 @@ The solver: an error e of the pressure moves the line by e over the rise of the 
 order of the rms pressure in contact, on a thin slab K(π/a) a g_rms: the pressure follows the slope of the surface.  The
 more is in contact, the more does a change of the pressure open or close: 1/(1 − f_c).
 
-FACTORS: so that errors are large enough in 19 cases of 20; from 400 contacts (`tools/discretisation.py held`, seeds 77
-and 78), and tested on others.
+FACTORS: so that errors are large enough in 19 cases of 20; from 400 contacts (`tools/bench/error_bars.py held`, seeds
+77 and 78), and tested on others.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ LARGEST_RATIO = 5.0
 """`bound` of `locate`: the ratio of two neighbouring pressures (or gaps) over its value at a straight edge of
 an unbounded contact is clipped to 1/LARGEST_RATIO … LARGEST_RATIO.  Where contacts or openings are about a pixel wide,
 this ratio says little about the edge.  Of 2, 3, 5, 10 and 30, this value gives the smallest error on exact waves whose
-contacts and openings are at least one pixel wide: `tools/contact_line.py limit`."""
+contacts and openings are at least one pixel wide: `tools/bench/contact_line.py limit`."""
 
 WINKLER = 0.25
 """`hardening` below which there is a line on any surface.  At λ_s = 1 … 2.5 pixels, its rms error in pixels, per

@@ -32,7 +32,7 @@ class GapSlope(Observable):
     def measure(self, contact: MeasuredContact) -> Groups:
         """One forward transform.  Collective."""
         from pgfmd.grid.callbacks import source
-        from pgfmd.observables.statistics.correlations import squared
+        from pgfmd.observables.rough_surface import squared
 
         grid, parts = contact.grid, dict[int, tuple[float]]()
         unit = min(grid.spacing)  # of lengths here, so that no square overflows

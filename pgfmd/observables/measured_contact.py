@@ -12,13 +12,11 @@ import numpy as np
 
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.contact_line.line import ContactLine, line_of
-from pgfmd.observables.contact_line.table import staircase
-from pgfmd.observables.patches.labelling import Labels, label_patches
-from pgfmd.observables.patches.table import patch_table
-from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.observables.statistics.contact_area import Area, contact_area
-from pgfmd.observables.statistics.correlations import Correlations, correlate, indicator
+from pgfmd.observables.contact_area import Area, ContactLine, contact_area, line_of
+from pgfmd.observables.contact_line import staircase
+from pgfmd.observables.labelling import Labels, label_patches
+from pgfmd.observables.patch_table import patch_table
+from pgfmd.observables.rough_surface import Correlations, RoughSurface, correlate, indicator
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import ContactSolution, Solve
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
+from pgfmd.observables.binning import wave_number_bins
 from pgfmd.observables.schema import Dataset, GroupLayout, Groups
-from pgfmd.observables.statistics.spectra import wave_number_bins
 from pgfmd.options.rules import choice, flag, integer
 from pgfmd.options.section import Section, key
 

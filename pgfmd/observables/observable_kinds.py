@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pgfmd.observables.adhesion import Adhesion
 from pgfmd.observables.bearing import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
@@ -30,6 +31,7 @@ OBSERVABLES: dict[str, type[Observable]] = {
         Discretisation,
         Stiffness,
         Percolation,
+        Adhesion,
     )
 }
 

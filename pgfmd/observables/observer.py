@@ -13,15 +13,13 @@ import numpy as np
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import Cell
-from pgfmd.observables.acf import Acf
 from pgfmd.observables.lowpass import LOWPASS_TOLERANCE
 from pgfmd.observables.measured_contact import MeasuredContact
 from pgfmd.observables.observable import Observable
-from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.observables.observable_kinds import OBSERVABLES
+from pgfmd.observables.rough_surface import RoughSurface, lag_rings
 from pgfmd.observables.schema import TABLE
-from pgfmd.observables.spectra import Spectra
-from pgfmd.observables.statistics.correlations import lag_rings
-from pgfmd.observables.table import OBSERVABLES
+from pgfmd.observables.spectra import Acf, Spectra
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact

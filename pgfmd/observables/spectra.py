@@ -1,14 +1,21 @@
-"""Power spectra of stress, contact and heights, averaged over direction."""
+"""Power spectra of stress, contact, heights and gap, and autocorrelations, averaged over direction."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
-from pgfmd.observables.observable import Spectrum, spectrum_layout
+from pgfmd.observables.binning import lag_bins
+from pgfmd.observables.observable import Observable, Spectrum, correlation_layout, spectrum_layout
+from pgfmd.observables.rough_surface import correlate
 from pgfmd.observables.schema import Groups
+from pgfmd.options.rules import choice, integer
+from pgfmd.options.section import key
 
 if TYPE_CHECKING:
     from pgfmd.observables.measured_contact import MeasuredContact
@@ -45,3 +52,66 @@ class Spectra(Spectrum):
             "cross": contact.cross_power,
         }
         return {f"{name}_spectrum": modes.means(sums, "q") for name, sums in power.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class GapSpectrum(Spectrum):
+    """Mean of |g̃(q)|² over the modes in each bin of |q|, g̃(q) = (1/N) Σ g(r) exp(−iq·r) over the N points.
+
+    With all_modes, the means times the counts add up to ⟨g²⟩ − ⟨g⟩².
+    """
+
+    name = "gap_spectrum"
+    where = "output.gap_spectrum"
+    layout = {"gap_spectrum": spectrum_layout("{length}^2", "|g̃|² of the gap")}
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """One forward transform."""
+        return Cost(transforms=0.5)
+
+    def measure(self, contact: MeasuredContact) -> Groups:
+        """One forward transform.  Collective."""
+        surface = contact.surface
+        modes = surface.rings(self.edges(surface.cell, surface.cutoff))
+        found = correlate(surface.grid, source(contact.solution.gap), modes)
+        return {"gap_spectrum": modes.means(found.power, "q")}
+
+
+def acf_layout(name: str, unit: str, what: str) -> dict:
+    """The three groups of one autocorrelation."""
+    ways = {"": "averaged over direction", "_x": "along x", "_y": "along y"}
+    return {f"{name}_acf{way}": correlation_layout(unit, f"{what}, {how}") for way, how in ways.items()}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Acf(Observable):
+    """⟨f(r) f(r + Δr)⟩ over all points r, for the pressure, the contact (1 in contact, 0 outside) and the heights: mean
+    over the Δr of each bin of |Δr|, and along both axes.
+    """
+
+    name = "acf"
+    where = "output.acf"
+    layout = {
+        **acf_layout("stress", "{pressure}^2", "stress autocorrelation ⟨σ(r) σ(r')⟩"),
+        **acf_layout("contact", "1", "contact autocorrelation ⟨Θ(r) Θ(r')⟩"),
+        **acf_layout("height", "{length}^2", "height autocorrelation ⟨h(r) h(r')⟩"),
+    }
+
+    spacing: str = key(choice("log", "linear"), "log", "of the bins of |Δr|")
+    bins: int = key(integer(1, 10**6), 20, "per decade (log), or up to half the shorter side of the cell (linear)")
+
+    def edges(self, cell: Cell) -> np.ndarray:
+        """Edges of the bins of |Δr|."""
+        return lag_bins(cell.shape, cell.lengths, self.spacing, self.bins)
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """A transform each for the pressure and the contact."""
+        return Cost(transforms=2.0)
+
+    def measure(self, contact: MeasuredContact) -> Groups:
+        """Shares its transforms with the spectra.  Collective."""
+        found = {"stress": contact.stress, "contact": contact.indicator, "height": contact.surface.correlations}
+        groups: dict = {}
+        for name, correlations in found.items():
+            groups |= contact.surface.acf_groups(name, correlations)
+        return groups

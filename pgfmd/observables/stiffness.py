@@ -69,7 +69,7 @@ class Stiffness(Observable):
 
     def measure(self, contact: MeasuredContact) -> Groups:
         """Solves for the response at fixed contact.  Collective."""
-        from pgfmd.observables.statistics.grid_error import on_half_grid
+        from pgfmd.observables.discretisation import on_half_grid
         from pgfmd.solvers.fixed_contact import increment
 
         problem, grid = contact.problem, contact.grid

@@ -2,7 +2,7 @@
 
     python tools/bench/contact_line.py constant  # area per pixel edge: `theory.lattice_edge.STAIRCASE`
     python tools/bench/contact_line.py directions  # δ and the area per pixel edge by direction
-    python tools/bench/contact_line.py limit  # `observables.contact_line.line.LARGEST_RATIO`, on exact waves (minutes)
+    python tools/bench/contact_line.py limit  # `observables.contact_area.LARGEST_RATIO`, on exact waves (minutes)
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def limit() -> None:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact_line.line import LARGEST_RATIO, contact_line
+    from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous

@@ -40,8 +40,8 @@ from scipy.special import erfinv
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.observer import Observer
-from pgfmd.observables.table import OBSERVABLES
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from pgfmd.application.job import SECTIONS
+from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
 from pgfmd.observables.schema import FIELDS, LOADS, TABLE, Dataset
-from pgfmd.observables.table import LAYOUT, OBSERVABLES
 from pgfmd.options.reference import reference
 
 PAGE = Path(__file__).parent / "pages" / "reference.md"

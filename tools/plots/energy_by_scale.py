@@ -18,7 +18,7 @@ from plotting import BLACK, Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
-from pgfmd.observables.statistics import spectra
+from pgfmd.observables import binning
 from pgfmd.theory import persson
 
 CAPTION = """(a) Share of waves up to q in the elastic energy. (b) Elastic energy per factor of e in q, over its
@@ -57,7 +57,7 @@ def energies(load: Load) -> tuple[np.ndarray, np.ndarray]:
         q, stress, count = load.spectrum("stress")
         return q, count * stress / (2 * load.stiffness(q))
     cell = load.results.shape, load.results.lengths
-    q, mean, count = load.weighted_spectrum("stress", lambda q: 0.5 / load.stiffness(q), spectra.bin_edges(*cell))
+    q, mean, count = load.weighted_spectrum("stress", lambda q: 0.5 / load.stiffness(q), binning.bin_edges(*cell))
     return q, count * mean
 
 

@@ -18,7 +18,7 @@ import rowblocks
 from pgfmd.application import ensemble
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
-from pgfmd.observables.statistics import spectra
+from pgfmd.observables import binning
 from pgfmd.options.section import build
 from pgfmd.options.text import printable
 from pgfmd.physics.solids.kinds import SOLIDS
@@ -227,7 +227,7 @@ class Load:
         for name in self.kept:
             if name.endswith("_spectrum") and "edges" in self.groups[name]:
                 return self.groups[name]["edges"]
-        return spectra.bin_edges(*self._cell, q_max=self.q_limits[1])
+        return binning.bin_edges(*self._cell, q_max=self.q_limits[1])
 
     def weighted_spectrum(
         self, name: str, weight: Callable[[np.ndarray], np.ndarray], edges: np.ndarray | None = None

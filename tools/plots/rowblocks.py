@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy import fft
 
-from pgfmd.observables.statistics import spectra
+from pgfmd.observables import binning
 
 MEMORY = 2**27  # bytes of one block
 
@@ -21,24 +21,24 @@ def radial_spectrum(blocks, shape, lengths, *, edges=None, weight=None, memory: 
     """|f̃|² averaged over direction: q, value, count, each (m,), those of the whole field.
 
     blocks : iterable of (rows, values), `rows` a slice of the nx rows, values of shape (rows, ny)
-    shape (nx, ny), lengths (lx, ly); edges : of the bins (default: `spectra.bin_edges`); weight : function of |q| by
+    shape (nx, ny), lengths (lx, ly); edges : of the bins (default: `binning.bin_edges`); weight : function of |q| by
     which each mode is multiplied before it is averaged; memory : bytes of a block; scratch : folder of the scratch file
     """
-    edges = spectra.bin_edges(shape, lengths) if edges is None else edges
-    qx, qy = spectra.wave_numbers(shape, lengths)
-    modes = spectra.hermitian_weight(shape[1])
+    edges = binning.bin_edges(shape, lengths) if edges is None else edges
+    qx, qy = binning.wave_numbers(shape, lengths)
+    modes = binning.hermitian_weight(shape[1])
     sums = np.zeros((3, len(edges) - 1))
     with tempfile.TemporaryFile(dir=scratch) as file:
         for columns, block in _columns(_rows_transformed(file, blocks, shape), memory):
             q, power = np.hypot(qx, qy[:, columns]), np.abs(block) ** 2
             values = power if weight is None else weight(np.where(q > 0, q, 1.0)) * power
-            sums += spectra.accumulate(edges, q, modes[columns], values)
-    return spectra.radial_mean(sums)
+            sums += binning.accumulate(edges, q, modes[columns], values)
+    return binning.radial_mean(sums)
 
 
 def radial_autocorrelation(blocks, shape, lengths, *, memory: int = MEMORY, scratch=None, width=None):
     """⟨f(r) f(r + Δr)⟩ averaged over direction: r, value, count."""
-    edges = spectra.lag_edges(shape, lengths, width)
+    edges = binning.lag_edges(shape, lengths, width)
     sums = np.zeros((3, len(edges) - 1))
     with tempfile.TemporaryFile(dir=scratch) as file:
         spectrum = _rows_transformed(file, blocks, shape)
@@ -48,8 +48,8 @@ def radial_autocorrelation(blocks, shape, lengths, *, memory: int = MEMORY, scra
         for start in range(0, shape[0], step):
             rows = slice(start, min(start + step, shape[0]))
             values = fft.irfft(spectrum[rows], n=shape[1], axis=1, norm="forward")
-            sums += spectra.accumulate(edges, spectra.distances(shape, lengths, rows), 1.0, values)
-    return spectra.radial_mean(sums)
+            sums += binning.accumulate(edges, binning.distances(shape, lengths, rows), 1.0, values)
+    return binning.radial_mean(sums)
 
 
 def mapped(blocks, function: Callable) -> Iterator:

@@ -78,8 +78,7 @@ def _ours(case: Case, heights, mean_pressure, recorder: AreaRecorder, tolerance:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.contact_line.line import contact_line
-    from pgfmd.observables.statistics.contact_area import contact_area
+    from pgfmd.observables.contact_area import contact_area, contact_line
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous

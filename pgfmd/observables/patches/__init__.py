@@ -1,1 +1,0 @@
-"""Connected patches of contact, labelled across ranks."""

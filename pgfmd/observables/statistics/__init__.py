@@ -1,1 +1,0 @@
-"""How observables are measured: sums over distributed fields, compiled loops, averages over direction."""
