@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from job_texts import rough_job
 
-from pgfmd.application import atomic
+from pgfmd.application import files
 from pgfmd.application.job import tables_as_toml
 from pgfmd.application.results import Results
 
@@ -59,7 +59,7 @@ def start(ranks: int, *arguments, script=("-m", "pgfmd"), environment=None) -> s
 
 def wait_for_folder(run: subprocess.Popen, folder: Path) -> float:
     """Waits until the run has its output folder, or ends; the moment of that, by time.monotonic."""
-    while run.poll() is None and "process" not in (atomic.holder(folder) or ""):
+    while run.poll() is None and "process" not in (files.holder(folder) or ""):
         time.sleep(0.01)
     return time.monotonic()
 

@@ -1,22 +1,24 @@
-"""Checkpoints and seals: what is saved is what is loaded, on any rank count; what is damaged is not used."""
+"""Checkpoints and checksums: what is saved is what is loaded, on any rank count; what is damaged is not used."""
 
 from __future__ import annotations
 
 import errno
-import logging
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
 from job_texts import SOLID
 from mpi4py import MPI
 
-from pgfmd.application import atomic, checksum
+from pgfmd.application import files
 from pgfmd.application import job as config
 from pgfmd.application import writer as output
 from pgfmd.application.checkpoint import Checkpoints
-from pgfmd.application.checksum import sealed, unsealed
+from pgfmd.application.info import damage
 from pgfmd.application.provenance import Origin
 from pgfmd.application.results import Results
+from pgfmd.errors import InputError
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -66,105 +68,26 @@ def test_only_the_same_load_of_the_same_job(comm, shared_tmp_path):
     assert mine.load(1) is None and not list(shared_tmp_path.iterdir())
 
 
-def test_every_byte_counts(comm, shared_tmp_path, caplog, request):
-    """Whichever byte of a checkpoint is flipped, it is recognised, and the one before is used."""
+def test_damage_is_recognised(comm, shared_tmp_path, caplog):
+    """A checkpoint whose numbers have changed, that lacks its end or is no HDF5, is not used; the log says so."""
     mine = checkpoints(comm, shared_tmp_path)
-    before, now = FIELD[mine.rows] + 1, FIELD[mine.rows]
-    mine.save(0, before)
-    mine.save(0, now)
-    size = mine.path.stat().st_size
-    assert size > 2000
-    comm.Barrier()
-    caplog.set_level(logging.CRITICAL, logger="pgfmd")
-    step = 97 if comm.size > 1 else 1 if request.config.getoption("--long") else 7
-    for at in range(0, size, step):
-        flip(comm, mine.path, at)
-        assert np.array_equal(mine.load(0), before), f"byte {at} of {size}"
-        flip(comm, mine.path, at)
-    assert np.array_equal(mine.load(0), now)
-
-
-def test_cut_files_are_recognised(comm, shared_tmp_path):
-    """A checkpoint cut short anywhere, or with bytes added, is not used; if the one before is damaged too, none is."""
-    mine = checkpoints(comm, shared_tmp_path)
-    mine.save(0, FIELD[mine.rows] + 1)
     mine.save(0, FIELD[mine.rows])
     whole = mine.path.read_bytes()
-    comm.Barrier()  # all have read it before rank 0 cuts it
-    for damaged in (*(whole[:length] for length in range(0, len(whole), 499)), whole + b"x", whole + whole):
+    comm.Barrier()  # all have read it before rank 0 changes it
+    at = whole.index(FIELD[5].tobytes())
+    changed = [whole[: at + 6] + bytes([whole[at + 6] ^ 64]) + whole[at + 7 :], whole[:20] + b"x" + whole[21:]]
+    for damaged in (*changed, *(whole[:length] for length in range(0, len(whole) - 1, 499)), b"no file of HDF5"):
         if comm.rank == 0:
             mine.path.write_bytes(damaged)
         comm.Barrier()
-        assert np.array_equal(mine.load(0), FIELD[mine.rows] + 1)
+        caplog.clear()
+        assert mine.load(0) is None
+        assert comm.rank > 0 or "it is not used" in caplog.text
         comm.Barrier()
     if comm.rank == 0:
-        atomic.previous(mine.path).write_bytes(b"")
+        mine.path.write_bytes(whole)
     comm.Barrier()
-    assert mine.load(0) is None
-
-
-def test_seal_covers_every_byte(comm, shared_tmp_path, monkeypatch):
-    """A seal made by many ranks while they write is that of one, and names the block of rows that is damaged; the
-    serial check of a file finds every byte that the ranks wrote, without HDF5.
-    """
-    monkeypatch.setattr("pgfmd.application.checksum.BLOCK", 100)  # two rows of 48 bytes
-    mine, path = checkpoints(comm, shared_tmp_path), shared_tmp_path / "checkpoint.h5"
-    mine.save(0, FIELD[mine.rows])
-    assert checksum.damage(path) is None
-    seal, _ = checksum.read_seal(path)
-    array = seal.arrays["pressure"]
-    assert (array.row_bytes, array.rows, len(array.sums)) == (48, 13, 7)
-    if comm.rank == 0:
-        alone = checkpoints(MPI.COMM_SELF, shared_tmp_path / "alone")
-        alone.path.parent.mkdir()
-        alone.save(0, FIELD)
-        assert alone.path.read_bytes() == path.read_bytes()
-    comm.Barrier()
-    for at, words in ((array.start, "bytes"), (array.stop - 1, "bytes"), (9, "outside"), (seal.size + 3, "seal")):
-        flip(comm, path, at)
-        assert words in checksum.damage(path)
-        block = (at - array.start) // 96
-        assert words != "bytes" or f"bytes {array.start + 96 * block} to" in checksum.damage(path)
-        comm.Barrier()
-        flip(comm, path, at)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (5, 3), (64, 7)])
-@pytest.mark.parametrize("block", [8, 100, 2**24])
-def test_sums_of_rows(shape, block, monkeypatch):
-    """Sums of parts in any order add up to that of the whole; one changed bit, two changed bits and rows that change
-    places are seen.
-    """
-    monkeypatch.setattr("pgfmd.application.checksum.BLOCK", block)
-    rows = np.random.default_rng(1).random(shape)
-    array = checksum.array_at(0, 8 * shape[1], shape[0])
-
-    def sums(rows, cuts=()):
-        found = array.blank_sums()
-        for first, stop in reversed(list(zip([0, *cuts], [*cuts, shape[0]], strict=True))):
-            array.add(found, first, rows[first:stop])
-        return found.tolist()
-
-    whole = sums(rows)
-    assert sums(rows, range(1, shape[0], 2)) == whole
-    for flips in ([0], [63], [0, 64 * rows.size - 1], [63, 64 * rows.size - 1]):
-        changed = rows.copy()
-        for bit in flips:
-            changed.reshape(-1).view(np.uint64)[bit // 64] ^= np.uint64(1 << bit % 64)
-        assert sums(changed) != whole or len(set(flips)) < len(flips)
-    if shape[0] > 1:
-        assert sums(rows[::-1].copy()) != whole
-
-
-def test_seals_of_any_length():
-    """Empty contents have seals too; a file that has none is refused, if strict."""
-    for content in (b"", b"x", bytes(2**24 + 1)):
-        assert unsealed(sealed(content)) == content
-    assert unsealed(b"x" * 500, strict=False) == b"x" * 500
-    with pytest.raises(OSError, match="no seal"):
-        unsealed(b"x" * 500)
-    with pytest.raises(OSError, match="another version"):
-        unsealed(sealed(b"x").replace(b"seal 2", b"seal 1"))
+    assert np.array_equal(mine.load(0), FIELD[mine.rows])
 
 
 def test_full_disk_keeps_the_last_one(comm, shared_tmp_path, monkeypatch):
@@ -175,7 +98,7 @@ def test_full_disk_keeps_the_last_one(comm, shared_tmp_path, monkeypatch):
     def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(atomic.os, "posix_fallocate", full)
+    monkeypatch.setattr(files.os, "posix_fallocate", full)
     with pytest.raises(OSError, match="are free"):
         mine.save(0, 2 * FIELD[mine.rows])
     assert np.array_equal(mine.load(0), FIELD[mine.rows])
@@ -203,7 +126,6 @@ def written(comm, folder):
         ("fields/load_0001.h5", [1, 2], True),
         ("fields/height.h5", [2], False),
         ("fields.h5", [2], True),
-        ("observables.h5", [1, 2], True),
     ],
 )
 @pytest.mark.parametrize("how", ["flipped", "cut short", "missing"])
@@ -213,8 +135,6 @@ def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, he
     """
     restart = written(comm, shared_tmp_path / "out")
     path = shared_tmp_path / "out" / name
-    if how == "missing" and name == "observables.h5":
-        pytest.skip("without it nothing can be continued: the run begins anew")
     if how == "flipped":
         flip(comm, path, 50)
     elif comm.rank == 0 and how == "missing":
@@ -241,15 +161,37 @@ def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, he
         assert writer.pending == [] and not writer.earlier.damaged
 
 
-def test_every_byte_of_the_results_counts(comm, shared_tmp_path, caplog):
-    """Whichever byte of the table of loads is flipped, the version before it is used."""
+def test_every_byte_of_the_results_counts(comm, shared_tmp_path):
+    """Whichever byte of the table of loads is flipped, a restart refuses it and touches nothing."""
     if comm.size > 1:
         pytest.skip("the files are the same for any rank count, and read by one rank")
     restart = written(comm, shared_tmp_path / "out")
     path = shared_tmp_path / "out" / "observables.h5"
-    caplog.set_level(logging.CRITICAL, logger="pgfmd")
     for at in range(0, path.stat().st_size, 101):
         flip(comm, path, at)
-        with restart() as writer:
-            assert writer.pending == [1, 2], f"byte {at}"
+        before = {each: each.read_bytes() for each in path.parent.rglob("*") if each.is_file()}
+        with pytest.raises(InputError, match="observables.h5: cannot be continued: its bytes are not those"):
+            restart()
+        assert {each: each.read_bytes() for each in path.parent.rglob("*") if each.is_file()} == before
         flip(comm, path, at)
+    with restart() as writer:
+        assert writer.pending == [2]
+
+
+def test_sha256sum_reads_the_checksums(comm, shared_tmp_path):
+    """The manifest is that of the usual tool, which finds every file as it was written, and one flipped bit."""
+    written(comm, shared_tmp_path / "out")
+    if comm.rank == 0 and shutil.which("sha256sum"):
+        folder = shared_tmp_path / "out"
+        check = ["sha256sum", "--check", "--strict", "SHA256SUMS"]
+        run = subprocess.run(check, cwd=folder, capture_output=True, text=True, check=False)
+        names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.suffix in (".h5", ".vtkhdf")}
+        assert run.returncode == 0 and {line.removesuffix(": OK") for line in run.stdout.splitlines()} == names
+        path = folder / "fields" / "load_0001.h5"
+        data = bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 1
+        path.write_bytes(data)
+        assert damage(Results(folder)) == {path: "its bytes are not those that were written"}
+        run = subprocess.run(check, cwd=folder, capture_output=True, text=True, check=False)
+        assert run.returncode == 1 and "fields/load_0001.h5: FAILED" in run.stdout
+    comm.Barrier()

@@ -111,7 +111,7 @@ def test_run_without_mpirun(tmp_path, job):
     broad([
         (["run", "none.toml", "--output", "OUT"], "none.toml: cannot be read"),
         (["run", "JOB", "--output", "OUT", "--set", "grid.m=3"], "--set: grid.m is not known"),
-        (["run", "JOB", "--output", "OUT", "--set", "load.pressure=-1"], "load.pressure = -1: must be"),
+        (["run", "JOB", "--output", "OUT", "--set", "load.pressure=-1"], "load.pressure = "),
         (["run", "JOB", "--output", "JOB/out"], "cannot be written as an output folder"),
         (["run", "JOB", "--output", "FULL"], "holds results already"),
         (["run", "JOB"], "--output"),
@@ -253,7 +253,7 @@ def test_verify(tmp_path, capsys, job):
     assert cli.main(arguments) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "--restart" in said
-    assert f"{path}: its bytes {at} to {at + 383} are not those" in said
+    assert f"{path}: its bytes are not those" in said
     height = path.with_name("height.h5")
     for gone in (path, height):
         gone.unlink()

@@ -49,13 +49,13 @@ FAULTS = {  # where a rank fails alone; in the output it is rank 0, since no oth
         module="application.hdf5_slabs", owner="application.hdf5_slabs.Field", name="block", call=9
     ),
     "in the output": """
-from pgfmd.application import atomic
-original = atomic.reserve
+from pgfmd.application import files
+original = files.reserve
 def failing(path, size):
     if "load_0001" in path.name:
         raise PermissionError(13, "the last straw")
     return original(path, size)
-atomic.reserve = failing
+files.reserve = failing
 """,
 }
 
@@ -182,7 +182,7 @@ def fill_disks(tmp_path, n: int, times: int, ranks: int):
             assert f"'{disk}/out" in said[0]
             there, found = launching.distance(disk / "out", tmp_path / "reference", complete=False)
             assert found < 1e-10
-            saved = (disk / "out" / "checkpoint.h5").exists()
+            saved = (disk / "out" / "fields" / "checkpoint.h5").exists()
             (disk / "filler").unlink()
             code, stderr = launching.wait(launching.start(1, "run", job, "--output", disk / "out", "--restart"), 600)
             assert code == 0, stderr

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from job_texts import SOLID
 
-from pgfmd.application import atomic, files, hdf5_slabs, job
+from pgfmd.application import files, hdf5_slabs, job
 from pgfmd.application import writer as output
 from pgfmd.application.info import summary
 from pgfmd.application.provenance import Origin
@@ -243,14 +243,14 @@ def test_lock_dies_with_its_process(comm, shared_tmp_path):
     """A killed run leaves no lock behind: the lock is the kernel's, the file only a name."""
     if comm.rank == 0:
         name = str(shared_tmp_path / "o")
-        code = f"import os; from pgfmd.application import atomic; atomic.OutputFolder({name!r}); os._exit(9)"
+        code = f"import os; from pgfmd.application import files; files.OutputFolder({name!r}); os._exit(9)"
         assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 9
-        assert (shared_tmp_path / "o" / atomic.LOCK_NAME).exists()
+        assert (shared_tmp_path / "o" / files.LOCK_NAME).exists()
     comm.Barrier()
     with writer(comm, shared_tmp_path / "o"):
         pass
     comm.Barrier()
-    assert not (shared_tmp_path / "o" / atomic.LOCK_NAME).exists()
+    assert not (shared_tmp_path / "o" / files.LOCK_NAME).exists()
 
 
 @pytest.mark.parametrize("place", ["file/out", "file", "/proc/pgfmd", "nul\0"], ids=ascii)
@@ -281,7 +281,7 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
 
     with pytest.raises(OSError, match="are free"), writer(comm, folder) as result:
         write_load(result, 0)
-        monkeypatch.setattr(atomic.os, "posix_fallocate", full)
+        monkeypatch.setattr(files.os, "posix_fallocate", full)
         write_load(result, 1)
     comm.Barrier()
     read = Results(folder)
@@ -294,15 +294,15 @@ def test_a_reader_does_not_refuse_a_run(comm, shared_tmp_path, monkeypatch):
     """Whoever asks who holds a folder has its lock for a moment; a run that begins then waits for that moment."""
     folder = shared_tmp_path / f"of rank {comm.rank}"
     folder.mkdir()
-    reader = os.open(folder / atomic.LOCK_NAME, os.O_RDONLY | os.O_CREAT)
+    reader = os.open(folder / files.LOCK_NAME, os.O_RDONLY | os.O_CREAT)
     fcntl.flock(reader, fcntl.LOCK_SH)
-    monkeypatch.setattr(atomic, "sleep", lambda _: os.close(reader))
-    atomic.OutputFolder(folder).release()
+    monkeypatch.setattr(files, "sleep", lambda _: os.close(reader))
+    files.OutputFolder(folder).release()
 
 
 @pytest.mark.parametrize("nodes", ["one node", "a node for each rank"])
 def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch, nodes):
-    """Files of fields are equal byte for byte, seal included, whether HDF5 with MPI writes them or each rank its rows
+    """Files of fields are equal byte for byte, whether HDF5 with MPI writes them or each rank its rows
     in place, where ranks share a node and where their nodes take turns.
     """
     if nodes != "one node":
@@ -312,8 +312,8 @@ def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch
         monkeypatch.setattr(hdf5_slabs, "is_collective", lambda comm, collective=collective: collective)
         with writer(comm, shared_tmp_path / name, precision="float32") as result:
             write_load(result, 0)
-    files = [(shared_tmp_path / name / "fields" / "load_0000.h5").read_bytes() for name in ("together", "in place")]
-    assert files[0] == files[1]
+    found = [(shared_tmp_path / name / "fields" / "load_0000.h5").read_bytes() for name in ("together", "in place")]
+    assert found[0] == found[1]
 
 
 def test_error_while_writing_reaches_all_ranks(comm, shared_tmp_path, monkeypatch):
@@ -455,7 +455,7 @@ def test_format_1_is_read(comm, shared_tmp_path):
 def test_format_1_is_not_continued(comm, shared_tmp_path):
     """Loads of two versions in one folder would be a mixture: that is refused; such results may be replaced."""
     unpack(comm, 1, shared_tmp_path)
-    with pytest.raises(InputError, match="cannot be continued: it was sealed by another version"):
+    with pytest.raises(InputError, match="cannot be continued: it was written by pgfmd"):
         writer(comm, shared_tmp_path, mode="restart")
     with writer(comm, shared_tmp_path, mode="overwrite") as result:
         write_load(result, 0)

@@ -58,7 +58,7 @@ def test_only_the_same_run_is_continued(comm, shared_tmp_path, monkeypatch, what
     if what == "job":
         job = parse(JOB.format(path=heights).replace("0.03", "0.04"))
     if what == "version":
-        monkeypatch.setattr("pgfmd.application.preflight.THIS_VERSION", "9.9")
+        monkeypatch.setattr("pgfmd.application.restart.THIS_VERSION", "9.9")
     comm.Barrier()
     with pytest.raises(InputError, match=words):
         simulate(job, comm, folder, restart=True)

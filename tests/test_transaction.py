@@ -15,9 +15,8 @@ import pytest
 from conftest import broad
 from mpi4py import MPI
 
-from pgfmd.application import atomic
 from pgfmd.application.checkpoint import Checkpoints
-from pgfmd.application.files import Form
+from pgfmd.application.files import Form, holder, read_sums, sha256
 from pgfmd.application.provenance import Origin
 from pgfmd.application.results import Results
 from pgfmd.application.writer import ResultWriter
@@ -26,8 +25,8 @@ from pgfmd.parallel.collectives import slab
 
 SHAPE = (7, 4)
 FIELD = np.arange(28.0).reshape(SHAPE)
-CHANGES = ("replace", "link", "unlink", "mkdir", "rmdir")
-FILES = ["observables.h5", "fields.h5", "fields.vtkhdf", "checkpoint.h5"]
+CHANGES = ("replace", "unlink", "mkdir", "rmdir")
+FILES = ["observables.h5", "fields.h5", "fields.vtkhdf"]
 
 
 class Killed(BaseException):
@@ -62,8 +61,7 @@ def run(folder, factor: float, mode: str, fields: bool = True, comm=MPI.COMM_SEL
     writer = None
     try:
         with ResultWriter(comm, folder, origin, Form(SHAPE, SHAPE, rows), mode) as writer:
-            checkpoints = Checkpoints(comm, folder, SHAPE, rows, origin.effective_toml)
-            checkpoints.aside = writer.replacing
+            checkpoints = Checkpoints(comm, writer.fields_folder, SHAPE, rows, origin.effective_toml)
             writer.begin()
             writer.write_heights(factor * FIELD[rows])
             for index in writer.pending:
@@ -104,6 +102,8 @@ def factor_in(folder) -> float:
             for images in file["VTKHDF/PointData"].values():
                 first = images[0] if images.ndim == 3 else images[:]
                 np.testing.assert_array_equal(first, factor * FIELD)
+    for name, digest in read_sums(folder).items():  # every line is true at every instant
+        assert not (folder / name).exists() or digest == sha256(folder / name)
     return factor
 
 
@@ -139,7 +139,7 @@ def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
         left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
         where = Results(folder).provenance["fields_folder"]
         loads = {f"{where}/load_{index:04}.h5" for index in range(2) if fields}
-        both = {"observables.h5", ".observables.h5.previous", "fields.h5", "fields.vtkhdf"}
+        both = {"observables.h5", "fields.h5", "fields.vtkhdf", "SHA256SUMS"}
         assert left == both | loads | {f"{where}/height.h5"}
         number += 1
     assert number > 20 and found == sorted(found, key=lambda factor: factor == 9.0) and {old, 9.0} == set(found)
@@ -165,7 +165,7 @@ def test_the_first_error_is_the_one_that_is_raised(tmp_path, monkeypatch):
     monkeypatch.setattr(ResultWriter, "_note_failure", fails)
     with pytest.raises(SolverError, match="no descent"):
         run(tmp_path / "out", 1.0, "new", stop=SolverError("no descent"))
-    assert atomic.holder(tmp_path / "out") is None
+    assert holder(tmp_path / "out") is None
 
 
 def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
@@ -178,9 +178,9 @@ def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
         run(folder, 2.0, "overwrite", stop=Stopped())
     after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     assert {path: after[path] for path in before} == before
-    assert {path.name for path in after.keys() - before.keys()} == {".checkpoint.h5.new"}
-    for job in (1.0, 2.0):
-        checkpoints = Checkpoints(MPI.COMM_SELF, folder, SHAPE, slice(0, 7), f"factor = {job}")
+    assert {str(path.relative_to(folder)) for path in after.keys() - before.keys()} == {"fields-2/checkpoint.h5"}
+    for job, fields in ((1.0, "fields"), (2.0, "fields-2")):
+        checkpoints = Checkpoints(MPI.COMM_SELF, folder / fields, SHAPE, slice(0, 7), f"factor = {job}")
         np.testing.assert_array_equal(checkpoints.load(0), job * FIELD)
 
 
@@ -233,6 +233,5 @@ def test_own_files_are_known_though_damaged(tmp_path, name):
         run(folder, 1.0, "new", stop=Stopped())
     path = folder / name
     path.write_bytes(path.read_bytes()[:-50])
-    atomic.previous(path).unlink(missing_ok=True)
     run(folder, 2.0, "overwrite")
     assert factor_in(folder) == 2.0

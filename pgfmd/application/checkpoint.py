@@ -1,44 +1,39 @@
 """Checkpoints of a load that is not solved yet: its latest pressure, from which the solver can continue.
 
-    checkpoint.h5               pressure (nx, ny), the load's index, the effective job; sealed
-    .checkpoint.h5.previous     the checkpoint before it, read if checkpoint.h5 is damaged
-    .checkpoint.h5.new          the checkpoint of a run that is to replace results, until it has replaced them
-
-A checkpoint can be read on any number of ranks.  A damaged one cannot make a result wrong, since every solver certifies
-what it returns; it would only cost time.  Its seal (`checksum`) saves that.
+fields/checkpoint.h5 holds the pressure (nx, ny), the load's index and the effective job.  Any number of ranks reads it.
+A damaged one cannot make a result wrong, since every solver certifies what it returns; it would only cost time.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from pgfmd.application import atomic, checksum, hdf5_slabs
-from pgfmd.application.files import CHECKPOINT_FILE
-from pgfmd.parallel.collectives import from_root
+from pgfmd.application import hdf5_slabs
+from pgfmd.application.files import CHECKPOINT_FILE, temporary
+from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
+ROUNDING = 1e-9  # relative difference of sums over 2⁵⁰ points on different rank counts is far smaller
 
 
 class Checkpoints:
-    """The checkpoints in a result folder.  Every method is collective.
+    """The checkpoint in a folder of fields.  Every method is collective.
 
-    rows : slice of the global rows of the grid of that `shape` (nx, ny) which this rank holds
-    job : a text that is the same for the same job; checkpoints of another job are ignored
-    hints : for MPI-IO, each "name=value"
-
-    aside : `save` writes the file .new, since checkpoint.h5 belongs to results that are still to be replaced
+    rows: slice of the global rows of the grid of that `shape` (nx, ny) which this rank holds.  job: a text that is the
+    same for the same job; checkpoints of another job are ignored.  hints: for MPI-IO, each "name=value".
     """
 
     def __init__(
         self,
         comm: MPI.Comm,
-        directory: str | os.PathLike,
+        folder: str | os.PathLike,
         shape: tuple[int, int],
         rows: slice,
         job: str,
@@ -46,54 +41,64 @@ class Checkpoints:
     ):
         self.comm, self.shape, self.rows, self.job = comm, shape, rows, job
         self.ranks = hdf5_slabs.Ranks(comm, rows, hints)
-        self.path = Path(directory) / CHECKPOINT_FILE
-        self.aside = False
+        self.path = Path(folder) / CHECKPOINT_FILE
 
     def save(self, index: int, pressure: np.ndarray) -> None:
         """Write the pressure (nx_local, ny), in any unit, of the unfinished load `index`.  Collective.
 
-        The last good checkpoint stays until this one is whole and on the disk.  Raises OSError on all ranks.
+        The last checkpoint stays until this one is whole and on the disk.  Raises OSError on all ranks.
         """
+        total = self._total(pressure)
 
         def create(file: h5py.File, name: str) -> h5py.Dataset:
-            file.attrs.update(software="pgfmd", load=index, job=self.job)
+            file.attrs.update(software="pgfmd", load=index, job=self.job, total=total)
             return hdf5_slabs.create_dataset(file, name, self.shape, pressure.dtype)
 
-        path = atomic.successor(self.path) if self.aside else self.path
-        fields = {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}
-        hdf5_slabs.replace_by(self.ranks, path, fields, create, not self.aside)
+        hdf5_slabs.replace_by(
+            self.ranks, self.path, {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}, create
+        )
 
     def load(self, index: int) -> np.ndarray | None:
-        """The newest good pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if there is none.
+        """The pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if none is saved, or a damaged one.
         Collective.
         """
-        for path in (atomic.successor(self.path), self.path, atomic.previous(self.path)):
-            if not from_root(self.comm, self._belongs, path, index):
-                continue
-            pressure, fault = hdf5_slabs.read(self.comm, path, self.rows, "pressure")
-            if fault is None:
-                log.info("load %d continues from its checkpoint", index + 1)
-                return pressure
-            log.warning("%s: %s; it is not used", path, fault)
-        return None
-
-    def _belongs(self, path: Path, index: int) -> bool:
-        """Whether the file is a checkpoint of that load of this job with a good seal; the numbers are not read."""
-        if not path.exists():
-            return False
-        _, fault = checksum.read_seal(path)
-        if fault is not None:
-            log.warning("%s: %s; it is not used", path, fault)
-            return False
-        with h5py.File(path, "r", locking=False) as file:
-            return file.attrs["load"] == index and file.attrs["job"] == self.job
+        total = from_root(self.comm, self._total_of, index)
+        if total is None:
+            return None
+        try:
+            with raise_together(self.comm), h5py.File(self.path, "r", locking=False) as file:
+                pressure = file["pressure"][self.rows]
+                if pressure.shape[1] != self.shape[1]:
+                    raise OSError("another shape")
+        except Exception as error:  # raised on all ranks
+            log.warning("%s: %s; it is not used", self.path, error)
+            return None
+        if not math.isclose(self._total(pressure), total, rel_tol=ROUNDING):
+            log.warning("%s: the pressure is not the one that was written; it is not used", self.path)
+            return None
+        log.info("load %d continues from its checkpoint", index + 1)
+        return pressure
 
     def remove(self) -> None:
-        """Remove all checkpoints; the next one is written to checkpoint.h5 (`aside` becomes False).  Collective."""
+        """Remove the checkpoint.  Collective."""
         from_root(self.comm, self._remove)
-        self.aside = False
+
+    def _total(self, pressure: np.ndarray) -> float:
+        """Σ |p| over all points.  Collective."""
+        return Reduction(self.comm).sum(np.abs(pressure))
+
+    def _total_of(self, index: int) -> float | None:
+        """Σ |p| that the checkpoint says, if it is one of that load of this job.  Rank 0."""
+        if not self.path.exists():
+            return None
+        try:
+            with h5py.File(self.path, "r", locking=False) as file:
+                same = file.attrs["load"] == index and file.attrs["job"] == self.job
+                return float(file.attrs["total"]) if same else None
+        except Exception as error:  # whatever HDF5 makes of a damaged file
+            log.warning("%s: %s; it is not used", self.path, error)
+            return None
 
     def _remove(self) -> None:
-        for path in (self.path, atomic.previous(self.path), atomic.successor(self.path)):
+        for path in (self.path, temporary(self.path)):
             path.unlink(missing_ok=True)
-            atomic.temporary(path).unlink(missing_ok=True)

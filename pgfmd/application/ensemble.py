@@ -18,13 +18,9 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from pgfmd.application import columns
-from pgfmd.application.atomic import holder
-from pgfmd.application.dimensions import name_axes
-from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
-from pgfmd.application.results import Results, Runs
-from pgfmd.application.small_hdf5 import revise
-from pgfmd.application.text_table import text_table
+from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, holder, load_name, member_name, revise
+from pgfmd.application.results import Results, Runs, text_table
+from pgfmd.application.tables import name_axes, read_columns
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import TABLE, is_error
 
@@ -239,7 +235,7 @@ class _LoadsOnly(Results):
     def __init__(self, directory: Path):
         self.directory = directory
         with h5py.File(directory / OBSERVABLES_FILE, "r", locking=False) as file:
-            self.loads = columns.get(file[TABLE])
+            self.loads = read_columns(file[TABLE])
 
 
 def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:

@@ -13,9 +13,16 @@ from typing import Any
 import numpy as np
 
 from pgfmd.application import ensemble, machine, provenance, restart
-from pgfmd.application.atomic import OutputFolder, commit, sync_files, temporary
 from pgfmd.application.estimate import estimate, rank_groups
-from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, load_name, member_name
+from pgfmd.application.files import (
+    ENSEMBLE_FILE,
+    OBSERVABLES_FILE,
+    OutputFolder,
+    load_name,
+    member_name,
+    replace,
+    sync_files,
+)
 from pgfmd.application.job import Job, as_toml, differences, parse
 from pgfmd.application.progress import STEP
 from pgfmd.application.results import Results
@@ -119,8 +126,7 @@ class _Folder:
         if self._before is None:
             path.unlink()
         else:
-            temporary(path).write_bytes(self._before)
-            commit(path)
+            replace(path, self._before)
 
     def __enter__(self) -> _Folder:
         return self
@@ -209,7 +215,7 @@ def _found(folder: Path, job: Job) -> str:
         earlier, loads = restart.read(folder), map(load_name, range(len(job.load.targets)))
         needed = {"height", *loads} if "height" in job.output.fields else set(loads)
         whole = needed - {"height"} <= earlier.fields.keys() and not needed & earlier.damaged
-        return "complete" if whole and earlier.version == restart.THIS_VERSION else ""
+        return "complete" if whole else ""
     return ""
 
 

@@ -16,10 +16,8 @@ import h5py
 import numpy as np
 
 from pgfmd.application import hdf5_slabs, restart, views
-from pgfmd.application.dimensions import add_grid_axes, name_axes
-from pgfmd.application.files import FIELDS_FILE, VTK_FILE, Form
-from pgfmd.application.observables_file import annotate
-from pgfmd.application.small_hdf5 import Change, revise
+from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, revise
+from pgfmd.application.tables import add_grid_axes, annotate, name_axes
 from pgfmd.observables.schema import FIELDS, Dataset
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI
@@ -72,7 +70,7 @@ class FieldFiles:
 
         path = self.directory / self.folder / f"{name}.h5"
         ranks = hdf5_slabs.Ranks(self.comm, form.rows, form.hints)
-        hdf5_slabs.replace_by(ranks, path, slabs, create, False)
+        hdf5_slabs.replace_by(ranks, path, slabs, create)
         for key in fields:
             link = key if key == name else f"{name}/{key}"
             self.links[link] = f"{name}.h5", key
@@ -101,7 +99,7 @@ class FieldFiles:
         for draft in (self.directory / self.folder).glob(".*.h5.tmp"):
             draft.unlink(missing_ok=True)
         if not self.links:
-            self.remove()
+            self.remove(and_checkpoint=False)
         (self.directory / self.folder).mkdir(exist_ok=True)
 
     def write_views(self) -> None:
@@ -127,18 +125,19 @@ class FieldFiles:
         for name in (FIELDS_FILE, VTK_FILE):
             (self.directory / name).unlink(missing_ok=True)
 
-    def remove(self) -> None:
+    def remove(self, and_checkpoint: bool) -> None:
         """Remove the fields that this program wrote into `folder`, and the folder if nothing else is in it."""
-        self._remove_from(self.folder)
+        self._remove_from(self.folder, and_checkpoint)
 
     def remove_replaced(self) -> None:
         """Remove the fields of replaced results, which are in the other folder, and what shows them."""
         self.remove_views()
         for folder in set(restart.FIELDS_FOLDERS) - {self.folder}:
-            self._remove_from(folder)
+            self._remove_from(folder, and_checkpoint=True)
 
-    def _remove_from(self, folder: str) -> None:
+    def _remove_from(self, folder: str, and_checkpoint: bool) -> None:
         for path in restart.own_field_files(self.directory / folder):
-            path.unlink(missing_ok=True)
+            if and_checkpoint or path.name != CHECKPOINT_FILE:
+                path.unlink(missing_ok=True)
         with suppress(OSError):
             (self.directory / folder).rmdir()

@@ -1,20 +1,43 @@
-"""Names and versions of the files of a result folder, and what they need to know of the run."""
+"""The files of a result folder: their names, how they are replaced, their checksums, and who may write there.  No MPI.
+
+One rule for every file: it is written beside the old one as .NAME.tmp, synced, and renamed.  So each is whole at every
+instant.  SHA256SUMS lists checksums of the files, which `sha256sum -c` reads.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import fcntl
+import hashlib
+import io
+import os
+import platform
+import re
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from time import sleep
 
+import h5py
+
+from pgfmd.errors import InputError
 from pgfmd.observables.schema import LOADS, TABLE, Dataset, GroupLayout
 
-FORMAT_VERSION = 3  # how earlier ones differ: see `formats`
+FORMAT_VERSION = 4  # how earlier ones differ: see `results.modern`
 # Attributes beyond 64 KiB (a long job text) need this file format; every HDF5 since 2008 reads it.
 LIBVER = ("v108", "v110")
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
 VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `views`
-CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load; see `checkpoint`
+CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `checkpoint`
 ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
+SUMS_FILE = "SHA256SUMS"
 MISSING = -1  # a whole number of the table of loads that is not known; a real one is NaN
+LOCK_NAME = ".pgfmd.lock"
+PAUSE = 0.05  # seconds before a lock is asked for again: `holder` has it for a moment
 
 
 @dataclass(frozen=True)
@@ -52,3 +75,211 @@ def load_name(index: int) -> str:
 def member_name(seed: int) -> str:
     """Name of the result folder of one seed of an ensemble: seed_0001, seed_0002, …"""
     return f"seed_{seed:04d}"
+
+
+def temporary(path: Path) -> Path:
+    """Where the next version of `path` is written: always the same name, so that none pile up."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def commit(path: Path, sync: bool = True) -> None:
+    """Rename the finished temporary file of `path` to `path`; the file is synced before, the folder after, if asked."""
+    if sync:
+        _sync(temporary(path))
+    os.replace(temporary(path), path)
+    if sync:
+        _sync(path.parent)
+
+
+def sync_files(folder: Path) -> None:
+    """Sync the files of a folder, and the folder, to the disk.  Raises OSError."""
+    for path in (*folder.glob("*.h5"), folder):
+        with named(path):
+            _sync(path)
+
+
+def replace(path: Path, content: bytes | memoryview, sync: bool = True) -> None:
+    """Replace a small file as a whole.  Raises OSError; the old file stays then."""
+    try:
+        with named(path):
+            temporary(path).write_bytes(content)
+            commit(path, sync)
+    except BaseException:
+        temporary(path).unlink(missing_ok=True)
+        raise
+
+
+Change = Callable[[h5py.File], None]
+"""Adds to or changes an open file."""
+
+
+def revise(path: Path, change: Change, blank: bytes = b"", anew: bool = False, sync: bool = True) -> None:
+    """Let `change` modify a small HDF5 file, or fill a new one that begins as `blank`; anew: even if the file exists.
+
+    `change` works in memory, since HDF5 crashes when a disk is full.  Raises OSError; the old file stays then.
+    """
+    content = io.BytesIO(path.read_bytes() if path.exists() and not anew else blank)
+    with h5py.File(content, "r+" if content.getbuffer().nbytes else "w", libver=LIBVER) as file:
+        change(file)
+    replace(path, content.getbuffer(), sync)
+
+
+class Sums:
+    """SHA256SUMS of a result folder.  Rank 0.
+
+    A file's line goes before the file changes and comes back after it, so that every line is true whenever a run ends.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    @cached_property
+    def _lines(self) -> dict[str, str]:
+        return read_sums(self.directory)
+
+    def forget(self, *names: str) -> None:
+        """Remove the lines of files, by their paths in the folder."""
+        if self._lines:
+            self._write({name: digest for name, digest in self._lines.items() if name not in names})
+
+    def note(self, *names: str) -> None:
+        """Write the lines of those files that exist, and remove those of files that are gone."""
+        paths = {name: self.directory / name for name in names}
+        self._write(self._lines | {name: sha256(path) for name, path in paths.items() if path.exists()})
+
+    def _write(self, lines: dict[str, str]) -> None:
+        self._lines = {name: digest for name, digest in sorted(lines.items()) if (self.directory / name).exists()}
+        text = "".join(f"{digest}  {name}\n" for name, digest in self._lines.items())
+        replace(self.directory / SUMS_FILE, text.encode(), sync=False)
+
+
+def read_sums(directory: Path) -> dict[str, str]:
+    """The checksums in a result folder by the path of the file; none if it has no SHA256SUMS."""
+    try:
+        text = (directory / SUMS_FILE).read_text(errors="replace")
+    except OSError:
+        return {}
+    return {name: digest for digest, name in re.findall(r"^([0-9a-f]{64})  (.+)$", text, re.MULTILINE)}
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal.  Raises OSError."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Adds `path` to an OSError of the block that names no file, such as ENOSPC."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
+
+
+def reserve(path: Path, size: int) -> None:
+    """Make a file of `size` bytes whose space on the disk is taken; raises OSError if less is free."""
+    folder = path.parent
+    try:
+        with open(path, "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, size)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        if error.errno != errno.ENOSPC:
+            raise
+        free = shutil.disk_usage(folder).free
+        message = f"{size / 1e6:.1f} MB are to be written, {free / 1e6:.1f} MB are free"
+        raise OSError(errno.ENOSPC, message, str(folder)) from None
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # file systems that cannot sync a folder say so this way
+            raise
+    finally:
+        os.close(handle)
+
+
+class OutputFolder:
+    """A folder held by one run: made if missing, locked until `release`.  On one rank only.
+
+    The lock is the kernel's (flock) and ends with its process; the file's text only says who holds it.
+    Raises InputError if the folder cannot be made or written, or if another run holds it.
+    """
+
+    def __init__(self, path: str | os.PathLike):
+        self.path = Path(path)
+        missing = [folder for folder in (self.path, *self.path.parents) if not os.path.lexists(folder)]
+        self.made: list[Path] = []
+        try:
+            for folder in reversed(missing):
+                folder.mkdir()
+                self.made.insert(0, folder)
+            self._handle = self._lock()
+        except InputError:
+            raise
+        except (OSError, ValueError) as error:
+            self.discard()
+            reason = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"{self.path}: cannot be written as an output folder: {reason}") from None
+
+    def _lock(self) -> int:
+        name, refused = self.path / LOCK_NAME, False
+        while True:
+            handle = os.open(name, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                other = os.read(handle, 200).decode(errors="replace").strip()
+                os.close(handle)
+                if refused:
+                    raise InputError(f"{self.path}: another run writes here ({other or 'just started'})") from None
+                refused = True
+                sleep(PAUSE)
+                continue
+            except OSError as error:
+                if error.errno not in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                    os.close(handle)
+                    raise
+                # A file system without locks: the run goes on unprotected.
+            # A run that has just ended removes its lock file: check that the locked file still has that name.
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), os.stat(name)):
+                    break
+            os.close(handle)
+        os.ftruncate(handle, 0)
+        os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())
+        return handle
+
+    def release(self) -> None:
+        """Remove the lock."""
+        (self.path / LOCK_NAME).unlink(missing_ok=True)
+        os.close(self._handle)
+
+    def discard(self) -> None:
+        """Remove the folders that were made here, as far as they are empty."""
+        for folder in self.made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def holder(path: str | os.PathLike) -> str | None:
+    """Who holds the folder's lock at this moment; None if nobody does."""
+    try:
+        handle = os.open(Path(path) / LOCK_NAME, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return None
+    except BlockingIOError:
+        return os.read(handle, 200).decode(errors="replace").strip() or "a run that has just started"
+    except OSError:
+        return None
+    finally:
+        os.close(handle)

@@ -1,4 +1,4 @@
-"""Distributed fields in one sealed HDF5 file, written by all ranks: by HDF5 where h5py has MPI, else each rank writes
+"""Distributed fields in one HDF5 file, written by all ranks: by HDF5 where h5py has MPI, else each rank writes
 its rows at their offset, since HDF5 stores a contiguous dataset as plain numbers.  The bytes are the same.
 
 Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue 965).
@@ -10,16 +10,14 @@ import io
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
 
-from pgfmd.application import atomic, checksum
-from pgfmd.application.checksum import SealedArray
-from pgfmd.application.files import LIBVER
+from pgfmd.application import files
 from pgfmd.parallel.collectives import from_root, raise_together, slab
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.teams import node_of
@@ -67,10 +65,7 @@ class Field:
         return self.local.shape[1] * self.dtype.itemsize
 
 
-Arrays = dict[str, SealedArray]
 Create = Callable[[h5py.File, str], h5py.Dataset]
-Note = Callable[[str, int, np.ndarray], None]
-"""note(field name, first global row, rows as in the file) adds a block to the checksums; once for each block."""
 
 
 def is_collective(comm: MPI.Comm) -> bool:
@@ -94,88 +89,40 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
     return h5py.Dataset(h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, layout))
 
 
-def write(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create) -> None:
-    """Write a new, sealed file of `fields`.  Collective.
+def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create) -> None:
+    """Write a file of `fields` beside `path`, then rename it; after a failure it is removed.  Collective.
 
     create(file, name) makes the dataset of a field by `create_dataset`; rank 0 calls it.  HDF5 crashes or hangs when a
     disk is full; so the space of the whole file is reserved before HDF5 writes.  An error on one rank is raised on all
     of them; OSError if the disk is full.
     """
-    comm, rows = ranks.comm, ranks.rows
-    count = comm.allreduce(rows.stop - rows.start)
+    draft, comm = files.temporary(path), ranks.comm
+    count = comm.allreduce(ranks.rows.stop - ranks.rows.start)
     size = count * sum(field.row_bytes for field in fields.values())
     size += 8 * (count + max(field.local.shape[1] for field in fields.values()))  # coordinates of the points
-    arrays = from_root(comm, _lay_out, path, size, list(fields), create)
-    sums = {name: array.blank_sums() for name, array in arrays.items()}
-
-    def note(name: str, first: int, block: np.ndarray) -> None:
-        arrays[name].add(sums[name], first, block)
-
-    if is_collective(comm):
-        _write_together(ranks, path, fields, note)
-    else:
-        _write_in_place(comm, path, rows, fields, note, arrays)
-    arrays = {name: replace(array, sums=_sum_over_ranks(comm, sums[name])) for name, array in arrays.items()}
-    from_root(comm, _seal, path, arrays)
-
-
-def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create, keep: bool) -> None:
-    """`write` under a temporary name, then rename; after a failure the temporary file is removed.  Collective.
-
-    keep: the version that it replaces stays as `atomic.previous(path)`.  Raises like `write`.
-    """
-    draft = atomic.temporary(path)
     try:
-        write(ranks, draft, fields, create)
-        from_root(ranks.comm, atomic.commit, path, keep)
+        offsets = from_root(comm, _lay_out, draft, size, list(fields), create)
+        if is_collective(comm):
+            _write_together(ranks, draft, fields)
+        else:
+            _write_in_place(ranks, draft, fields, offsets)
+        from_root(comm, files.commit, path)
     except BaseException:
-        if ranks.comm.rank == 0:
+        if comm.rank == 0:
             with suppress(OSError):
                 draft.unlink(missing_ok=True)
         raise
 
 
-def read(comm: MPI.Comm, path: Path, rows: slice, name: str) -> tuple[np.ndarray | None, str | None]:
-    """Read this rank's rows of a field in a sealed file, and check them against the seal: (rows, None), or (None, what
-    is wrong with the file).  Collective.
-    """
-    seal, fault = from_root(comm, checksum.read_seal, path)
-    if seal is None:
-        return None, fault
-    with raise_together(comm):
-        with h5py.File(path, "r", locking=False) as file:
-            local = file[name][rows]
-    array = seal.arrays[name]
-    sums = array.blank_sums()
-    array.add(sums, rows.start, local)
-    fault = array.difference(np.array(_sum_over_ranks(comm, sums), np.uint64))
-    return (local if fault is None else None), fault
-
-
-def _seal(path: Path, arrays: dict[str, SealedArray]) -> None:
-    with atomic.named(path):
-        checksum.add_seal(path, arrays)
-
-
-def _sum_over_ranks(comm: MPI.Comm, sums: np.ndarray) -> list[int]:
-    """The sums of all ranks, modulo 2⁶⁴.  Collective."""
-    comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
-    return [int(number) for number in sums]
-
-
-def _lay_out(path: Path, size: int, names: list[str], create: Create) -> Arrays:
-    """Reserve space and write the file without the numbers; returns where each field lies.  Rank 0."""
-    atomic.reserve(path, size + METADATA_BYTES)
+def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, int]:
+    """Reserve space and write the file without the numbers; returns at which byte each field begins.  Rank 0."""
+    files.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
         target = _ReservedFile(raw)
-        with h5py.File(target, "w", libver=LIBVER) as file:
-            datasets = [create(file, name) for name in names]
-            arrays = {
-                name: checksum.array_at(found.id.get_offset(), found.shape[1] * found.dtype.itemsize, found.shape[0])
-                for name, found in zip(names, datasets, strict=True)
-            }
+        with h5py.File(target, "w", libver=files.LIBVER) as file:
+            offsets = {name: create(file, name).id.get_offset() for name in names}
         raw.truncate(target.size)
-    return arrays
+    return offsets
 
 
 class _ReservedFile(io.RawIOBase):
@@ -209,11 +156,11 @@ class _ReservedFile(io.RawIOBase):
         return self.size
 
 
-def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: Note) -> None:
+def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
     """The ranks write their rows by collective HDF5 calls; an error of one rank is raised on all.  Collective."""
     comm, rows = ranks.comm, ranks.rows
     with raise_together(comm), ranks.info() as info:  # HDF5 keeps copies
-        file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=LIBVER)
+        file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=files.LIBVER)
     try:
         for name, field in fields.items():
             with raise_together(comm):
@@ -222,13 +169,10 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: No
             pieces = -(-comm.allreduce(count, MPI.MAX) * field.row_bytes // COLLECTIVE_BYTES)
             for number in range(pieces):
                 part = slab(count, pieces, number)
-                again = part.start == part.stop  # fewer rows than pieces here: write the last one once more
-                if again:
+                if part.start == part.stop:  # fewer rows than pieces here: write the last one once more
                     part = slice(count - 1, count)
                 with raise_together(comm):  # all have their numbers before any of them enters the write
                     block = field.block(part)
-                    if not again:
-                        note(name, rows.start + part.start, block)
                 with raise_together(comm), dataset.collective:
                     dataset[rows.start + part.start : rows.start + part.stop] = block
     finally:
@@ -236,17 +180,17 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field], note: No
             file.close()
 
 
-def _write_in_place(comm: MPI.Comm, path: Path, rows: slice, fields: dict[str, Field], note: Note, at: Arrays) -> None:
+def _write_in_place(ranks: Ranks, path: Path, fields: dict[str, Field], offsets: dict[str, int]) -> None:
     """Each rank writes its rows at their offset in the file, without HDF5.  Collective.
 
     The ranks of a node write at the same time, the nodes in turn: a network file system may lose simultaneous writes of
     several nodes.
     """
-    mine = _first_of_node(comm)
-    for turn in sorted(set(comm.allgather(mine))):
-        with raise_together(comm):
+    mine = _first_of_node(ranks.comm)
+    for turn in sorted(set(ranks.comm.allgather(mine))):
+        with raise_together(ranks.comm):
             if turn == mine:
-                _put_rows(path, rows, fields, note, at)
+                _put_rows(path, ranks.rows, fields, offsets)
 
 
 def _first_of_node(comm: MPI.Comm) -> int:
@@ -254,14 +198,12 @@ def _first_of_node(comm: MPI.Comm) -> int:
     return node_of(comm).bcast(comm.rank)
 
 
-def _put_rows(path: Path, rows: slice, fields: dict[str, Field], note: Note, at: Arrays) -> None:
-    with atomic.named(path), open(path, "r+b") as file:
+def _put_rows(path: Path, rows: slice, fields: dict[str, Field], offsets: dict[str, int]) -> None:
+    with files.named(path), open(path, "r+b") as file:
         for name, field in fields.items():
             for part in _blocks(rows.stop - rows.start, field.row_bytes):
-                block = field.block(part)
-                note(name, rows.start + part.start, block)
-                file.seek(at[name].start + (rows.start + part.start) * field.row_bytes)
-                file.write(block.data)
+                file.seek(offsets[name] + (rows.start + part.start) * field.row_bytes)
+                file.write(field.block(part).data)
         file.flush()
         os.fsync(file.fileno())
 

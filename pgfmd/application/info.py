@@ -10,9 +10,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pgfmd.application import checksum, ensemble
+from pgfmd.application import ensemble
 from pgfmd.application.ensemble import Ensemble
-from pgfmd.application.files import FIELDS_FILE, OBSERVABLES_FILE, VTK_FILE, load_name, member_name
+from pgfmd.application.files import (
+    FIELDS_FILE,
+    OBSERVABLES_FILE,
+    SUMS_FILE,
+    VTK_FILE,
+    load_name,
+    member_name,
+    read_sums,
+    sha256,
+)
 from pgfmd.application.results import Results, Runs, table
 from pgfmd.observables.schema import LOADS
 from pgfmd.options.text import assignments, counted
@@ -27,9 +36,22 @@ def damage(results: Results) -> dict[Path, str]:
     needed = [results.field_file(load_name(index)) for index in range(len(results)) if results.fields(index)]
     if "height" in results.job["output"]["fields"] and len(results):
         needed.append(results.field_file("height"))
-    files = [path for path in small if path.exists()] + needed
-    found = {path: checksum.damage(path) if path.exists() else "it is missing" for path in files}
+    sums = read_sums(results.directory)
+    if not sums:
+        return {results.directory / SUMS_FILE: "it is missing, so that no file can be checked"}
+    found = {path: _fault(path, sums.get(str(path.relative_to(results.directory)))) for path in (*small, *needed)}
+    if not results.fields() and not needed:
+        found = {path: fault for path, fault in found.items() if path.exists()}  # a run without fields shows none
     return {path: fault for path, fault in found.items() if fault is not None}
+
+
+def _fault(path: Path, expected: str | None) -> str | None:
+    """What is wrong with a file whose checksum should be `expected`."""
+    if not path.exists():
+        return "it is missing"
+    if expected is None:
+        return f"{SUMS_FILE} has no line for it: the run was killed while it wrote"
+    return None if sha256(path) == expected else "its bytes are not those that were written"
 
 
 def as_csv(results: Results | Runs) -> str:

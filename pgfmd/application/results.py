@@ -12,11 +12,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from pgfmd.application import columns
-from pgfmd.application.atomic import holder
-from pgfmd.application.files import ENSEMBLE_FILE, FIELDS_FOLDER, FORMAT_VERSION, OBSERVABLES_FILE, load_name
-from pgfmd.application.formats import modern
-from pgfmd.application.text_table import text_table
+from pgfmd.application.files import ENSEMBLE_FILE, FIELDS_FOLDER, FORMAT_VERSION, OBSERVABLES_FILE, holder, load_name
+from pgfmd.application.tables import read_columns
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import FIELDS, TABLE, Dataset, is_error
 
@@ -24,6 +21,8 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+SUMS_IN_1 = ("stress_spectrum", "contact_spectrum", "bearing_spectrum")
+OF_GAPS = {"gap_histogram": "density", "gap_spectrum": "value"}
 BARS = "discretisation"  # the group whose numbers are the errors of columns of the table of loads
 
 
@@ -65,7 +64,7 @@ class Results:
             self.phases = (
                 {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
             )
-            self.loads = columns.get(file[TABLE])
+            self.loads = read_columns(file[TABLE])
         if self._overlaps:
             self.loads["mean_gap"] = np.full_like(self.loads["mean_gap"], np.nan)
 
@@ -119,7 +118,7 @@ class Results:
 
     @cached_property
     def _overlaps(self) -> bool:
-        """Whether gaps in the files are negative where the wall yields (`formats`)."""
+        """Whether gaps in the files are negative where the wall yields (`modern`)."""
         return self.provenance["format_version"] < 3 and self.job.get("wall", {}).get("kind") == "hardness"
 
     @property
@@ -282,3 +281,42 @@ def table(results: Results) -> str:
     numbers = [load.numbers for load in results]
     errors = {name: np.array([row.get(f"{name}_error", np.nan) for row in numbers]) for name in values}
     return text_table(values, results.units, errors)
+
+
+def text_table(loads: Mapping[str, np.ndarray], units: Mapping[str, str], errors: Mapping[str, np.ndarray]) -> str:
+    """Columns as text: their names, units, and rows of "value ± error"; "value" where the error is 0 or not finite."""
+    columns = [["load", "", *map(str, range(len(next(iter(loads.values())))))]]
+    for name, values in loads.items():
+        texts = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
+        bars = [f" ± {error:.1g}" if np.isfinite(error) and error > 0 else "" for error in errors[name]]
+        columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
+    widths = [max(map(len, column)) for column in columns]
+    rows = zip(*columns, strict=True)
+    return "\n".join(
+        "  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in rows
+    )
+
+
+def modern(
+    title: str, table: Mapping[str, np.ndarray], version: int, shape: tuple[int, int], overlap: bool
+) -> Mapping[str, np.ndarray]:
+    """A group of one load, read from a file of that format, on a grid of that shape.  overlap: whether its gaps are
+    negative where the wall yields.  One that needs no change is returned itself.
+
+    1: spectra of stress, contact and bearing area were those of sums over points, N² larger than those of Fourier
+       coefficients (N points); the area of low-passed surfaces was the corrected one.
+    2: every spectrum is that of Fourier coefficients; low-passed surfaces have both areas.  Where a wall of limited
+       hardness yields, the gap was negative: minus the plastic depth.  Its field is converted; what was made from it,
+       the mean gap and the gap's histogram and spectrum, is not known (NaN).
+    3: the gap is 0 where the wall yields; the plastic depth is a field and a column of its own.
+    4: checksums are in SHA256SUMS, no longer at the end of each file.
+    """
+    if overlap and title in OF_GAPS:
+        return {**table, OF_GAPS[title]: np.full_like(table[OF_GAPS[title]], np.nan)}
+    if version >= 2:
+        return table
+    if title in SUMS_IN_1:
+        return {**table, "value": table["value"] / float(shape[0] * shape[1]) ** 2}
+    if title == "lowpass_area":
+        return {"q": table["q"], "area_corrected": table["area"]}
+    return table

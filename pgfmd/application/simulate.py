@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pgfmd.application import machine, preflight
+from pgfmd.application import machine
 from pgfmd.application.checkpoint import Checkpoints
 from pgfmd.application.ensemble_run import run_ensemble
 from pgfmd.application.estimate import estimate
@@ -23,6 +23,7 @@ from pgfmd.application.job import Job, Run, as_toml
 from pgfmd.application.log_file import LogFile
 from pgfmd.application.progress import Progress
 from pgfmd.application.provenance import Origin, command_line
+from pgfmd.application.restart import refuse_changes
 from pgfmd.application.stop import Interruptions
 from pgfmd.application.writer import Mode, ResultWriter
 from pgfmd.errors import InputError, SolverError, Unreachable
@@ -98,7 +99,7 @@ def simulate(
         else Interruptions(comm, directory, job.run.checkpoint_interval, job.run.time_limit) as interruptions,
         grid.freed(),
     ):
-        preflight.refuse_changes(job, origin, writer.earlier, writer.directory)
+        refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
             job.solid.prepare(grid)
@@ -109,10 +110,11 @@ def simulate(
         observer = Observer(problem, job.output.asked, cutoff, fields=job.output.fields)
         control = load_control(job.load, problem, job.solver.tolerance)
         impossible = _impossible(control, job.load.targets, alone)
-        checkpoints = Checkpoints(comm, directory, grid.shape, grid.rows, of_first_load(job), job.run.io_hints)
+        first = of_first_load(job)
+        checkpoints = Checkpoints(comm, writer.fields_folder, grid.shape, grid.rows, first, job.run.io_hints)
         with phases("write"):
-            if writer.replacing:  # earlier results and their checkpoint stay until the first load is written;
-                checkpoints.aside = True  # until then a stopped run must start again with --overwrite
+            if writer.replacing:  # earlier results stay until the first load is written;
+                # until then a stopped run must start again with --overwrite
                 interruptions.resumption = "--overwrite"
             elif writer.earlier.job is None:
                 checkpoints.remove()

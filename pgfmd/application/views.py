@@ -17,8 +17,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from pgfmd.application.dimensions import add_grid_axes, name_axes
 from pgfmd.application.files import load_name
+from pgfmd.application.tables import add_grid_axes, name_axes
 
 VTK_VERSION = (2, 0)  # of the format VTKHDF: images with steps in time
 

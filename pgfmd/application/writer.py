@@ -1,11 +1,11 @@
 """The files of a run, each complete at every instant.
 
-    observables.h5          small: one row per load, groups of curves and tables, provenance (`observables_file`)
+    observables.h5          small: one row per load, groups of curves and tables, provenance (`tables`)
     fields.h5               shows the fields together: height, load_0000/pressure, …; open this one to read them
     fields.vtkhdf           shows them to ParaView
     fields/height.h5, fields/load_0000.h5, …        where they are (`field_files`)
-
-Each ends in a seal, checksums of its bytes (`checksum`), so that damage is recognised.
+    fields/checkpoint.h5    of an unfinished load (`checkpoint`)
+    SHA256SUMS              checksums of all but the checkpoint, for `sha256sum -c` and `pgfmd info --verify`
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
 results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5
@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import logging
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -25,31 +26,32 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
-from pgfmd.application import atomic, hdf5_slabs, observables_file, provenance, restart
+from pgfmd.application import files, hdf5_slabs, provenance, restart, tables
 from pgfmd.application.field_files import FieldFiles
 from pgfmd.application.files import (
-    CHECKPOINT_FILE,
     ENSEMBLE_FILE,
     FIELDS_FILE,
     FIELDS_FOLDER,
     OBSERVABLES_FILE,
-    TABLE,
     VTK_FILE,
+    Change,
     Form,
+    OutputFolder,
+    Sums,
     load_name,
 )
-from pgfmd.application.observables_file import ObservablesFile
 from pgfmd.application.provenance import Origin
 from pgfmd.application.restart import EarlierResults
-from pgfmd.application.small_hdf5 import Change
+from pgfmd.application.tables import ObservablesFile
 from pgfmd.errors import InputError, Stopped
-from pgfmd.observables.schema import Groups
+from pgfmd.observables.schema import TABLE, Groups
 from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import MPI, library
 
 log = logging.getLogger("pgfmd")
 
 Mode = Literal["new", "overwrite", "restart"]
+SMALL = (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)
 
 
 class ResultWriter:
@@ -79,7 +81,7 @@ class ResultWriter:
     ):
         self.comm, self.directory, self.origin, self.form, self._mode = comm, Path(directory), origin, form, mode
         self._begun = False
-        self._lock: atomic.OutputFolder | None = None
+        self._lock: OutputFolder | None = None
         self.earlier, self.replacing, folder = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
         self._written = self.earlier.fields.keys() - self.earlier.damaged  # names of loads, all files of which are good
@@ -87,9 +89,11 @@ class ResultWriter:
         self._observables = ObservablesFile(self.directory, form, patience)
         self._fields = FieldFiles(comm, self.directory, folder, form, self._provenance)
         self._fields.links.update(self.earlier.links())
+        self.fields_folder = self.directory / folder
+        self._sums = Sums(self.directory)
         try:
             with raise_together(comm):  # a folder that only rank 0 sees is of no use
-                if not (self.directory / atomic.LOCK_NAME).exists():
+                if not (self.directory / files.LOCK_NAME).exists():
                     raise InputError(f"{self.directory}: rank {comm.rank} does not see the folder that rank 0 made")
         except BaseException as error:
             self.__exit__(type(error), error, None)
@@ -102,7 +106,7 @@ class ResultWriter:
         """Lock the folder.  Returns the results to continue, whether others are replaced, and the
         folder of fields.  Rank 0.
         """
-        folder = atomic.OutputFolder(self.directory)
+        folder = OutputFolder(self.directory)
         try:
             if (self.directory / ENSEMBLE_FILE).exists():
                 raise InputError(f"{self.directory}: holds an ensemble; choose another folder for one surface")
@@ -141,10 +145,18 @@ class ResultWriter:
         continue observables.h5.  Called again, it does nothing.  Collective.
         """
         if not self._begun:
-            from_root(self.comm, self._remove_leftovers)
-            if not self.replacing:
-                from_root(self.comm, self._observables.change, self._describe)
+            with self._changing(*[] if self.replacing else SMALL):
+                from_root(self.comm, self._remove_leftovers)
+                if not self.replacing:
+                    from_root(self.comm, self._observables.change, self._describe)
             self._begun = True
+
+    @contextmanager
+    def _changing(self, *names: str) -> Iterator[None]:
+        """SHA256SUMS lists these files of the folder before and after the block, but not within.  Collective."""
+        from_root(self.comm, self._sums.forget, *names)
+        yield
+        from_root(self.comm, self._sums.note, *names)
 
     def write_heights(self, heights: np.ndarray) -> None:
         """Write the heights of the surface, of which this rank holds (nx_local, ny).  Collective.
@@ -152,7 +164,9 @@ class ResultWriter:
         Raises OSError on all ranks if they cannot be written.
         """
         self.begin()
-        self._fields.write("height", {"height": heights}, show=not self.replacing)
+        small = [] if self.replacing else [FIELDS_FILE, VTK_FILE]
+        with self._changing(f"{self._fields.folder}/height.h5", *small):
+            self._fields.write("height", {"height": heights}, show=not self.replacing)
 
     def write_load(
         self,
@@ -170,15 +184,16 @@ class ResultWriter:
         """
         self.begin()
         name = load_name(index)
-        if fields:
-            self._fields.write(name, fields, show=not self.replacing)
 
         def add(file: h5py.File) -> None:
-            observables_file.add_row(file[TABLE], index, row, self.form)
-            group = observables_file.add_groups(file, index, groups or {}, self.form)
+            tables.add_row(file[TABLE], index, row, self.form)
+            group = tables.add_groups(file, index, groups or {}, self.form)
             group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
-        from_root(self.comm, self._replace if self.replacing else self._observables.change, add)
+        with self._changing(f"{self._fields.folder}/{name}.h5", *SMALL):
+            if fields:
+                self._fields.write(name, fields, show=not self.replacing)
+            from_root(self.comm, self._replace if self.replacing else self._observables.change, add)
         self.replacing = False
         self.completed = max(self.completed, index + 1)
         self._written.add(name)
@@ -191,7 +206,8 @@ class ResultWriter:
             file.attrs.update(status="complete", finished=provenance.now())
             file.require_group("phases").attrs.update({name: float(value) for name, value in (phases or {}).items()})
 
-        from_root(self.comm, self._observables.change, mark, True)
+        with self._changing(OBSERVABLES_FILE):
+            from_root(self.comm, self._observables.change, mark, True)
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -215,22 +231,22 @@ class ResultWriter:
         files instead.
         """
         if self.replacing:
-            self._fields.remove()
-            if not isinstance(error, Stopped):
-                atomic.successor(self.directory / CHECKPOINT_FILE).unlink(missing_ok=True)
+            self._fields.remove(and_checkpoint=not isinstance(error, Stopped))
+            self._sums.note()
             return
         status = "stopped" if isinstance(error, Stopped) else "failed"
         message = (str(error) or type(error).__name__)[:1000]
+        self._sums.forget(OBSERVABLES_FILE)
         self._observables.change(lambda file: file.attrs.update(status=status, error=message), now=True)
+        self._sums.note(*SMALL)
 
     def _remove_leftovers(self) -> None:
         """Remove what interrupted runs left behind, and fields that belong to no results in observables.h5."""
-        for draft in (*self.directory.glob(".*.h5.tmp"), atomic.temporary(self.directory / VTK_FILE)):
-            draft.unlink(missing_ok=True)
+        for name in (*SMALL, files.SUMS_FILE):
+            files.temporary(self.directory / name).unlink(missing_ok=True)
         self._fields.begin()
         if not self.replacing:
             self._fields.remove_replaced()
-            self.earlier.settle()
             self._fields.write_views()
 
     def _replace(self, change: Change) -> None:
@@ -257,7 +273,7 @@ class ResultWriter:
             file.attrs["continued"] = "\n".join(filter(None, [str(file.attrs.get("continued", "")), line]))
             file.attrs.update({name: about[name] for name in ("job_toml", "effective_toml")})
         columns, units = self.form.columns, self.form.units
-        observables_file.add_columns(file.require_group(TABLE), self.earlier.completed, columns, units)
+        tables.add_columns(file.require_group(TABLE), self.earlier.completed, columns, units)
         file.attrs.pop("error", None)
         file.attrs.update(status="running", loads_requested=self.origin.loads)
 

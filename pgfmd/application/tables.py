@@ -1,20 +1,21 @@
-"""observables.h5: one row per load, and a group of curves and tables for each.  On rank 0 only."""
+"""observables.h5: one row per load, and a group of curves and tables for each; names of axes, for xarray.  No MPI.
+
+Columns are read and written by calls of HDF5 itself: h5py's selections take three times as long, which many small runs
+feel.
+"""
 
 from __future__ import annotations
 
 import io
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from pgfmd.application import atomic, columns
-from pgfmd.application.dimensions import name_axes
-from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Form, load_name
-from pgfmd.application.small_hdf5 import Change, revise
+from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Change, Form, load_name, revise
 from pgfmd.observables.schema import LOADS, TABLE, Dataset, Groups
 
 
@@ -39,12 +40,11 @@ class ObservablesFile:
                 for each in changes:
                     each(file)
 
-            revise(self.path, apply, _without_loads(*self.form.units.values()), keep=True, sync=not self.patience)
+            revise(self.path, apply, _without_loads(*self.form.units.values()), sync=not self.patience)
             self._last_change = time.monotonic()
 
     def replace(self, fill: Change) -> None:
         """Write the file anew; nothing of an earlier version stays."""
-        atomic.previous(self.path).unlink(missing_ok=True)
         revise(self.path, fill, anew=True)
 
 
@@ -68,7 +68,7 @@ def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form)
     unknown = row.keys() - form.columns.keys()
     if unknown:
         raise ValueError(f"no columns of the table of loads: {', '.join(sorted(unknown))}")
-    columns.put(group, index, {"load": index, **dict.fromkeys(form.columns), **row})
+    put_row(group, index, {"load": index, **dict.fromkeys(form.columns), **row})
 
 
 def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.Group:
@@ -97,3 +97,52 @@ def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
     with h5py.File(content, "w", libver=LIBVER) as file:
         add_columns(file.create_group(TABLE), 0, LOADS, {"length": length_unit, "pressure": pressure_unit})
     return content.getvalue()
+
+
+def put_row(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
+    """Write entry `index` of the columns that `row` names, which become as long as that; None leaves the fill value."""
+    one = h5py.h5s.create_simple((1,))
+    for name, value in row.items():
+        column = h5py.h5d.open(group.id, name.encode())
+        column.set_extent((max(index + 1, column.shape[0]),))
+        if value is not None:
+            place = column.get_space()
+            place.select_hyperslab((index,), (1,))
+            column.write(one, place, np.array([value]))
+
+
+def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
+    """The columns of a table of loads, whole: those of `LOADS` first, then those of observables by name.
+
+    Whole numbers that are missing, those of loads that were not solved, are NaN, too.
+    """
+    found = {}
+    for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
+        if group.id.links.exists(name.encode()):
+            column = h5py.h5d.open(group.id, name.encode())
+            values = np.empty(column.shape, column.dtype)
+            column.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
+            missing = values == MISSING
+            found[name] = np.where(missing, np.nan, values) if values.dtype.kind == "i" and missing.any() else values
+    return found
+
+
+def name_axes(group: h5py.Group, key: str, axes: Sequence[str]) -> None:
+    """Name the axes of the dataset `key` of a group: the coordinates along each are the dataset of that name there.
+
+    That dataset must exist; its own axis needs no name.
+    """
+    for number, name in enumerate(axes):
+        if not group[name].is_scale:
+            group[name].make_scale(name)
+        if name != key:
+            group[key].dims[number].attach_scale(group[name])
+
+
+def add_grid_axes(file: h5py.File, shape: tuple[int, int], lengths: tuple[float, float], unit: str) -> None:
+    """The coordinates x and y of the points of a grid, from 0 on, as datasets of a file; lengths: of the cell."""
+    for name, count, length in zip("xy", shape, lengths, strict=True):
+        if name not in file:
+            axis = file.create_dataset(name, data=np.arange(count) * (length / count))
+            axis.attrs.update(description=f"position of the grid points along {name}", units=unit)
+            axis.make_scale(name)
