@@ -51,7 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
         options = _parser().parse_args(words)
         if options.command == "run":
             return _run(options)
-        _show({"new": _new, "check": _check, "info": _info, "certify": _certify}[options.command](options))
+        commands = {"new": _new, "check": _check, "info": _info, "certify": _certify, "export": _export}
+        _show(commands[options.command](options))
         return 0
     except KeyboardInterrupt as error:
         return _complain(error) if launched_rank() == 0 else INTERRUPTED
@@ -77,7 +78,8 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="pgfmd", description="Elastic contact of randomly rough surfaces.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"pgfmd {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="new | run | check | info | plot | certify")
+    names = "new | run | check | info | plot | export | certify"
+    commands = parser.add_subparsers(dest="command", required=True, metavar=names)
 
     new = commands.add_parser("new", help="print a commented job to start from", allow_abbrev=False)
     new.add_argument("kinds", nargs="*", metavar="KIND", help='of surface or wall; "all": every key of every kind')
@@ -116,6 +118,10 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument("--verify", action="store_true", help="read every file, and say which are damaged")
     how.add_argument("--csv", action="store_true", help="the table of loads in full precision, separated by commas")
     how.add_argument("--json", action="store_true", help="the job, where it ran, and the table of loads")
+    export = commands.add_parser("export", help="results as NetCDF, heights as .x3p", allow_abbrev=False)
+    export.add_argument("directory", metavar="DIR")
+    export.add_argument("--output", type=_folder, metavar="FOLDER", help="of the files; default: DIR/export")
+    export.add_argument("--format", choices=("nc", "x3p"), default="nc", help="a .nc for each load, or heights as .x3p")
     commands.add_parser("plot", help="draw a figure of result folders; without arguments: the list of figures")
     return parser
 
@@ -179,6 +185,19 @@ def _info(options: argparse.Namespace) -> str:
     if faults:
         raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + REPAIR)
     return f"{options.directory}: every byte is the one that was written"
+
+
+def _export(options: argparse.Namespace) -> str:
+    from pgfmd.application import ensemble
+    from pgfmd.application.export import export
+    from pgfmd.application.results import Results
+
+    top = Path(options.output or Path(options.directory) / "export")
+    several = ensemble.is_ensemble(options.directory)
+    written = []
+    for folder in ensemble.folders(options.directory):
+        written += export(Results(folder), top / folder.name if several else top, options.format)
+    return "\n".join(map(str, written))
 
 
 def _certify(options: argparse.Namespace) -> str:

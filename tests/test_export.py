@@ -1,0 +1,103 @@
+"""Results as files of other programs: NetCDF as contact.engineering has it, .x3p, with unit, size and periodicity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import SIZE
+from scipy.io import netcdf_file
+
+import pgfmd
+from pgfmd.application.cli import main
+from pgfmd.application.export import export
+from pgfmd.errors import InputError
+
+pytestmark = pytest.mark.skipif(SIZE > 1, reason="serial")
+ROUGH = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1, "seed": 2}
+FIELDS = ["height", "pressure", "gap", "displacement"]
+
+
+def solved(folder, unit="µm", fields=FIELDS, wall=None, pressure=(0.1, 0.3)):
+    """A result folder."""
+    job = {
+        "grid": {"n": [24, 16], "length": [12.0, 4.0]},
+        "surface": ROUGH,
+        "solid": {"contact_modulus": 4.0},
+        "load": {"pressure": pressure},
+        "output": {"fields": fields, "length_unit": unit, "pressure_unit": "MPa"},
+    }
+    return pgfmd.run(job | ({"wall": wall} if wall else {}), folder, overwrite=True)
+
+
+def read(path):
+    """Variables and attributes of a NetCDF 3 file."""
+    with netcdf_file(path, mmap=False) as file:
+        values = {name: variable[()].copy() for name, variable in file.variables.items()}
+        about = {name: dict(variable._attributes) for name, variable in file.variables.items()}
+        return values, about, dict(file._attributes)
+
+
+WALLS = [None, {"kind": "hardness", "hardness": 1.0}, {"kind": "exponential", "zeta": 0.05}]
+
+
+@pytest.mark.parametrize("wall", WALLS, ids=["hard", "hardness", "exponential"])
+def test_fields_obey_the_equation_of_the_layout(tmp_path, wall):
+    """gap = displacement − (heights − ⟨heights⟩) − mean_displacement, less the plastic depth; the displacement is the
+    run's own field, whose mean is 0; pressures are over the modulus; contacting points add up to the area: to rounding.
+    """
+    plastic = wall is not None and wall["kind"] == "hardness"
+    results = solved(tmp_path / "out", wall=wall, fields=FIELDS + ["plastic_depth"] * plastic)
+    paths = export(results, tmp_path / "files")
+    assert [path.name for path in paths] == ["load_0000.nc", "load_0001.nc"]
+    for load, path in zip(results, paths, strict=True):
+        held, _, about = read(path)
+        rough = held["heights"] - held["heights"].mean()
+        depth = load.field("plastic_depth") if plastic else 0.0
+        assert np.allclose(held["displacement"] - rough - about["mean_displacement"] + depth, held["gap"], atol=1e-13)
+        assert np.allclose(held["displacement"], load.field("displacement"), rtol=0, atol=1e-13)
+        assert np.array_equal(held["heights"], load.field("height"))
+        assert np.allclose(held["pressure"] * 4.0, load.field("pressure"), rtol=1e-14, atol=0)
+        assert held["contacting_points"].mean() == pytest.approx(load.numbers["contact_area"], rel=1e-14)
+        assert about["total_contact_area"] == load.numbers["contact_area"]
+        assert about["mean_pressure"] == pytest.approx(held["pressure"].mean(), rel=1e-12)
+        assert ("hardness" in about) == plastic and about["type"] == b"periodic"
+
+
+def test_units_sizes_and_periodicity(tmp_path):
+    """In each variable, in letters of ASCII; a job without a unit gives none."""
+    for unit, said in (("µm", b"um"), ("length", None)):
+        held, about, top = read(export(solved(tmp_path / "out", unit), tmp_path / "files")[0])
+        assert [about[axis]["length"] for axis in "xy"] == [12.0, 4.0] and about["x"]["periodic"] == 1
+        assert [about[name].get("unit") for name in ("x", "y", "heights", "gap", "displacement")] == 5 * [said]
+        assert about["pressure"]["unit"] == b"E*" and top["pressure_unit"] == b"MPa"
+        assert np.array_equal(held["x"], 0.5 * np.arange(24)) and np.array_equal(held["y"], 0.25 * np.arange(16))
+
+
+@pytest.mark.parametrize("form", ["nc", "x3p"])
+def test_surface_topography_reads_them(tmp_path, form):
+    """The same heights, size and unit as in the run, to rounding; a job on that file solves the same contact."""
+    package = pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    results = solved(tmp_path / "out")
+    path = export(results, tmp_path / "files", form)[0]
+    found = package.read_topography(str(path))
+    found = found.to_unit("µm")
+    assert found.physical_sizes == pytest.approx((12.0, 4.0), rel=1e-12)
+    assert np.allclose(found.heights(), results.field("height"), rtol=1e-14, atol=0)
+    assert found.is_periodic == (form == "nc")  # .x3p cannot say it
+    again = {"surface": {"kind": "file", "path": str(path)}, "solid": {"contact_modulus": 4.0}}
+    again |= {"load": {"pressure": 0.1}, "output": {"length_unit": "µm"}}
+    area = pgfmd.run(again)[0].numbers["contact_area"]
+    assert area == results[0].numbers["contact_area"]
+
+
+def test_the_command(tmp_path, capsys):
+    """It names the files, seeds of an ensemble in folders of their own; missing fields and units are one line."""
+    solved(tmp_path / "out")
+    assert main(["export", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.split() == [str(tmp_path / "out" / "export" / f"load_000{i}.nc") for i in (0, 1)]
+    solved(tmp_path / "out", fields=["pressure"])
+    assert main(["export", str(tmp_path / "out")]) == 2
+    assert "has no field height, gap: write it (fields under [output])" in capsys.readouterr().err
+    pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    with pytest.raises(InputError, match=r"\.x3p is in metres"):
+        export(solved(tmp_path / "out", "length"), tmp_path / "files", "x3p")
