@@ -60,6 +60,24 @@ def test_areas_are_met_within_half_a_per_cent_in_few_solutions(rough):
     assert counted.solves <= 6 * len(targets)
 
 
+@pytest.mark.parametrize(
+    ("control", "target"), [("contact_area", 0.1), ("mean_gap", 0.7), ("displacement", 0.3), ("contact_area", 0.6)]
+)
+def test_under_a_hard_wall_one_solution_meets_a_target(rough, control, target):
+    """The solver prescribes the level of contact: one call, and the load read off gives the target by itself."""
+    grid, heights = rough
+    rms = math.sqrt(grid.reduction.dot(heights, heights) / grid.size)
+    counted = Counted(control, grid, heights)
+    target *= 1 if control == "contact_area" else rms
+    found = counted.solution(target)
+    assert counted.solves == 1
+    problem = ContactProblem(grid, heights, SOLID, HardWall(), found.mean_pressure)
+    again = solve_contact(problem, Solver(tolerance=1e-12))
+    area = grid.reduction.sum(again.pressure > 0) / grid.size
+    value = {"contact_area": area, "mean_gap": again.mean_gap, "displacement": again.approach}[control]
+    assert value == pytest.approx(target, rel=1e-4 if control != "contact_area" else 0.01, abs=0)
+
+
 def test_a_load_does_not_depend_on_the_loads_before(rough):
     """Up and down a sequence of pressures, warm and cold: pressures agree to 1e-8, contact is the same."""
     grid, heights = rough
@@ -187,7 +205,7 @@ def test_the_load_at_an_approach_is_right_to_the_tolerance(rough, scale):
 
 
 def test_the_search_counts(rough):
-    """Transforms, iterations and seconds of a target are those of all its solutions."""
+    """Transforms, iterations and seconds of a target are those of all its solutions: here several."""
     grid, heights = rough
     solutions = []
 
@@ -195,8 +213,8 @@ def test_the_search_counts(rough):
         solutions.append(solve_contact(problem, Solver(tolerance=tolerance), start))
         return solutions[-1]
 
-    problem = ContactProblem(grid, heights, SOLID, HardWall())
-    found = LoadControl(Load(contact_area=[0.1]), problem, 1e-6, solve).solution(0.1)
+    problem = ContactProblem(grid, heights, SOLID, ExponentialWall(zeta=0.1, sigma_ref=1.0))
+    found = LoadControl(Load(mean_gap=[0.3]), problem, 1e-6, solve).solution(0.3)
     assert len(solutions) > 1
     assert found.transforms == pytest.approx(sum(each.transforms for each in solutions))
     assert found.iterations == sum(each.iterations for each in solutions)

@@ -31,8 +31,11 @@ BESIDES = 2.0, 1.0  # transforms' time in which a contact's area and line are me
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
 THIN = 0.3  # thickness over the cell below which contacts on a free base take up to hundreds of transforms
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
-SEARCH_WORK = 2.4  # work until an area, gap or displacement is met, over that of a given pressure (2.2 … 2.8 at 2048²)
-SEARCH_BYTES = 5.0  # per point: the pressure that starts a solve, in single precision, and a mask
+# Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² and 1024², else by
+# several solutions (2.2 … 2.8).
+SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.7, "mean_gap": 1.3, "displacement": 1.3}
+SOLUTIONS_WORK = 2.4
+SEARCH_BYTES = 5.0  # per point, of several solutions: the pressure that starts one, in single precision, and a mask
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-    contacts = loads * (1 if job.load.control == "pressure" else SEARCH_WORK)
+    contacts = loads * (SOLUTIONS_WORK if in_several_solutions(job) else SEARCH_WORK[job.load.control])
     solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
     measuring = BESIDES[0] + sum(cost.transforms for cost in measuring_costs(job))
     work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
@@ -135,8 +138,14 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     slabs.
     """
     costs = solving_costs(job, slabs) + measuring_costs(job)
-    kept = FIELD_BYTES + SEARCH_BYTES * (job.load.control != "pressure") + PLASTIC_BYTES * (job.wall.highest < math.inf)
+    kept = FIELD_BYTES + SEARCH_BYTES * in_several_solutions(job) + PLASTIC_BYTES * (job.wall.highest < math.inf)
     return kept + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
+
+
+def in_several_solutions(job: Job) -> bool:
+    """Whether a load is searched by solutions at one mean pressure after another."""
+    by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
+    return job.load.control != "pressure" and not by_level
 
 
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:

@@ -202,7 +202,7 @@ def solve(
 ) -> ContactSolution:
     """One contact by the job's method.  Collective."""
     options = dataclasses.replace(job.solver, tolerance=tolerance)
-    return solve_contact(problem, options, start, partial(steps.see, problem.mean_pressure))
+    return solve_contact(problem, options, start, partial(steps.see, problem))
 
 
 class _Steps:
@@ -226,14 +226,14 @@ class _Steps:
         finally:
             self.progress.hide()
 
-    def see(self, mean_pressure: float, grid: SlabGrid, state: SolverState) -> None:
+    def see(self, problem: ContactProblem, grid: SlabGrid, state: SolverState) -> None:
         """The monitor of a solver: called after each step, on the job's grid or a coarser one.  Collective over the
         ranks that hold `grid`.
         """
         transforms = grid.transforms - (self.transforms if grid is self.grid else 0.0)
         self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)
         if grid is self.grid:
-            self.interruptions.between_steps(partial(self._save, mean_pressure, state))
+            self.interruptions.between_steps(partial(self._save, problem, state))
         elif grid.comm is self.grid.comm:
             self.interruptions.between_steps()
 
@@ -244,13 +244,16 @@ class _Steps:
 
     def solved(self, solution: ContactSolution) -> None:
         """Called when a load is solved, before it is written.  Collective."""
-        self.interruptions.between_steps(partial(self._save, solution.mean_pressure, solution))
+        self.interruptions.between_steps(partial(self._save, None, solution))
 
-    def _save(self, mean_pressure: float, found: SolverState | ContactSolution) -> None:
-        """Write a checkpoint of the pressure, converted from the solver's units to the job's.  Collective."""
-        pressure = found.pressure
-        unit = mean_pressure * self.grid.size / (self.grid.reduction.sum(pressure) or 1.0)
-        self.checkpoints.save(self.index, np.multiply(pressure, unit, dtype=np.float64))
+    def _save(self, problem: ContactProblem | None, found: SolverState | ContactSolution) -> None:
+        """Write a checkpoint of the pressure of a solution, or of a state in the solver's units.  Collective."""
+        unit = 1.0
+        if problem is not None:
+            unit = problem.mean_pressure
+            if problem.imposed is None:
+                unit *= self.grid.size / (self.grid.reduction.sum(found.pressure) or 1.0)
+        self.checkpoints.save(self.index, np.multiply(found.pressure, unit, dtype=np.float64))
 
 
 def _report(progress: Progress, row: dict, corrected: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.imposed import Imposed
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
 
@@ -17,7 +18,7 @@ from pgfmd.physics.solids.solid import Solid
 @dataclass(frozen=True)
 class ContactProblem:
     """A rigid surface of `heights` (nx_local, ny) on `grid`, pressed at `mean_pressure` against an elastic `solid`;
-    `law` relates pressure and gap.
+    `law` relates pressure and gap.  imposed: what the solver meets instead; `mean_pressure` is then a guess.
     """
 
     grid: SlabGrid
@@ -25,10 +26,15 @@ class ContactProblem:
     solid: Solid
     law: ContactLaw
     mean_pressure: float = 0.0
+    imposed: Imposed | None = None
 
     def at(self, mean_pressure: float) -> ContactProblem:
         """The same surface at another mean pressure."""
         return dataclasses.replace(self, mean_pressure=mean_pressure)
+
+    def imposing(self, imposed: Imposed | None, guess: float) -> ContactProblem:
+        """The same surface where something else is imposed, with a guess of the mean pressure."""
+        return dataclasses.replace(self, mean_pressure=guess, imposed=imposed)
 
     def on(self, grid: SlabGrid, heights: np.ndarray) -> ContactProblem:
         """The same solid, law and mean pressure with another surface."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cached_property
 from statistics import NormalDist
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from pgfmd.errors import InputError, Unreachable
 from pgfmd.grid.callbacks import source
+from pgfmd.physics.imposed import Imposed
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
@@ -17,6 +19,7 @@ from pgfmd.solvers.solution import ContactSolution
 EQUAL = 4 * np.finfo(float).eps  # over the largest height: points this close to the highest count as equally high
 TINY = 1e-300  # least argument of a logarithm, and tolerance of a gap
 LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
+RESOLVED = 1e-9  # tolerance over the rms height down to which approaches are counted from the mean height
 
 
 class Control:
@@ -54,6 +57,15 @@ class Control:
         heights, reduce = self.problem.heights, self.grid.reduction
         size = self.top - self.lowest or 1.0  # squares of heights may underflow
         return size * math.sqrt(reduce.sum(((self.top - heights - self.summit) / size) ** 2) / self.grid.size)
+
+    @cached_property
+    def usual_pressure(self) -> float:
+        """That of full contact with waves as long as the cell, which have the rms height.  Collective."""
+        return self.rms_height * float(self.problem.solid.stiffness(np.array(2 * math.pi / max(self.grid.lengths))))
+
+    def imposed(self, target: float) -> Imposed | None:
+        """What a solver meets by itself under a hard wall; None where it cannot.  Collective."""
+        return None
 
     def check_target(self, target: float) -> None:
         """Raises InputError for a target that is wrong input.  Collective."""
@@ -143,6 +155,10 @@ class ContactArea(Control):
             first = f"{least:g} touches first (shares of the cell)"
             raise Unreachable(f"load.contact_area = {target:g}: not reachable, {first}")
 
+    def imposed(self, target: float) -> Imposed | None:
+        """The area."""
+        return Imposed(self.options.area_tolerance, area=target) if self.problem.law.kind == "hard" else None
+
     @property
     def tolerance_text(self) -> str:
         """The key of the tolerance and its value, for messages."""
@@ -195,6 +211,13 @@ class MeanGap(Control):
         """Approach of a solution, counted to the mean gap: what has yielded leaves no gap."""
         return found.approach - found.mean_plastic_depth
 
+    def imposed(self, target: float) -> Imposed | None:
+        """The approach, unless its tolerance is lost in rounding."""
+        allowed = self.options.gap_tolerance * self._size(target)
+        if self.problem.law.kind != "hard" or allowed < RESOLVED * self.rms_height:
+            return None
+        return Imposed(allowed, self.approach(target))
+
     def check_target(self, target: float) -> None:
         """Raises InputError for full contact, where any load is possible, and for a gap beyond the law's last under one
         that needs a load.  Collective.
@@ -245,14 +268,18 @@ class MeanGap(Control):
         one that limits the pressure, a displacement is relative also to what is open and what has yielded: where both
         are 0, any load has it.
         """
-        law, approach = self.problem.law, self.approach(target)
-        size = min(abs(approach + self.closed), approach - self.begin, self.limit - approach)
+        law, approach, size = self.problem.law, self.approach(target), self._size(target)
         if law.highest < math.inf and not self.mean_compliance:
             size = min(size, found.mean_gap + found.mean_plastic_depth)
         if law.reach > 0:
             size = min(max(size, law.range_at(found.mean_pressure)), self.rms_height)
         size = max(size, abs(self.reached(found) - approach), TINY)  # far from the target, size may be 0
         return self.options.gap_tolerance * size
+
+    def _size(self, target: float) -> float:
+        """The approach since first contact, or the way to an end if that is less."""
+        approach = self.approach(target)
+        return min(abs(approach + self.closed), approach - self.begin, self.limit - approach)
 
     def error(self, found: ContactSolution, target: float) -> float:
         """|Approach − target| over its tolerance."""
@@ -316,6 +343,11 @@ class Displacement(MeanGap):
     def approach(self, target: float) -> float:
         """The target itself."""
         return target
+
+    def imposed(self, target: float) -> Imposed | None:
+        """The approach, and the compliance of the mean mode."""
+        found = super().imposed(target)
+        return found and replace(found, compliance=self.mean_compliance)
 
     def reached(self, found: ContactSolution) -> float:
         """Displacement of the far side."""

@@ -52,6 +52,10 @@ def solve_contact(
     problem = problem.with_law(problem.law.up_to(problem.load))  # no point bears more than all of the load
     start = _usable(problem, start)
     method = problem.law.methods[0] if options.method == "auto" else options.method
+    if problem.imposed is not None:
+        if method != "active-set":
+            raise SolverError(f"{method} needs a given mean pressure")
+        return solve_hard_wall(problem, options.tolerance, start, monitor, overwrite_heights)
     rescued = options.method == "auto" and "gfmd" in problem.law.methods
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
     solver = partial(SOLVERS[method], problem, monitor=monitor, overwrite_heights=overwrite_heights, **limit)

@@ -28,7 +28,7 @@ from pgfmd.grid.callbacks import sink, source
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import HUGE, Precision, Relaxation, State
-from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.conjugate_gradients import FREE, ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
@@ -86,7 +86,7 @@ class FixedContact(Relaxation):
         if count < CROWDED * grid.size:
             one = SetVector(points)
             one.own[:] = 1
-            x[:] = ConjugateGradients(one, *operators, neutral=False).solve(CUT)[0]
+            x[:] = ConjugateGradients(one, *operators, FREE).solve(CUT)[0]
         best = (0.0, math.inf)
         for _ in range(MOST_ROUNDS):
             x *= grid.size / reduction.sum(x)

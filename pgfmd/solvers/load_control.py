@@ -1,8 +1,8 @@
 """Which mean pressure to impose: given, or found from a contact area, a mean gap, or a displacement of the far side.
 
-All of these are monotonic in the mean pressure p̄.  It is found by secants, kept inside a bracket, in coordinates in
-which the relation is nearly straight.  Solutions on the way have a loose tolerance, and start from the previous one if
-its p̄ is near.
+Under a hard wall the solver meets the target by itself (`physics.imposed`).  Else p̄ is found by secants, kept inside a
+bracket, in coordinates in which the relation, which is monotonic, is nearly straight.  Solutions on the way have a
+loose tolerance, and start from the previous one if its p̄ is near.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from pgfmd.errors import SolverError
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.controls import CONTROLS, LEAST_ERROR
@@ -48,7 +49,7 @@ class LoadControl:
         self.control, self.name = CONTROLS[load.control](problem, load), load.control
         self.problem, self.grid, self.tolerance = problem, problem.grid, tolerance
         self.solver = solver or (lambda at, start, tolerance: solve_contact(at, Solver(tolerance=tolerance), start))
-        self.previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution
+        self._previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution of a search
         self._resumed: np.ndarray | None = None
         self._totals = np.zeros(3)
 
@@ -73,29 +74,55 @@ class LoadControl:
         not met to its tolerance.
         """
         self.control.check_target(target)
-        self._totals = np.zeros(3)
+        self._totals, self._previous = np.zeros(3), None
         if self.name == "pressure":
             found = self._solved(target, self.tolerance, target)
         elif self.control.met_without_load(target):
             found = self._separated(target)
         else:
             self.control.check_reachable(target)
-            found = self._search(target)
+            found = self._aimed(target) or self._search(target)
         iterations, transforms, seconds = map(float, self._totals)
         return dataclasses.replace(found, iterations=int(iterations), transforms=transforms, seconds=seconds)
 
     def _solve_at(self, mean_pressure: float, tolerance: float) -> ContactSolution:
         """The contact at that mean pressure; the previous one starts it if their p̄ are `NEIGHBOURS`.  Collective."""
-        (before, pressure), start = self.previous or (0.0, None), self._resumed
-        self._resumed = self.previous = None
+        (before, pressure), start = self._previous or (0.0, None), self._resumed
+        self._resumed = self._previous = None
         near = min(before, mean_pressure) > 0 and abs(math.log(mean_pressure) - math.log(before)) <= NEIGHBOURS
         if start is None and pressure is not None and near:  # kept while the next is solved: in single precision
             start = np.divide(pressure, before, out=np.empty(pressure.shape, np.float32), casting="same_kind")
         del pressure
         found = self.solver(self.problem.at(mean_pressure), start, tolerance)
-        self.previous = found.mean_pressure, found.pressure
         self._totals += found.iterations, found.transforms, found.seconds
         return found
+
+    def _aimed(self, target: float) -> ContactSolution | None:
+        """The contact at a target that the solver meets by itself; None if it does not.  Collective."""
+        if (imposed := self.control.imposed(target)) is None:
+            return None
+        start, guess = self._resumed, self.control.usual_pressure
+        if start is not None and 0 < (total := self.grid.reduction.sum(start)) < math.inf:
+            guess = total / self.grid.size
+        try:
+            found = self.solver(self.problem.imposing(imposed, guess), start, self.tolerance)
+        except SolverError as failure:
+            if not shared(self.grid.comm, failure):
+                raise
+            return None
+        self._totals += found.iterations, found.transforms, found.seconds
+        if self.control.error(found, target) + self.control.uncertainty(found, target) > 1:
+            self._previous = found.mean_pressure, found.pressure
+            return None
+        self._resumed = None
+        self._note_pixel(found, target)
+        return found
+
+    def _note_pixel(self, found: ContactSolution, target: float) -> None:
+        """Says that a target is met to one pixel, if that is more than its tolerance.  Collective."""
+        if self.control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
+            text = self.control.tolerance_text
+            log.info("load.%s = %g: met to one pixel, which is more than %s", self.name, target, text)
 
     def _search(self, target: float) -> ContactSolution:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
@@ -108,9 +135,7 @@ class LoadControl:
             found = self._solved(min(math.exp(search.at), math.nextafter(highest, 0.0)), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
-                if control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
-                    text = control.tolerance_text
-                    log.info("load.%s = %g: met to one pixel, which is more than %s", self.name, target, text)
+                self._note_pixel(found, target)
                 return found
             if control.jumps and tolerance <= sharpest and error <= best[0]:  # of equal ones the last, next to the jump
                 best = error, found
@@ -128,6 +153,7 @@ class LoadControl:
                 best = math.inf, None
             else:  # otherwise the sign of its distance to the target is not certain
                 search.add(control.distance(found, target))
+            self._previous = found.mean_pressure, found.pressure
             del found  # before the next is solved
         if best[1] is None or not (control.jumps and search.width <= JUMP):
             raise SolverError(f"load.{self.name} = {target:g}: not met to {control.tolerance_text}; allow a larger one")
@@ -136,7 +162,9 @@ class LoadControl:
         return best[1]
 
     def _first_guess(self, target: float) -> float:
-        """ln p̄ of the solution that is resumed, or else the estimate of the control.  Collective."""
+        """ln p̄ of the solution that is resumed or near, or else the estimate of the control.  Collective."""
+        if self._previous is not None:
+            return math.log(self._previous[0])
         if self._resumed is not None:
             total = self.grid.reduction.sum(self._resumed)
             if 0 < total < math.inf:

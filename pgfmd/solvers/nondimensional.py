@@ -66,8 +66,9 @@ class Dimensionless:
             )
         self.units = Units(made.unit, mean, law.gap(mean, solid), law.highest)
         self.problem = ContactProblem(
-            grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0
-        )
+            grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0,
+            physical.imposed and physical.imposed.in_units(made.unit, mean, made.top),
+        )  # fmt: skip
         self.rms = 1.0 if made.depth < math.inf else made.rms / made.unit
         if elastic_energy_is_lost(self.problem, self.rms):
             raise Uncertifiable(f"mean pressure = {mean:g}: the elastic energy is lost in the pressure's last digits")
@@ -113,6 +114,9 @@ class Dimensionless:
             return law.finish(pressure[first:stop], gap[first:stop], level, units)
 
         mean, square = self.problem.mean_pressure, grid.reduction.dot(pressure, pressure) / grid.size
+        if self.problem.imposed is not None:
+            mean = grid.reduction.sum(pressure) / grid.size
+            self.physical = self.physical.imposing(None, mean * units.pressure)
         softness = grid.reduction.sum(law.softness(pressure)) / grid.size
         # Errors add in their norm, √(2 × energy).
         digits = math.sqrt(last_digits(self.problem, square, softness) / (2 * energy))
@@ -243,7 +247,7 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / limit:g} and {limit:g}")
     if low == high:
         return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
-    depth = deepest(problem, high - low) if problem.mean_pressure > 0 else math.inf
+    depth = deepest(problem, high - low) if problem.mean_pressure > 0 and not problem.imposed else math.inf
     if problem.law.reach == 0 and depth == math.inf and problem.mean_pressure > 0 and max(abs(low), high) < MODERATE**2:
         mean, rms = _spread(grid, threads.collect(lambda a, b: _sums(heights[a:b]), rows, grid.band))
         if 1 / MODERATE <= rms <= MODERATE and abs(mean) <= CENTRED * rms:

@@ -28,6 +28,7 @@ import numpy as np
 from pgfmd.grid.aligned import widened
 from pgfmd.grid.callbacks import in_chunks, source
 from pgfmd.grid.kernels import jit, u
+from pgfmd.physics.imposed import Aim, Measured
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
@@ -44,8 +45,11 @@ CUT_POWER = 0.7  # after a step with the factor f on the error, the next one tak
 # Part of the tolerance at which the last step aims: less in double precision, where one more costs twice as much.
 MARGIN: dict[Precision, float] = {np.float32: 0.4, np.float64: 0.15}
 WITHIN = 0.45  # a step aims at the tolerance if the factor for that is at least this part of the useful one
+LATE = 8  # steps at the tolerance that may be spent on meeting what is imposed
+LEAST = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
+MOVED = 1e-4  # the same where the start has another load
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
@@ -60,9 +64,9 @@ class State:
     Unless `clipped`, the gap is Gp − h − base, and λ = base + level, the level that of points in contact.  The base is
     an earlier λ, so that gaps in contact are small, and lose no digits in single precision.  clipped: true if `gap` is
     measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
-    coarser grid.  energy:
-    ½⟨p, Gp⟩.  error: of the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0;
-    between: of those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖ of a certificate.
+    coarser grid.  load: Σ p.  aim: the level that is prescribed, where the load is not.  energy: ½⟨p, Gp⟩.  error: of
+    the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of
+    those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖ of a certificate.
     """
 
     pressure: np.ndarray
@@ -70,6 +74,7 @@ class State:
     clipped: bool = False
     base: float = 0.0
     level: float = 0.0
+    load: float = 0.0
     energy: float = 0.0
     error: float = math.inf
     contact: int = 0
@@ -77,6 +82,7 @@ class State:
     iterations: int = 0
     pressure_error: float = 0.0
     estimated: bool = False
+    aim: Aim | None = None
 
 
 class Relaxation:
@@ -84,7 +90,8 @@ class Relaxation:
 
     Attributes: highest, the largest pressure σ_Y; squares, Σ p² and Σ u² of the last response; heights_squared, see
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
-    without halving the least error, and most_steps, before giving up.  inner: the response between unknowns.  hidden:
+    without halving the least error, and most_steps, before giving up; enough: the error at which to end.
+    inner: the response between unknowns.  hidden:
     twice the energy error of the last state that the residual of its system does not show.
     """
 
@@ -93,12 +100,12 @@ class Relaxation:
     spare = math.inf  # compliance: a pressure p counts as 0 in certificates, at a price, where g − λ > spare · p
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
-    hidden = 0.0
+    hidden = enough = 0.0
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
         self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
-        self.highest, self.kind = problem.law.highest, problem.law.kind
+        self.highest, self.kind, self.imposed = problem.law.highest, problem.law.kind, problem.imposed
         precisions: tuple[Precision, Precision] = (np.float32, np.float64)
         self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.size) for real in precisions}
         self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.size) for real in precisions}
@@ -113,26 +120,30 @@ class Relaxation:
         Uncertifiable if that is due to rounding in double precision.
         """
         precision, patience = self.precision, Patience(self.patience)
+        met_late = 0
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
             if precision is np.float64:
                 self.widen(state)
-            system = self.linearise(state, precision)
+            system, self.enough = self.linearise(state, precision), tolerance
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
             square = system.square + self.hidden
             estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
                 tolerance = self.goal(estimate, tolerance)
+            if self.imposed is not None and self.exact:
+                tolerance = min(tolerance, max(self.imposed.needed(self.measured(state)), LEAST))
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
-            if self.exact and negligible and estimate <= tolerance:
+            if self.exact and negligible and estimate <= tolerance and (self.met(state) or met_late > LATE):
                 state.error = self.certify(state, system, precision)
                 raised *= max(1.0, state.error / (max(estimate, MARGIN[precision] * tolerance) or tolerance))
             if monitor is not None:
                 monitor(state)
-            if negligible and state.error <= tolerance:
+            if negligible and state.error <= tolerance and (self.met(state) or met_late > LATE):
                 return state
+            met_late += negligible and state.error <= tolerance
             if precision is np.float64 and rounding > max(tolerance, estimate):
                 raise uncertifiable(rounding, tolerance)
             if not patience.take(estimate, state.error):
@@ -148,7 +159,9 @@ class Relaxation:
     def widen(self, state: State) -> None:
         """Brings a state to double precision and base 0, the load of a single one to the last digit.  Collective."""
         if state.pressure.dtype == np.float32:
-            factor, rows = self.load / self.grid.reduction.sum(state.pressure), self.grid.band
+            rows, factor = self.grid.band, 1.0
+            if self.imposed is None:
+                factor = self.load / self.grid.reduction.sum(state.pressure)
             state.pressure = widened(state.pressure, np.multiply, factor, rows)
             state.gap = widened(state.gap, np.add, state.base, rows)
         elif state.base:
@@ -167,13 +180,12 @@ class Relaxation:
             changes = min(changes, (estimate / before) ** CUT_POWER)
         return last if last >= WITHIN * changes else changes
 
-    @classmethod
-    def goal(cls, estimate: float, tolerance: float) -> float:
+    def goal(self, estimate: float, tolerance: float) -> float:
         """Tolerance for a coarse grid: a part of the estimated error of its start, since interpolation to the next grid
         will make such an error again; at least `FINEST` and a quarter of the tolerance.
         """
-        part = cls.coarse_part * (LOOSER if estimate > ROUGH else 1)
-        return max(part * min(estimate, WORST), tolerance / 4, FINEST)
+        part = self.coarse_part * (LOOSER if estimate > ROUGH else 1)
+        return max(part * min(estimate, WORST if self.imposed is None else MOVED), tolerance / 4, FINEST)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state.  Returns the system for the unknowns it chooses.  Collective."""
@@ -197,11 +209,21 @@ class Relaxation:
         totals = self.grid.reduction.sums(*map(math.fsum, zip(*parts, strict=True)))
         work, load, between, energy, self.squares[0], self.heights_squared, count = totals
         state.energy, state.contact, state.between = float(energy) / 2, int(count), int(between)
+        state.load = float(load)
         if between:
             state.level = float(work / load)
         else:  # all points are at a bound: any level between the gaps at σ_Y and those at 0 is right
             full, free = state.gap[state.pressure > 0], state.gap[state.pressure == 0]
             state.level = (self.grid.reduction.max(full) + self.grid.reduction.min(free)) / 2
+
+    def measured(self, state: State) -> Measured:
+        """The numbers of a state that was `measure`d, for what is imposed."""
+        size = self.grid.size
+        return Measured(state.base + state.level, state.load / size, state.energy / size, state.contact, size)
+
+    def met(self, state: State) -> bool:
+        """Whether the state is at the imposed load, or at what is imposed instead."""
+        return self.imposed is None or self.imposed.missed(self.measured(state), self.exact) <= 1
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap, of either sign; its base: the last λ, or 0 in double precision.  Collective."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,19 +22,35 @@ Operator = Callable[[SetVector, np.ndarray], None]
 Collective."""
 
 
-class ConjugateGradients:
-    """S A Sᵀ x = residual for an operator A; S restricts to a set.  If `neutral`, Σ x = 0, and the equation holds up to
-    a constant.  square: ⟨residual, M residual⟩ now, with the preconditioner M; rms: of the first residual.
+class Mean(NamedTuple):
+    """How a system treats Σ x.  If `neutral`, Σ x = 0, and the equation holds up to a constant.  Else compliance · Σ x
+    is added to A x, and about `capacity` is the Σ x that answers a residual of 1.
     """
 
-    def __init__(self, residual: SetVector, operator: Operator, preconditioner: Operator, neutral: bool = True) -> None:
+    neutral: bool = True
+    compliance: float = 0.0
+    capacity: float = 0.0
+
+
+NEUTRAL, FREE = Mean(), Mean(False)
+
+
+class ConjugateGradients:
+    """S A Sᵀ x = residual for an operator A; S restricts to a set, `Mean` says what becomes of Σ x.  square: ⟨residual,
+    M residual⟩ now, with the preconditioner M; rms: of the first residual.
+    """
+
+    def __init__(self, residual: SetVector, operator: Operator, preconditioner: Operator, mean: Mean = NEUTRAL) -> None:
         """`residual` is overwritten.  Collective."""
         self.points, self.residual = residual.points, residual
         self.operator, self.preconditioner = operator, preconditioner
         self.reduction, self.threads = Reduction(self.points.grid.comm), self.points.grid.threads
         squares, total, _, count = self._sums(residual.own, residual.own, self.points.count)
         self.rms = math.sqrt(squares / count) if count else 0.0
-        self.inverse_count = 1 / count if neutral and count else 0.0  # sum · inverse_count: the mean to subtract
+        share = 1 / count if count else 0.0
+        # sum · inverse_count: the mean to subtract, of a neutral system
+        self.inverse_count, self.compliance = share * mean.neutral, mean.compliance
+        self.capacity = mean.capacity * share**2
         self.z, self.mean = np.empty_like(residual.own), 0.0
         residual.own -= residual.own.dtype.type(total * self.inverse_count)
         self.square = self._precondition()
@@ -54,10 +71,12 @@ class ConjugateGradients:
             self.threads.deal(partial(next_direction, d, z, turn), len(d), ENTRIES)
             before = self.square
             self.operator(direction, product)
-            curvature, _, total = self._sums(d, product)
+            curvature, load, total = self._sums(d, product)
+            shift = total * self.inverse_count - self.compliance * load
+            curvature += self.compliance * load**2
             if not curvature > 0:
                 return x, iteration
-            step = real(before / curvature), real(total * self.inverse_count)
+            step = real(before / curvature), real(shift)
             self.threads.deal(partial(advance, x, residual, (d, product), step), len(d), ENTRIES)
             self.square = self._precondition()
         return x, MOST_ITERATIONS
@@ -66,7 +85,7 @@ class ConjugateGradients:
         """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""
         self.preconditioner(self.residual, self.z)
         square, sum_r, sum_z = self._sums(self.residual.own, self.z)
-        self.mean = sum_z * self.inverse_count
+        self.mean = sum_z * self.inverse_count - sum_r * self.capacity
         return square - self.mean * sum_r
 
     def _sums(self, a: np.ndarray, b: np.ndarray, *more: float) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
-from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.conjugate_gradients import FREE, ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.settling import Settling
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
@@ -60,7 +60,7 @@ class GapSteps(Relaxation):
         state.energy = (work - self.mean * self.load) / 2
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
-        return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, False)
+        return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, FREE)
 
     def clip_gap(self, state: State) -> None:
         """Clips the gap (`State.clipped`)."""

@@ -32,18 +32,19 @@ class Feasible:
         self.window = BlockWindow(problem.grid, 1 << SHIFT, 2 * self.width, np.float64)
 
     def make(self, points: Unknowns, fields: Fields) -> None:
-        """Brings the pressure on the set between its bounds, and its sum to the load; if possible the sum over each
-        block of pixels is kept, up to a common change (`scale_to_load`).  Collective.
+        """Brings the pressure on the set between its bounds, and its sum to the load unless something else is imposed;
+        if possible the sum over each block of pixels is kept, up to a common change (`scale_to_load`).  Collective.
         """
         grid, load, highest = self.problem.grid, self.problem.load, self.problem.law.highest
         pressure, window, lists = fields[0], self.window, points.lists
+        keeps_load = self.problem.imposed is None
         window.sum(lambda first, stop, sums: measure_blocks(pressure, lists, (first, stop), highest, sums))
         loads, bounded = np.maximum(window.own[:, : self.width], 0), window.own[:, self.width :]
         sums = grid.reduction.sums(loads.sum(), bounded.sum())
         if sums[0] <= CANCELLED * sums[1]:
             loads, sums[0] = bounded, sums[1]
         factors = loads / np.where(bounded > 0, bounded, 1)
-        window.own[:, : self.width] = factors * (load / sums[0]) if math.isinf(highest) else factors
+        window.own[:, : self.width] = factors * (load / sums[0]) if keeps_load and math.isinf(highest) else factors
         window.fetch()
         grid.threads.deal(
             lambda a, b: cut_in_blocks(pressure, lists, (window.start, a, b), highest, window.rows), len(pressure)

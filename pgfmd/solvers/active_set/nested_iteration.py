@@ -11,6 +11,7 @@ from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.parallel.collectives import shared
+from pgfmd.physics.imposed import Measured
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
@@ -30,6 +31,18 @@ def _new_state(problem: ContactProblem) -> State:
     """Fields not yet set, in single precision unless there is a largest pressure, which is met to its last digit."""
     real = np.float32 if problem.law.highest == np.inf else np.float64
     return State(problem.grid.new_field(real), problem.grid.new_field(real))
+
+
+def stress_of_full_contact(problem: ContactProblem) -> float:
+    """Rms of Kh (Persson's s).  Collective."""
+    grid, stiffness, parts = problem.grid, problem.solid.stiffness, dict[int, float]()
+
+    def measure(block: np.ndarray, first: int, stop: int) -> None:
+        stress = np.abs(block) * stiffness(np.sqrt(grid.q_squared(first, stop)))
+        parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
+
+    grid.read_spectrum(source(problem.heights), measure)
+    return float(np.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)]))) / grid.size
 
 
 def _full_contact(problem: ContactProblem) -> State | None:
@@ -70,6 +83,11 @@ class ActiveSetIteration(NestedIteration[State]):
 
     def coarsest(self, problem: ContactProblem, exact: bool) -> State:
         """From a uniform pressure."""
+        if problem.imposed is not None:
+            guess = problem.imposed.guess(stress_of_full_contact(problem), self.rms, problem.grid.size)
+            state = self.coarsest(problem.imposing(None, guess), True)
+            state.clipped = False
+            return self.relax(problem, state, exact)
         if (full := _full_contact(problem)) is not None:
             return full
         state = _new_state(problem)
@@ -84,10 +102,13 @@ class ActiveSetIteration(NestedIteration[State]):
         In coarse contact the gap is taken as 0: what the coarse grid left there is mostly long waves, and a pixel's
         compliance would answer them with far too large pressures.
         """
-        if found.between == coarse.place.size and (full := _full_contact(problem)) is not None:
+        full_before = problem.imposed is None and found.between == coarse.place.size
+        if full_before and (full := _full_contact(problem)) is not None:
             return full, True
         grid, state, highest = problem.grid, _new_state(problem), problem.law.highest
         fields, real = (state.pressure, state.gap), state.pressure.dtype
+        if problem.imposed is not None:
+            problem = problem.at(found.load / coarse.place.size)
 
         def close(first: int, stop: int) -> None:
             gap, p = found.gap[first:stop], found.pressure[first:stop]
@@ -108,13 +129,18 @@ class ActiveSetIteration(NestedIteration[State]):
         scale_to_load(problem, fields)
         state.between = round(found.between / coarse.place.size * grid.size)
         state.base, state.estimated = found.base + found.level, True
+        if found.aim is not None:
+            size = coarse.place.size
+            at = Measured(state.base, found.load / size, found.energy / size, found.contact, size)
+            state.aim = found.aim.refine(at)
         return state, False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
-        falling, by steps that lower the energy each time.  Collective.
+        falling at a given load, by steps that lower the energy each time.  Collective.
         """
-        by_gaps = problem.law.highest == np.inf and state.between > GAPS_FROM * problem.grid.size
+        given, most = problem.imposed is None, GAPS_FROM * problem.grid.size
+        by_gaps = given and problem.law.highest == np.inf and state.between > most
         solver: Relaxation = GapSteps(problem, exact) if by_gaps else PressureSteps(problem, exact)
         while True:
             try:
@@ -123,7 +149,7 @@ class ActiveSetIteration(NestedIteration[State]):
                 if not shared(problem.grid.comm, failure):
                     raise
                 solver.free()
-                if isinstance(failure, Uncertifiable) or isinstance(solver, Descent):
+                if isinstance(failure, Uncertifiable) or isinstance(solver, Descent) or not given:
                     raise
                 solver, state.clipped = Descent(problem, exact), False
             else:

@@ -12,9 +12,11 @@ from functools import partial
 
 import numpy as np
 
+from pgfmd.errors import SolverError
+from pgfmd.physics.imposed import Aim
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
-from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradients, Mean
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
@@ -25,6 +27,7 @@ LEAST_PART = 5e-5  # the least that the first of two steps aims at
 SURE = 0.005  # after a reduction of the energy error to this part or more, the mesh does not check the set
 NEAR = 3.0  # gap over the rms residual up to which the mesh updates gaps: points farther away did not come into contact
 MOST_LEFT = 0.5  # largest factor on the residual that is asked for once the mesh has updated the gap
+LIGHTEST = 0.02  # least approach since first contact on coarse grids, whose highest point is lower, over its height
 NEAR_CUT = 0.5  # factor on the residual in the iteration that adapts a start
 
 
@@ -68,9 +71,26 @@ class PressureSteps(Relaxation):
     def _system(self, state: State, loaded_only: bool = False) -> ConjugateGradients:
         """The system for a gap that is known.  Collective."""
         self.measure(state)
-        level = -math.inf if loaded_only else state.level
-        points = Unknowns(self.grid, (state.pressure, state.gap), level, self.highest)
-        return ConjugateGradients(points.below(state.level, state.gap), self.inner.apply, self.preconditioner.apply)
+        if (imposed := self.imposed) is None:
+            return self._aimed_at(state, state.level, NEUTRAL, loaded_only)
+        if not (state.load > 0 and state.energy > 0):
+            raise SolverError("contact is lost; allow a larger tolerance")
+        at, compliance = self.measured(state), imposed.compliance / self.grid.size
+        mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
+        aim = state.aim = state.aim or Aim(imposed, at.level)
+        least = -math.inf if self.exact else (LIGHTEST - 1) * self.summit
+        aim.follow(at, least)
+        system = self._aimed_at(state, aim.level - state.base, mean, loaded_only)
+        error = max(system.square / (2 * state.energy) - self.enough, 0.0)
+        if loaded_only or not aim.moves(at, error, self.exact):
+            return system
+        aim.level = max(aim.level, least)
+        return self._aimed_at(state, aim.level - state.base, mean)
+
+    def _aimed_at(self, state: State, level: float, mean: Mean, loaded_only: bool = False) -> ConjugateGradients:
+        """The system that brings the gap of the unknowns to a level.  Collective."""
+        points = Unknowns(self.grid, (state.pressure, state.gap), -math.inf if loaded_only else level, self.highest)
+        return ConjugateGradients(points.below(level, state.gap), self.inner.apply, self.preconditioner.apply, mean)
 
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Makes the gap constant on the unknowns; with a mesh solves for them anew as they change.  Collective.
@@ -82,13 +102,13 @@ class PressureSteps(Relaxation):
             self._solve(state, system, wanted)
             return
         part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
-        goal, failures = part * system.square, 0
+        goal, failures, seeks = part * system.square, 0, self.imposed is not None and self.imposed.area > 0
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
             change = near.below(0.0, state.pressure)
             self._solve(state, system, wanted)
-            if goal > SURE * square and wanted**2 * square < 1.1 * goal:
+            if not seeks and goal > SURE * square and wanted**2 * square < 1.1 * goal:
                 return
             change.own -= near.below(0.0, state.pressure).own
             response = np.empty(near.count, np.float32)
