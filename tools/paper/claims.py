@@ -1,35 +1,54 @@
 """Claims of a paper, and the rule by which a measured number decides on each; read from a file such as
 tools/paper/claims.toml.
 
-A claim has parts, each of which holds one number found by a figure against what the paper says of it:
+A claim has parts.  A part holds one number of a figure against what the paper says of it, at the accuracy that the
+paper gives, or with which its figure can be read:
 
-    number = [v, e]     the paper's number and its own error; x is the measured one, s its error (seeds, choices).
-                        Agrees if |x − v| ≤ √(e² + s²) and s ≤ e; differs if |x − v| > 2 √(e² + s²)
-    range = [low, high] a statement: agrees if x lies between, widened by s, and s is below half its width; with a bound
-                        on one side only (the other inf), if x lies inside by s or more; differs if it lies outside by
-                        more than 2 s
-    beyond = [low, high] the opposite: agrees if x lies outside by s or more; differs if it lies inside by more than 2 s
-    identity = [v, t]   true by construction: |x − v| ≤ t, or the program is wrong; never counted as agreement
-    nothing             a number given for information
-Otherwise: cannot tell, also where no error is known (unless `exact`).  A claim differs if any part differs, else it
-cannot be told if any cannot, else it agrees.
+    number = [v, e]        the paper's number and its accuracy: the range v ± e
+    range = [low, high]    a statement in words, as a range; one end may be infinite
+    beyond = [low, high]   a statement that the number lies outside of a range
+    identity = [v, t]      true by construction: |x − v| ≤ t, or the program is wrong; never counted as agreement
+    nothing                a number given for information
+
+u is the 95 % uncertainty of our number: Student's t times the standard error over seeds, and the spread over
+defensible choices, added in squares.  With `minus` and `paired`, seeds are subtracted one by one before that.
+    agrees       the number lies in the range, and u is small enough for the part to have failed: at most half the
+                 range's width, or the distance to its only end
+    differs      the number lies outside by more than u
+    cannot tell  otherwise, also where no uncertainty is known (unless `exact`)
+
+Parts of the column "paper" are made under the paper's conditions, and decide: a claim agrees if all of them agree; it
+agrees in a range if more than half do; it differs if more than half differ; otherwise it cannot be told.  Parts of the
+column "limit" say what is true with better numbers: resolution, cell, seeds or estimator.  They do not decide.
+
+`kind` tells results apart from what is none: identities, slips, quotations of other work, and conjectures.
 """
 
 from __future__ import annotations
 
 import math
 import tomllib
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from plotting import Finding, Findings
 
 from pgfmd.errors import InputError
 
-AGREES, DIFFERS, CANNOT_TELL, IDENTITY, VIOLATED, NOT_RUN, GIVEN = (
-    "agrees", "differs", "cannot tell", "identity", "violated", "not run", "",
+AGREES, IN_A_RANGE, DIFFERS, CANNOT_TELL, IDENTITY, VIOLATED, NOT_RUN, GIVEN = (
+    "agrees", "agrees in a range", "differs", "cannot tell", "identity", "violated", "not run", "",
 )  # fmt: skip
-ORDER = (VIOLATED, DIFFERS, NOT_RUN, CANNOT_TELL, AGREES, IDENTITY)  # a claim gets the first of these that a part has
+ORDER = (AGREES, IN_A_RANGE, DIFFERS, CANNOT_TELL, IDENTITY, VIOLATED, NOT_RUN)
+KINDS = {
+    "result": "Results",
+    "conjecture": "A conjecture, which the paper leaves to others",
+    "quotation": "Quotations of other work",
+    "slip": "Slips and normalisations",
+    "identity": "Identities",
+}
+COLUMNS = ("paper", "limit")
 
 
 @dataclass(frozen=True)
@@ -44,50 +63,49 @@ class Part:
     identity: tuple[float, float] | None = None
     over: str = ""
     minus: str = ""
+    paired: bool = False  # minus: the seeds are the same
     exact: bool = False  # a number without error: theory's, or a count
+    column: str = "paper"
 
     def measured(self, findings: dict[str, Findings]) -> Finding | None:
         """The number; None if a figure that it needs was not made."""
-        first = _find(self.finding, findings)
+        first = _look_up(self.finding, findings)
         if first is None or not (self.over or self.minus):
             return replace(first, seeds=0.0) if first is not None and self.exact else first
-        other = _find(self.over or self.minus, findings)
-        return None if other is None else _combined(first, other, bool(self.over))
+        other = _look_up(self.over or self.minus, findings)
+        if other is None:
+            return None
+        return _paired(first, other) if self.paired else _combined(first, other, bool(self.over))
 
-    def verdict(self, found: Finding | None) -> str:
+    def verdict(self, finding: Finding | None) -> str:
         """By the rules of this module."""
-        if self.number is self.range is self.beyond is self.identity is None:
+        if self.identity is self._interval() is self.beyond is None:
             return GIVEN
-        if found is None:
+        if finding is None:
             return NOT_RUN
         if self.identity is not None:
-            return IDENTITY if abs(found.value - self.identity[0]) <= self.identity[1] else VIOLATED
-        if found.error is None:
+            return IDENTITY if abs(finding.value - self.identity[0]) <= self.identity[1] else VIOLATED
+        if finding.uncertainty is None:
             return CANNOT_TELL
-        outside, small_enough = self._outside(found)
-        if outside > 2:
-            return DIFFERS
-        return AGREES if outside <= 1 and small_enough else CANNOT_TELL
+        outside = self.outside(finding)
+        if outside <= 0:
+            return AGREES if finding.uncertainty <= self._room(finding) else CANNOT_TELL
+        return DIFFERS if outside > finding.uncertainty else CANNOT_TELL
 
-    def outside(self, found: Finding | None) -> float:
-        """How far the number lies outside of what the paper says, in combined errors; −1 for a part without a rule."""
-        decided = self.number is not None or self.range is not None or self.beyond is not None
-        return self._outside(found)[0] if found is not None and decided else -1.0
-
-    def _outside(self, found: Finding) -> tuple[float, bool]:
-        """Distance from what the paper says in combined errors, and whether the error is small enough to decide."""
-        value, error = found.value, found.error or 0.0
-        if self.number is not None:
-            expected, own = self.number
-            return _over(abs(value - expected), math.hypot(own, error)), error <= own
+    def outside(self, finding: Finding) -> float:
+        """By how much the number lies outside of what the paper says; negative inside."""
         if self.beyond is not None:
-            low, high = self.beyond
-            inside = min(value - low, high - value)
-            return _over(max(inside, 0.0), error), -inside >= error
-        low, high = self.range
-        outside = max(low - value, value - high)
-        small_enough = -outside >= error if math.isinf(high - low) else error <= (high - low) / 2
-        return _over(max(outside, 0.0), error), small_enough
+            return min(finding.value - self.beyond[0], self.beyond[1] - finding.value)
+        low, high = self._interval() or (-math.inf, math.inf)
+        return max(low - finding.value, finding.value - high)
+
+    def _room(self, finding: Finding) -> float:
+        """The largest uncertainty with which the part could have failed."""
+        low, high = self.beyond or self._interval()
+        return -self.outside(finding) if self.beyond or math.isinf(high - low) else (high - low) / 2
+
+    def _interval(self) -> tuple[float, float] | None:
+        return (self.number[0] - self.number[1], self.number[0] + self.number[1]) if self.number else self.range
 
     def expectation(self) -> str:
         """What the paper says of the number."""
@@ -110,26 +128,37 @@ class Claim:
     where: str
     figure: str  # key of the figure under which it stands
     parts: tuple[Part, ...]
-    conditions: str = ""  # departures from those of the paper, and their size
-    why: str = ""  # said where it differs or cannot be told
+    kind: str = "result"
+    conditions: str = ""  # how ours depart from the paper's, and what its words are taken to mean
+    holds: str = ""  # where it holds, if not everywhere
+    limit: str = ""  # what better numbers show, in words
+    why: str = ""  # said where it differs
     decided_by: str = ""  # said where it cannot be told
 
     def verdict(self, findings: dict[str, Findings]) -> str:
         """Of the claim as a whole."""
-        verdicts = {part.verdict(part.measured(findings)) for part in self.parts}
-        return next((verdict for verdict in ORDER if verdict in verdicts), CANNOT_TELL)
+        deciding = [part for part in self.parts if part.column == "paper"]
+        counts = Counter(part.verdict(part.measured(findings)) for part in deciding)
+        del counts[GIVEN]
+        for single in (VIOLATED, NOT_RUN):
+            if counts[single]:
+                return single
+        most = counts.total() / 2
+        if counts.total() == counts[IDENTITY] > 0:
+            return IDENTITY
+        if counts[AGREES] == counts.total() > 0:
+            return AGREES
+        return IN_A_RANGE if counts[AGREES] > most else DIFFERS if counts[DIFFERS] > most else CANNOT_TELL
 
-    def decisive(self, findings: dict[str, Findings]) -> Part | None:
-        """The part that says most: the farthest out among those with the claim's verdict."""
-        verdict = self.verdict(findings)
-        same = [part for part in self.parts if part.verdict(part.measured(findings)) == verdict]
-        return max(same, key=lambda part: part.outside(part.measured(findings)), default=None)
+    def column(self, name: str) -> list[Part]:
+        """The parts of a column."""
+        return [part for part in self.parts if part.column == name]
 
 
 def read(path: Path, figures: set[str], small: bool = False) -> list[Claim]:
     """The claims of a file; with `small`, settings in the names of findings are those of its table `small`.
 
-    Raises InputError if a claim refers to a figure that the file does not have.
+    Raises InputError if a claim refers to a figure that the file does not have, or to a kind or column that is none.
     """
     with open(path, "rb") as file:
         content = tomllib.load(file)
@@ -140,21 +169,29 @@ def read(path: Path, figures: set[str], small: bool = False) -> list[Claim]:
                 part[key] = ", ".join(renamed.get(word, word) for word in part.get(key, "").split(", "))
         parts = tuple(Part(**{key: tuple(v) if isinstance(v, list) else v for key, v in part.items()})
                       for part in table["parts"])  # fmt: skip
-        claims.append(Claim(**table | {"parts": parts}))
-        wanted = {claims[-1].figure} | {name.partition(": ")[0] for part in parts
-                                        for name in (part.finding, part.over, part.minus) if name}  # fmt: skip
+        claims.append(claim := Claim(**table | {"parts": parts}))
+        wanted = {claim.figure} | {name.partition(": ")[0] for part in parts
+                                   for name in (part.finding, part.over, part.minus) if name}  # fmt: skip
         if wanted - figures:
-            raise InputError(f"{path}: claim {claims[-1].number} refers to unknown figures {sorted(wanted - figures)}")
+            raise InputError(f"{path}: claim {claim.number} refers to unknown figures {sorted(wanted - figures)}")
+        if claim.kind not in KINDS or {part.column for part in parts} - set(COLUMNS):
+            raise InputError(f"{path}: claim {claim.number}: kind is one of {list(KINDS)}, column of {list(COLUMNS)}")
     return claims
 
 
-def _over(distance: float, error: float) -> float:
-    return 0.0 if distance == 0 else distance / error if error > 0 else math.inf
-
-
-def _find(reference: str, findings: dict[str, Findings]) -> Finding | None:
+def _look_up(reference: str, findings: dict[str, Findings]) -> Finding | None:
     key, _, name = reference.partition(": ")
     return findings.get(key, Findings()).get(name)
+
+
+def _paired(first: Finding, other: Finding) -> Finding:
+    """first − other, seed by seed and choice by choice."""
+    if len(first.values) != len(other.values) or len(first.others) != len(other.others):
+        raise InputError("numbers of unlike seeds or choices cannot be paired")
+    difference = Findings()
+    others = np.subtract(first.others, other.others) if first.others else None
+    difference.add("", np.subtract(first.values, other.values), others)
+    return difference[""]
 
 
 def _combined(first: Finding, other: Finding, quotient: bool) -> Finding:

@@ -1,6 +1,6 @@
 """Contact area against load, raw and corrected for the pixels, with the theories of Persson and Bush–Gibson–Thomas.
 
-    pgfmd plot area_load DIR… [--area 0.08]
+    pgfmd plot area_load DIR… [--area 0.02 0.08]
 
 Loads of runs that differ by the seed alone are averaged; `--area` is where κ = f_c E' g/p̄ is reported, by
 interpolation in the logarithm of the area.
@@ -25,7 +25,7 @@ CAPTION = """(a) Relative contact area, corrected for the pixels, against the me
 symbols: with the raw area. Full lines: the theories of Persson and of Bush, Gibson and Thomas (BGT) for this surface;
 dashed: their limits at low load. Bars: standard error over seeds."""
 NEEDS = ("area", "roughness")
-OPTIONS = {"--area": {"type": float, "help": "contact area at which κ is reported (default 0.08)"}}
+OPTIONS = {"--area": {"type": float, "nargs": "+", "help": "contact areas at which κ is reported (default 0.08)"}}
 
 MEANS = ("setting", "reduced_pressure", "area", "area_corrected", "kappa", "kappa_error", "seeds")
 AREAS = {
@@ -35,7 +35,7 @@ AREAS = {
 }
 
 
-def draw(loads: list[Load], area: float = 0.08) -> Sheet:
+def draw(loads: list[Load], area: tuple[float, ...] = (0.08,)) -> Sheet:
     """f_c against p̄/(E'g), and κ against f_c, for each setting."""
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
@@ -76,25 +76,31 @@ def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
     return tuple(np.array(sorted(rows)).T)
 
 
-def report(sheet: Sheet, group: Ensemble, area: float, name: str):
-    """κ at the given area, interpolated for each seed; at the lowest load; and a table of all loads."""
+def report(sheet: Sheet, group: Ensemble, areas: tuple[float, ...], name: str):
+    """κ at each of the areas, interpolated for each seed; at the lowest load; and a table of all loads."""
     runs: dict[object, list[Load]] = {}
     for load in group:
         runs.setdefault(load.results.directory, []).append(load)
         sheet.keep("loads", ("setting", "seed", "mean_pressure", "modulus", "rms_slope", "area", "area_corrected"),
                    (name, load.seed, load.mean_pressure, load.modulus, load.rms_slope, load.area,
                     load.corrected_area))  # fmt: skip
-    kappas = {kind: [kappa_at(run, area, kind) for run in runs.values()] for kind in AREAS}
-    sheet.findings.add(f"κ at f_c = {area:g}, raw, {name}", kappas["raw"])
-    sheet.findings.add(f"κ at f_c = {area:g}, corrected, {name}", kappas["corrected"], _choice(kappas["upper"]))
+    for area in areas:
+        kappas = {kind: [kappa_at(run, area, kind) for run in runs.values()] for kind in AREAS}
+        sheet.findings.add(f"κ at f_c = {area:g}, raw, {name}", kappas["raw"])
+        _add(sheet, f"at f_c = {area:g}", name, kappas["corrected"], kappas["upper"])
     lowest = [min(run, key=lambda load: load.mean_pressure) for run in runs.values()]
-    kappa = np.array([_kappa(load, "corrected") for load in lowest])
-    others = _choice([_kappa(load, "upper") for load in lowest])
-    sheet.findings.add(f"κ at the lowest load, corrected, {name}", kappa, others)
+    ends = ([_kappa(load, kind) for load in lowest] for kind in ("corrected", "upper"))
+    _add(sheet, "at the lowest load", name, *ends)
+
+
+def _add(sheet: Sheet, where: str, name: str, kappas: list[float], upper: list[float]):
+    """κ of each seed with the error of its grid, and how far it lies from Persson's limit towards that of BGT."""
     low, high = persson.LOW_LOAD_KAPPA, asperity.LOW_LOAD_KAPPA_BGT
+    others = _choice(upper)
+    sheet.findings.add(f"κ {where}, corrected, {name}", kappas, others)
     ways = None if others is None else [(other - low) / (high - low) for other in others]
     sheet.findings.add(
-        f"way from Persson's κ to that of BGT at the lowest load, {name}", (kappa - low) / (high - low), ways
+        f"way from Persson's κ to that of BGT {where}, {name}", (np.array(kappas) - low) / (high - low), ways
     )
 
 

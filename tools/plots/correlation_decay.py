@@ -9,18 +9,19 @@ choices.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
-from plotting import Finding, Sheet, limited, standard_error, style
+from plotting import Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """Autocorrelation of the contact less its limit at large distance, over its value at zero. Full lines: power
-laws fitted over the range that they span. Dashed: the law Δr^(−ν) with ν = 1 − H, which follows from μ_c = 1 + H. Bars:
-standard error over seeds."""
+laws fitted over the range that they span. Dashed: the correlation of a spectrum q^(−1−H) in the same cell, which
+falls as Δr^(−(1−H)) in an infinite one. Bars: standard error over seeds."""
 NEEDS = ("correlations", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -39,7 +40,7 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
         shown = (r > 0) & (mean > 0)
         look, label = style(number), group.label or f"f_c = {group.mean('area'):.3g}"
         sheet.curve(0, x[shown], mean[shown], label, error=None if error is None else error[shown], ls="none", **look)
-        report(sheet, group, x, decay, window)
+        report(sheet, group, r, decay, window)
         inside = within(x, window) & shown
         if np.count_nonzero(inside) >= 3:
             slope, (offset,) = fit_power_law(x[inside], mean[inside])
@@ -47,8 +48,11 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
             sheet.curve(0, ends, np.exp(offset) * ends**slope, f"ν = {-slope:.2f}, {group.name}", lw=0.9, label=False,
                         color=look["color"], zorder=5)  # fmt: skip
             if group.hurst is not None:
-                law = 0.7 * mean[inside][0] * (ends / ends[0]) ** (group.hurst - 1)
-                sheet.curve(0, ends, law, f"ν = 1 − H, {group.name}", color=look["color"], ls="--", lw=0.9, label=False)
+                law = cell_law(group, r)
+                law *= mean[inside][0] / law[inside][0]
+                shown = (r > 0) & (law > 0) & (x <= 2 * window[1])
+                sheet.curve(0, x[shown], law[shown], f"q^−(1+H) in this cell, {group.name}", label=False,
+                            color=look["color"], ls="--", lw=0.9)  # fmt: skip
     sheet.label(0, r"$\Delta r\,/\,\lambda_s$", r"$(C_c - f_c^2)\,/\,(f_c - f_c^2)$", scale="log")
     return sheet
 
@@ -58,8 +62,31 @@ def shortest(group: Ensemble) -> float:
     return max(group.wavelengths[0], max(group.spacings))
 
 
-def report(sheet: Sheet, group: Ensemble, x: np.ndarray, decay: np.ndarray, limits: tuple[float, float]):
-    """ν of the mean over seeds, with the error of leaving one out at a time; neighbouring ranges as choices."""
+def cell_law(group: Ensemble, r: np.ndarray) -> np.ndarray:
+    """The correlation whose spectrum is q^−(1+H) between q_l and q_s, on this grid in this cell, at distances r: (m,).
+
+    In a finite cell it falls faster than Δr^−(1−H), its limit in an infinite one.
+    """
+    shape, spacings = group.results.shape, group.spacings
+    waves = np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(shape, spacings, strict=True)),
+                        indexing="ij")  # fmt: skip
+    q = np.hypot(*waves)
+    low, high = group.q_limits
+    inside = (q > 0) & (q >= low * (1 - 1e-9)) & (q <= high * (1 + 1e-9))
+    correlation = np.fft.fft2(np.where(inside, np.where(q > 0, q, 1.0) ** -(1 + group.hurst), 0.0)).real
+    apart = np.hypot(*np.meshgrid(*(n * step * np.fft.fftfreq(n) for n, step in zip(shape, spacings, strict=True)),
+                                  indexing="ij"))  # fmt: skip
+    ring = np.rint(apart / min(spacings)).astype(int).ravel()
+    points = np.bincount(ring)
+    mean, distance = (np.bincount(ring, field.ravel()) / np.maximum(points, 1) for field in (correlation, apart))
+    return np.interp(r, distance[points > 0], mean[points > 0])
+
+
+def report(sheet: Sheet, group: Ensemble, r: np.ndarray, decay: np.ndarray, limits: tuple[float, float]):
+    """ν of the mean over seeds, with the error of leaving one out at a time; neighbouring ranges as choices; and its
+    difference to ν of a spectrum q^−(1+H) in the same cell and range.
+    """
+    x = r / shortest(group)
 
     def fit(rows: np.ndarray, each: tuple[float, float]) -> float:
         mean = rows.mean(axis=0)
@@ -67,18 +94,22 @@ def report(sheet: Sheet, group: Ensemble, x: np.ndarray, decay: np.ndarray, limi
         good = np.count_nonzero(inside) >= 3 and bool(np.all(mean[inside] > 0))
         return -fit_power_law(x[inside], mean[inside])[0] if good else float("nan")
 
-    value, count = fit(decay, limits), len(decay)
-    choices = [fit(decay, each) for each in windows(limits)[1:]]
+    count, ranges = len(decay), windows(limits)
+    values = np.array([fit(decay, each) for each in ranges])
     error = None
     if count > 1:
         left = np.array([fit(np.delete(decay, i, axis=0), limits) for i in range(count)])
         error = float(np.sqrt((count - 1) / count * np.sum((left - left.mean()) ** 2)))
         error = error if np.isfinite(error) else None
-    for name, shift in ((f"ν, {group.name}", 0.0), (f"ν + H, {group.name}", group.hurst)):
-        if shift is not None and np.isfinite(value):
-            sheet.findings.add(name, value + shift, [other + shift for other in choices])
-            found = sheet.findings[name]
-            sheet.findings[name] = Finding(found.value, error, found.choices, count)
+    shifts = {f"ν, {group.name}": np.zeros(len(ranges))}
+    if group.hurst is not None:
+        law = cell_law(group, r)[None]
+        shifts[f"ν + H, {group.name}"] = np.full(len(ranges), group.hurst)
+        shifts[f"ν less that of q^−(1+H) in this cell, {group.name}"] = -np.array([fit(law, each) for each in ranges])
+    for name, shift in shifts.items():
+        if np.isfinite(values[0] + shift[0]):
+            sheet.findings.add(name, values[0] + shift[0], (values + shift)[1:])
+            sheet.findings[name] = replace(sheet.findings[name], seeds=error, count=count)
     for load, row in zip(group, decay, strict=True):
         sheet.keep("data", ("setting", "seed", "r_over_lambda_s", "decay"),
                    *((group.name, load.seed, *values) for values in zip(x, row, strict=True)))  # fmt: skip

@@ -9,6 +9,7 @@ halved at each end) give the spread over choices.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -140,6 +141,14 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[
             error = np.std(each, ddof=1) / np.sqrt(seeds) if seeds > 1 else None
             sheet.keep("table", ("setting", "hurst", "from", "to", "fit", "mu", "standard_error", "seeds"),
                        (name, group.hurst, low, high, kind, float(np.mean(each)), error, seeds))  # fmt: skip
+    # the difference falls as 1/ln(window) if one decay differs from the other by a factor over the window
+    scaled_difference = [[math.log(high / low) * exponent(x, curves, "difference", seed, (low, high))
+                          for seed in range(seeds)] for low, high in windows(limits)]  # fmt: skip
+    sheet.findings.add(f"(μ_c − μ_σ) ln(window), {name}", scaled_difference[0],
+                       [float(np.mean(each)) for each in scaled_difference[1:]])  # fmt: skip
+    for octave in 2.0 ** np.arange(1, math.floor(math.log2(x[-1]))):
+        local = [exponent(x, curves, "joint", seed, (octave, 2 * octave)) for seed in range(seeds)]
+        sheet.findings.add(f"local μ joint, {octave:g} … {2 * octave:g} q_l, {name}", local)
     runs = sorted({load.results.directory for load in group})
     for target, kinds in curves.items():
         for seed, run in enumerate(runs):

@@ -48,6 +48,8 @@ def draw(loads: list[Load]) -> Sheet:
         ratios = np.array([band_ratio(BANDS, np.round(x), count, s, m) for s, m in zip(stress, model, strict=True)])
         for (low, high), values in zip(BANDS, ratios.T, strict=True):
             sheet.findings.add(f"ratio to field theory, {name}, k = {low}–{high}", values)
+            correction = [band_ratio([(low, high)], np.round(x), count, *pair)[0] for pair in zip(model, full, strict=True)]
+            sheet.findings.add(f"field theory over full contact, {name}, k = {low}–{high}", correction)
             part = (np.round(x) >= low) & (np.round(x) <= high)
             hard = [band_ratio([(low, high)], np.round(x), count, s, f * persson_area(load, x * group.q_unit))[0]
                     for s, f, load in zip(stress, full, group, strict=True)] if np.any(part) else []  # fmt: skip

@@ -152,10 +152,16 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
             add(f"ratio/{title}, {name}", logarithmic, spread)
     add(f"ratio to full contact, {name}", averaged(inner, full),
         [float(np.mean(averaged(part, full))) for part in others if np.any(part)])  # fmt: skip
+    middle = (x >= INNER) & (x <= top / 4)
+    neighbours = [(x >= 2 * INNER) & (x <= top / 4), (x >= INNER) & (x <= top / 8), (x >= INNER) & (x <= top / 2)]
     short = (x >= top / 16) & (x <= top / 2)
     choices = [(x >= top / 32) & (x <= top / 2), (x >= top / 16) & (x <= top), (x >= top / 8) & (x <= top / 2)]
     slopes = (("data", curves), ("f_Persson", f), ("f_solved", numeric))
     for title, values in slopes:
+        if values is not None and np.count_nonzero(middle) >= 3:
+            add(f"slope of {title}, {INNER:g} q_l … q_s/4, {name}", [_slope(x, row, middle) for row in values],
+                [float(np.mean([_slope(x, row, part) for row in values])) for part in neighbours
+                 if np.count_nonzero(part) >= 3])  # fmt: skip
         if values is not None and np.count_nonzero(short) >= 3:
             add(f"slope of {title} at large q, {name}", [_slope(x, row, short) for row in values],
                 [float(np.mean([_slope(x, row, part) for row in values])) for part in choices

@@ -19,6 +19,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+from scipy import stats
 
 COLUMN, PAGE = 3.4, 7.0  # inches
 ROW = 0.13  # inches that a row of the legend takes above the panels
@@ -85,17 +86,29 @@ def _fixed(value: float, error: float) -> str:
 
 @dataclass(frozen=True)
 class Finding:
-    """A number with its two errors: the standard error over seeds, and the spread over defensible choices."""
+    """A number with its two errors: the standard error over seeds, and the spread over defensible choices.
+
+    count : seeds;  values : the number of each of them;  others : the number by each other choice
+    """
 
     value: float
     seeds: float | None = None
     choices: float | None = None
     count: int = 1
+    values: tuple[float, ...] = ()
+    others: tuple[float, ...] = ()
 
     @property
     def error(self) -> float | None:
         """Both errors together; None if neither is known."""
         known = [error for error in (self.seeds, self.choices) if error is not None]
+        return math.hypot(*known) if known else None
+
+    @property
+    def uncertainty(self) -> float | None:
+        """Half of the 95 % interval: Student's t for seeds, and the spread over choices; None if neither is known."""
+        student = float(stats.t.ppf(0.975, self.count - 1)) if self.count > 1 else 1.96
+        known = [error for error in (self.seeds and student * self.seeds, self.choices) if error is not None]
         return math.hypot(*known) if known else None
 
     def text(self) -> str:
@@ -124,8 +137,9 @@ class Findings(dict):
         if values.size:
             mean = float(values.mean())
             seeds = float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else None
-            others = [] if choices is None else [abs(other - mean) for other in choices if np.isfinite(other)]
-            self[name] = Finding(mean, seeds, float(max(others)) if others else None, int(values.size))
+            others = [] if choices is None else [float(other) for other in choices if np.isfinite(other)]
+            spread = max((abs(other - mean) for other in others), default=None)
+            self[name] = Finding(mean, seeds, spread, int(values.size), tuple(values.tolist()), tuple(others))
 
     def text(self, name: str) -> str:
         """The number with its errors."""
