@@ -39,7 +39,7 @@ pressures() {
 # One line per run: name, job, overrides.
 plan() {
     local h seed zeta points n shortest seeds
-    for seed in 1 2; do
+    for seed in 1 2 3 4 5 6; do
         for h in 0.3 0.8; do
             echo "scales-h$h-s$seed-low jobs/paper/scales.toml $(size 4096 8) surface.hurst=$h surface.seed=$seed" \
                 'output.observables=["histogram","spectra","lowpass"]'
@@ -47,11 +47,11 @@ plan() {
                 "load.pressure=[0.001,0.0224,0.0295,0.0367,0.0461,0.0626,0.079,0.09,0.256]"
         done
     done
-    for seed in 1 2 3; do
+    for seed in 1 2 3 4 5 6 7 8; do
         echo "large-s$seed jobs/paper/large.toml $(size 4096 64) surface.seed=$seed"
     done
     for n in 4096 2048 1024 512; do
-        case $n in 4096) seeds="1 2" ;; 512) seeds="1 2 3 4 5 6 7 8" ;; *) seeds="1 2 3 4" ;; esac
+        case $n in 4096) seeds="1 2 3 4" ;; *) seeds="1 2 3 4 5 6 7 8" ;; esac
         for h in 0.3 0.5 0.8; do
             for seed in $seeds; do
                 echo "exponents-n$n-h$h-s$seed jobs/paper/exponents.toml $(size $n 1) surface.hurst=$h surface.seed=$seed" \
@@ -61,13 +61,13 @@ plan() {
     done
     for shortest in 8 32; do
         for h in 0.3 0.8; do
-            for seed in 1 2 3 4; do
+            for seed in 1 2 3 4 5 6 7 8; do
                 echo "shortest-l$shortest-h$h-s$seed jobs/paper/exponents.toml $(size 2048 $shortest) surface.hurst=$h" \
                     "surface.seed=$seed load.pressure=$(pressures $h $shortest)"
             done
         done
     done
-    for seed in 1 2 3 4; do
+    for seed in 1 2 3 4 5 6 7 8; do
         for h in 0.3 0.5 0.8; do
             echo "loads-h$h-s$seed jobs/paper/loads.toml $(size 1024 16) surface.hurst=$h surface.seed=$seed"
         done
@@ -76,7 +76,7 @@ plan() {
                 "load.pressure=$(pressures $h 1)"
         done
     done
-    for seed in 1 2 3 4 5 6; do
+    for seed in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16; do
         for zeta in 0.01 0.25 1.0; do
             echo "exponential-z$zeta-s$seed jobs/paper/exponential.toml $(size 1024 32) wall.zeta=$zeta surface.seed=$seed"
         done

@@ -10,15 +10,16 @@ paper gives, or with which its figure can be read:
     identity = [v, t]      true by construction: |x − v| ≤ t, or the program is wrong; never counted as agreement
     nothing                a number given for information
 
-u is the 95 % uncertainty of our number: Student's t times the standard error over seeds, and the spread over
-defensible choices, added in squares.  With `minus` and `paired`, seeds are subtracted one by one before that.
+u is the 95 % uncertainty of our number: Student's t times the standard error over seeds.  With `minus` and `paired`,
+seeds are subtracted one by one before that.  The spread over defensible choices, such as fit ranges, is printed beside
+it; it counts only where there are no seeds, since a claim is judged with the choice that was fixed before the runs.
     agrees       the number lies in the range, and u is small enough for the part to have failed: at most half the
                  range's width, or the distance to its only end
     differs      the number lies outside by more than u
     cannot tell  otherwise, also where no uncertainty is known (unless `exact`)
 
 Parts of the column "paper" are made under the paper's conditions, and decide: a claim agrees if all of them agree; it
-agrees in a range if more than half do; it differs if more than half differ; otherwise it cannot be told.  Parts of the
+agrees in a range if at least half do; it differs if more than half differ; otherwise it cannot be told.  Parts of the
 column "limit" say what is true with better numbers: resolution, cell, seeds or estimator.  They do not decide.
 
 `kind` tells results apart from what is none: identities, slips, quotations of other work, and conjectures.
@@ -148,35 +149,50 @@ class Claim:
             return IDENTITY
         if counts[AGREES] == counts.total() > 0:
             return AGREES
-        return IN_A_RANGE if counts[AGREES] > most else DIFFERS if counts[DIFFERS] > most else CANNOT_TELL
-
-    def column(self, name: str) -> list[Part]:
-        """The parts of a column."""
-        return [part for part in self.parts if part.column == name]
+        return IN_A_RANGE if counts[AGREES] >= most else DIFFERS if counts[DIFFERS] > most else CANNOT_TELL
 
 
-def read(path: Path, figures: set[str], small: bool = False) -> list[Claim]:
-    """The claims of a file; with `small`, settings in the names of findings are those of its table `small`.
+@dataclass(frozen=True)
+class Result:
+    """What the runs show beyond the paper, with the numbers that show it."""
 
-    Raises InputError if a claim refers to a figure that the file does not have, or to a kind or column that is none.
+    title: str
+    text: str
+    figure: str
+    parts: tuple[Part, ...]
+
+
+def read(path: Path, figures: set[str], small: bool = False) -> tuple[list[Claim], list[Result]]:
+    """The claims of a file, and what is new; with `small`, findings have the settings of the file's table `small`.
+
+    Raises InputError if one refers to a figure that the file does not have, or has a kind or column that is none.
     """
     with open(path, "rb") as file:
         content = tomllib.load(file)
-    claims, renamed = [], content.get("small", {}) if small else {}
-    for table in content["claim"]:
-        for part in table["parts"]:
-            for key in ("finding", "over", "minus"):
-                part[key] = ", ".join(renamed.get(word, word) for word in part.get(key, "").split(", "))
-        parts = tuple(Part(**{key: tuple(v) if isinstance(v, list) else v for key, v in part.items()})
-                      for part in table["parts"])  # fmt: skip
-        claims.append(claim := Claim(**table | {"parts": parts}))
-        wanted = {claim.figure} | {name.partition(": ")[0] for part in parts
+    renamed = content.get("small", {}) if small else {}
+    claims = [Claim(**table | {"parts": _parts(table, renamed)}) for table in content["claim"]]
+    results = [Result(**table | {"parts": _parts(table, renamed)}) for table in content.get("new", [])]
+    for entry in (*claims, *results):
+        title = f"{path}: claim {entry.number}" if isinstance(entry, Claim) else f"{path}: {entry.title}"
+        wanted = {entry.figure} | {name.partition(": ")[0] for part in entry.parts
                                    for name in (part.finding, part.over, part.minus) if name}  # fmt: skip
         if wanted - figures:
-            raise InputError(f"{path}: claim {claim.number} refers to unknown figures {sorted(wanted - figures)}")
-        if claim.kind not in KINDS or {part.column for part in parts} - set(COLUMNS):
-            raise InputError(f"{path}: claim {claim.number}: kind is one of {list(KINDS)}, column of {list(COLUMNS)}")
-    return claims
+            raise InputError(f"{title} refers to unknown figures {sorted(wanted - figures)}")
+        if {part.column for part in entry.parts} - set(COLUMNS):
+            raise InputError(f"{title}: column is one of {list(COLUMNS)}")
+        if isinstance(entry, Claim) and entry.kind not in KINDS:
+            raise InputError(f"{title}: kind is one of {list(KINDS)}")
+    return claims, results
+
+
+def _parts(table: dict, renamed: dict[str, str]) -> tuple[Part, ...]:
+    parts = []
+    for part in table["parts"]:
+        values = {key: tuple(value) if isinstance(value, list) else value for key, value in part.items()}
+        for key in ("finding", "over", "minus"):
+            values[key] = ", ".join(renamed.get(word, word) for word in part.get(key, "").split(", "))
+        parts.append(Part(**values))
+    return tuple(parts)
 
 
 def _look_up(reference: str, findings: dict[str, Findings]) -> Finding | None:

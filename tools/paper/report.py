@@ -13,6 +13,7 @@ import csv
 import html
 import math
 import multiprocessing
+import subprocess
 import sys
 import time
 import tomllib
@@ -111,7 +112,7 @@ def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bo
     began = time.perf_counter()
     output.mkdir(parents=True, exist_ok=True)
     plan = read_figures(source)
-    asked = claims.read(source, {figure.key for figure in plan}, small)
+    asked, news = claims.read(source, {figure.key for figure in plan}, small)
     tasks = [(figure, folder, output) for figure in plan]
     if jobs > 1:
         with multiprocessing.get_context("spawn").Pool(jobs) as pool:
@@ -128,9 +129,11 @@ def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bo
         f"<title>The paper, reproduced</title><style>{STYLE}</style>",
         "<h1>Elastic contact of rough surfaces: the paper, reproduced</h1>",
         _introduction(everything, asked, findings),
+        _news(news, findings),
         _summary(asked, findings),
-        _departures(read_departures(source)),
         *(_section(figure, folder, drawn, asked, findings, output) for figure in plan),
+        _method(source),
+        _departures(read_departures(source)),
         _runs(everything, time.perf_counter() - began),
         "</html>\n",
     ]
@@ -149,7 +152,21 @@ def _complete(path: Path) -> bool:
 def _write_table(path: Path, asked: Iterable[Claim], findings: dict[str, Findings]):
     with open(path, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
-        table.writerow(["claim", "verdict", "part", "paper", "measured", "seeds", "choices", "samples", "part_verdict"])
+        table.writerow(
+            [
+                "claim",
+                "kind",
+                "verdict",
+                "column",
+                "part",
+                "paper",
+                "measured",
+                "seeds",
+                "choices",
+                "samples",
+                "part_verdict",
+            ]
+        )
         for claim in asked:
             verdict = claim.verdict(findings)
             for part in claim.parts:
@@ -157,41 +174,105 @@ def _write_table(path: Path, asked: Iterable[Claim], findings: dict[str, Finding
                 numbers = ["", "", "", ""] if found is None else [
                     *("" if v is None else f"{v:.10g}" for v in (found.value, found.seeds, found.choices)), found.count
                 ]  # fmt: skip
-                table.writerow([claim.number, verdict, part.what, part.expectation(), *numbers, part.verdict(found)])
+                table.writerow([claim.number, claim.kind, verdict, part.column, part.what, part.expectation(), *numbers,
+                                part.verdict(found)])  # fmt: skip
 
 
 def _introduction(folders: list[Path], asked: list[Claim], findings: dict[str, Findings]) -> str:
-    counts = Counter(claim.verdict(findings) for claim in asked)
-    first = Results(folders[0])
-    about = {name: html.escape(str(first.provenance.get(name, "?"))) for name in ("softwareVersion", "host", "threads")}
+    counts = Counter(claim.verdict(findings) for claim in asked if claim.kind == "result")
+    about = Results(folders[0]).provenance
+    version = html.escape(str(about.get("softwareVersion", "?")))
     worst = max(float(Results(path).loads["certified_error"].max()) for path in folders)
-    said = ", ".join(f"{verdict}: {counts[verdict]}" for verdict in claims.ORDER if counts[verdict])
+    said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in claims.ORDER if counts[verdict])
+    others = len(asked) - counts.total()
     return f"""<p>Campañá, Müser &amp; Robbins, <i>J. Phys.: Condens. Matter</i> <b>20</b>, 354013 (2008),
 <a href="https://doi.org/10.1088/0953-8984/20/35/354013">doi:10.1088/0953-8984/20/35/354013</a>, asked how an elastic
-solid touches a rigid surface that is rough on many scales: which part of it is in contact, how the pressure is
-distributed there, and how both are correlated in space. It made {len(asked)} claims that can be tested. They are tested
-here with {len(folders)} runs of pgfmd {about["softwareVersion"]}: <b>{said}</b>. Nothing was fitted to the paper; the
-rules were fixed before the runs.</p>
-<p class="small">A number agrees if it lies within the paper's own error combined with ours, and ours is the smaller
-one; it differs if it lies outside by more than twice both errors combined; otherwise it cannot be told. Our error has
-two parts: the standard error over independent surfaces (“seeds”), and the largest change by another defensible fit
-range or estimator (“choices”). “Identity”: true by construction, no agreement. E' = 8/3, rms slope 0.031, lengths in
-grid spacings a; λ_s and λ_l are the shortest and the longest wave of the surface, H its Hurst exponent, f_c the
-relative contact area. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
+solid touches a rigid surface that is rough on many scales: how the pressure is distributed, and how pressure and
+contact are correlated in space. It found that the spectra of both fall as one power law, q<sup>−(1+H)</sup>, with H the
+Hurst exponent of the surface. Models of overlapping asperities predict q<sup>−2(1+H)</sup>; Persson's theory, corrected
+for partial contact, predicts what was found.</p>
+<p>The paper makes {len(asked)} claims that can be tested, and {len(folders)} runs of pgfmd {version} test them. Of its
+{counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one conjecture.
+Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at the accuracy
+that it gives or with which its figures can be read. A column of its own says what better numbers show.</p>
+<p class="small">E' = 8/3, rms slope 0.031, lengths in grid spacings a; λ_s and λ_l are the shortest and the longest
+wave of the surface, f_c is the relative contact area. Largest certified relative energy error of any run:
+{worst:.1e}.</p>"""
+
+
+def _news(news: list[claims.Result], findings: dict[str, Findings]) -> str:
+    """What the runs show beyond the paper, each with its numbers."""
+    lines = ["<h2>What is new</h2>"] if news else []
+    for result in news:
+        numbers = "; ".join(f"{html.escape(part.what)}: {_number(part, findings)}" for part in result.parts)
+        lines.append(
+            f"<p><b>{html.escape(result.title)}</b> {html.escape(result.text)} "
+            f'<a href="#{html.escape(result.figure)}">Figure</a>. <span class="small">{numbers}.</span></p>'
+        )
+    return "\n".join(lines)
 
 
 def _summary(asked: list[Claim], findings: dict[str, Findings]) -> str:
-    lines = ["<h2>The claims</h2><table><tr><th>no.<th>the paper says<th>where<th>verdict<th>one number<th>paper</tr>"]
-    for claim in asked:
-        part = claim.decisive(findings)
-        found = part.measured(findings) if part else None
-        number = f"{html.escape(part.what)}: {html.escape(found.text())}" if part and found else ""
-        lines.append(
-            f'<tr><td>{claim.number}<td>{html.escape(claim.says)}<td><a href="#{html.escape(claim.figure)}">'
-            f"{html.escape(claim.where)}</a><td>{_verdict(claim.verdict(findings))}<td>{number}"
-            f'<td class="n">{html.escape(part.expectation()) if part else ""}</tr>'
-        )
-    return "\n".join([*lines, "</table>"])
+    """One table for each kind of claim: the paper, the paper's conditions, the limit."""
+    lines = ["<h2>The claims</h2>"]
+    for kind, title in claims.KINDS.items():
+        mine = [claim for claim in asked if claim.kind == kind]
+        if not mine:
+            continue
+        lines += [f"<h3>{title}</h3>", "<table><tr><th>no.<th>the paper<th>under its conditions<th>in the limit</tr>"]
+        for claim in mine:
+            verdict = claim.verdict(findings)
+            holds = f": {html.escape(claim.holds)}" if verdict == claims.IN_A_RANGE and claim.holds else ""
+            lines.append(
+                f'<tr><td>{claim.number}<td>{html.escape(claim.says)} (<a href="#{html.escape(claim.figure)}">'
+                f"{html.escape(claim.where)}</a>)<td>{_verdict(verdict)}{holds}"
+                f'<br><span class="small">{_worst(claim, findings)}</span>'
+                f"<td>{html.escape(claim.limit or _reason(claim, verdict))}</tr>"
+            )
+        lines.append("</table>")
+    return "\n".join(lines)
+
+
+def _worst(claim: Claim, findings: dict[str, Findings]) -> str:
+    """The deciding number that lies farthest out, in half widths of what the paper says, and what the paper says."""
+
+    def distance(part: claims.Part) -> float:
+        number = part.measured(findings)
+        return part.outside(number) if number else -math.inf
+
+    parts = [part for part in claim.parts if part.column == "paper" and part.expectation()]
+    if not parts:
+        return ""
+    part = max(parts, key=distance)
+    return f"{html.escape(part.what)}: {_number(part, findings)} ({html.escape(part.expectation())})"
+
+
+def _number(part: claims.Part, findings: dict[str, Findings]) -> str:
+    number = part.measured(findings)
+    return html.escape(number.text()) if number else "not run"
+
+
+def _reason(claim: Claim, verdict: str) -> str:
+    return claim.why if verdict == claims.DIFFERS else claim.decided_by if verdict == claims.CANNOT_TELL else ""
+
+
+def _method(source: Path) -> str:
+    """How verdicts are found, and the commit that fixed the rules."""
+    rules = "\n".join((claims.__doc__ or "").strip().splitlines()[3:])
+    commit = _commit_of(source)
+    fixed = f" They were last changed in commit {html.escape(commit)}." if commit else ""
+    text = f"They were fixed before the runs that they judge.{fixed}"
+    return f"<h2>The rules</h2><p>{text}</p><pre>{html.escape(rules)}</pre>"
+
+
+def _commit_of(source: Path) -> str:
+    """The last commit that changed the claims or their rules, with its date; empty outside of a repository."""
+    words = ["git", "log", "-1", "--format=%h of %cs", "--", source.name, "claims.py"]
+    try:
+        done = subprocess.run(words, cwd=source.parent, capture_output=True, text=True, timeout=60, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return ""
+    return done.stdout.strip()
 
 
 def _verdict(verdict: str) -> str:
@@ -235,19 +316,23 @@ def _claims(mine: list[Claim], findings: dict[str, Findings]) -> str:
         text = [html.escape(claim.says)]
         if claim.conditions:
             text.append(f'<span class="small">Here: {html.escape(claim.conditions)}</span>')
-        if claim.why and verdict in (claims.DIFFERS, claims.CANNOT_TELL):
+        if claim.why and verdict == claims.DIFFERS:
             text.append(f'<span class="small">Why: {html.escape(claim.why)}</span>')
         if claim.decided_by and verdict == claims.CANNOT_TELL:
             text.append(f'<span class="small">What would decide it: {html.escape(claim.decided_by)}</span>')
+        if claim.limit:
+            text.append(f'<span class="small">In the limit: {html.escape(claim.limit)}</span>')
         lines.append(
             f"<p><b>Claim {claim.number}</b> ({html.escape(claim.where)}): {_verdict(verdict)}. {' '.join(text)}</p>"
         )
-        lines.append("<table><tr><th>number<th>paper<th>here<th>verdict</tr>")
+        lines.append("<table><tr><th>number<th>the paper<th>under its conditions<th>in the limit<th>verdict</tr>")
         for part in claim.parts:
-            found = part.measured(findings)
+            cells = [_number(part, findings), ""]
+            verdict = part.verdict(part.measured(findings)) if part.column == "paper" else ""
             lines.append(
                 f'<tr><td>{html.escape(part.what)}<td class="n">{html.escape(part.expectation())}'
-                f'<td class="n">{html.escape(found.text()) if found else "—"}<td>{_verdict(part.verdict(found))}</tr>'
+                + "".join(f'<td class="n">{cell}' for cell in (cells if part.column == "paper" else cells[::-1]))
+                + f"<td>{_verdict(verdict)}</tr>"
             )
         lines.append("</table>")
     return "\n".join(lines)

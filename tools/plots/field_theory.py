@@ -48,7 +48,8 @@ def draw(loads: list[Load]) -> Sheet:
         ratios = np.array([band_ratio(BANDS, np.round(x), count, s, m) for s, m in zip(stress, model, strict=True)])
         for (low, high), values in zip(BANDS, ratios.T, strict=True):
             sheet.findings.add(f"ratio to field theory, {name}, k = {low}–{high}", values)
-            correction = [band_ratio([(low, high)], np.round(x), count, *pair)[0] for pair in zip(model, full, strict=True)]
+            correction = [band_ratio([(low, high)], np.round(x), count, m, f)[0]
+                          for m, f in zip(model, full, strict=True)]  # fmt: skip
             sheet.findings.add(f"field theory over full contact, {name}, k = {low}–{high}", correction)
             part = (np.round(x) >= low) & (np.round(x) <= high)
             hard = [band_ratio([(low, high)], np.round(x), count, s, f * persson_area(load, x * group.q_unit))[0]

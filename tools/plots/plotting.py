@@ -106,10 +106,10 @@ class Finding:
 
     @property
     def uncertainty(self) -> float | None:
-        """Half of the 95 % interval: Student's t for seeds, and the spread over choices; None if neither is known."""
-        student = float(stats.t.ppf(0.975, self.count - 1)) if self.count > 1 else 1.96
-        known = [error for error in (self.seeds and student * self.seeds, self.choices) if error is not None]
-        return math.hypot(*known) if known else None
+        """Half of the 95 % interval: Student's t for the seeds; without several, the spread over choices; or None."""
+        if self.seeds is None:
+            return self.choices
+        return self.seeds * float(stats.t.ppf(0.975, self.count - 1) if self.count > 1 else stats.norm.ppf(0.975))
 
     def text(self) -> str:
         """value ± error over seeds ± spread over choices: errors with two digits, the value to the second digit of the
