@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import logging
+import sys
 import tomllib
 import zipfile
 
@@ -210,3 +211,24 @@ def test_a_new_job_on_a_file(tmp_path, monkeypatch, capsys):
         assert found.grid.n == tuple((2 if "periodic" in keys else 1) * n for n in (32, 12))
     assert pgfmd.run(tmp_path / "job.toml")[0].numbers["contact_area"] == pytest.approx(0.05, abs=0.01)
     assert main(["new", "--heights", "none.npy"]) == 2
+
+
+@pytest.mark.skipif(SIZE > 1, reason="serial")
+def test_a_folder_of_instruments_files(tmp_path, capsys):
+    """Each file that SurfaceTopography reads is solved from path, modulus and load, also packed, with the package's
+    heights, size and unit, which the export and the page of figures keep; other files do not count."""
+    pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    sys.path.insert(0, str(ROOT / "tools" / "bench"))
+    import instrument_files
+
+    (tmp_path / "a.sdf").write_bytes(SDF.read_bytes())
+    waves = np.cos(np.arange(8) / 2)[:, None] * np.cos(np.arange(6))
+    rows = "\n".join(" ".join(f"{value:.6e}" for value in row) for row in waves)
+    text = f"# Channel: a\n# Width: 3 nm\n# Height: 4 nm\n# Value units: nm\n{rows}\n"
+    with gzip.open(tmp_path / "b.txt.gz", "wt") as packed:
+        packed.write(text)
+    (tmp_path / "c.txt").write_text("no heights")
+    assert instrument_files.main([str(tmp_path), "--pictures"]) == 0
+    said = capsys.readouterr().out
+    assert "2 two-dimensional files, 2 solved, 0 after a remedy" in said
+    assert "| b.txt.gz | 6 x 8 | 3 x 4 nm |" in said
