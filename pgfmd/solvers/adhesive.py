@@ -30,9 +30,11 @@ from pgfmd.physics.problem import ContactProblem
 RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
 MOST_STEPS, MOST_INNER, HALVINGS, CAREFUL = 1000, 200, 12, 40
 SAME = 1e-14  # change of the energy, over the sum of its parts, that may be rounding
+FORCING = 0.03, 0.4, 0.7  # least and largest accuracy of a direction, and that of the last over what is left to do
 LANCZOS = 20  # steps of `curvature`: right to 10 % in 10 of 12 states
 WAYS = 0.25, 0.5, 0.75, 1.0
 Pair = tuple[np.ndarray, np.ndarray]
+Goal = Callable[[float], float]
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class AdhesiveState:
     near: int = 0  # points with a gap below ρ
     iterations: int = 0
     inner: int = 0
+    refused: int = 0
     negative: bool = False
     drop: float = 0.0
     residual: float = math.inf
@@ -239,9 +242,9 @@ class AdhesiveContact:
         return self.grid.reduction.sums_of_blocks(parts, 2)
 
     def conjugate_gradients(
-        self, start: np.ndarray, weight: np.ndarray, hold: Hold, wanted: float, most: int = MOST_INNER
+        self, start: np.ndarray, weight: np.ndarray, hold: Hold, wanted: Goal, most: int = MOST_INNER
     ) -> tuple[np.ndarray, bool, float, list[tuple[float, float]]]:
-        """(K − weight)x = start on the free points, until ⟨r, Gr⟩ has fallen to wanted² of its first value.
+        """(K − weight)x = start on the free points, until ⟨r, Gr⟩ has fallen by wanted(its first value per point)².
 
         start is overwritten.  Returns x, whether `search` is now a direction of negative curvature, the first ⟨r, Gr⟩
         per point, and (step, ratio) of each iteration, which give the spectrum.  Collective.
@@ -258,9 +261,9 @@ class AdhesiveContact:
             return square, total * inverse
 
         square, mean = precondition()
-        first, before = square, math.inf
+        first, before, goal = square, math.inf, wanted(square / grid.size) ** 2 * square
         for _ in range(most):
-            if not square > 0 or square <= wanted**2 * first:
+            if not square > 0 or square <= goal:
                 break
             turn = np.float32(square / before), np.float32(mean)
             threads.deal(lambda a, b, t=turn: turned(d[a:b], z[a:b], free[a:b], t), rows)  # type: ignore[misc]
@@ -276,13 +279,20 @@ class AdhesiveContact:
             steps.append((step, square / before))
         return x, False, first / grid.size, steps
 
-    def direction(self, state: AdhesiveState, hold: Hold, careful: bool) -> tuple[np.ndarray, np.ndarray | None]:
+    def direction(
+        self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool
+    ) -> tuple[np.ndarray, np.ndarray | None]:
         """Newton's direction and, if one was met, a direction of negative curvature.  careful: without W''.
         Collective.
         """
         start = self.residual(state, hold)
         weight = self.weight(state.gap, 0.0, not careful)
-        wanted = max(1e-3, min(0.1, math.sqrt(state.error) if state.error < math.inf else 0.1))
+        scale = state.residual**2 / (min(state.curvature, 1.0) * (4 * state.elastic or 1.0))
+
+        def wanted(first: float) -> float:
+            error, (least, most, last) = first * scale, FORCING
+            return max(least, min(most, math.sqrt(error)), last * min(1, math.sqrt(tolerance / error)) if error else 0)
+
         found, bent_down, square, steps = self.conjugate_gradients(start, weight, hold, wanted)
         state.square = square * state.residual**2
         state.inner += 2 * len(steps) + 1 + bent_down
@@ -320,7 +330,7 @@ class AdhesiveContact:
         """
         state, radius, careful = self.state(gap), RADIUS, 0
         while state.iterations < MOST_STEPS:
-            found, down = self.direction(state, hold, careful > 0)
+            found, down = self.direction(state, hold, tolerance, careful > 0)
             scale = 4 * state.elastic or 1.0
             state.error = state.square / (min(state.curvature, 1.0) * scale)
             if see is not None:
@@ -360,6 +370,7 @@ class AdhesiveContact:
                 new = self.moved(state, hold, trial, part)
                 if new is not None:
                     return new, min(radius * (2.0 if halving == 0 else 1.0), LARGEST_RADIUS)
+                state.refused += 1
                 part, radius = part / 2, max(radius / 2, 1e-3)
         return None, RADIUS
 
@@ -401,7 +412,7 @@ class AdhesiveContact:
             for t, pulled in zip(WAYS, along, strict=True):
                 if first + t * second + pulled + hold.force(state.mean + t * total) * total > rounding:
                     return None
-        for name in ("inner", "negative", "curvature"):
+        for name in ("inner", "refused", "negative", "curvature"):
             setattr(new, name, getattr(state, name))
         new.iterations, new.error, new.drop = state.iterations + 1, state.error, state.drop - change
         return self.measure(new)
@@ -414,7 +425,7 @@ class AdhesiveContact:
         E(g) − E* ≤ ⟨r, Gr⟩/2ν and |g − g*| ≤ t if K − D̄ ≥ νK with D̄ = D(g − t) and t ≥ 2√(G(0)⟨r, Gr⟩)/ν: the
         energy is convex where gaps change by at most t, and at its rim exceeds that of g.  Collective.
         """
-        start = self.residual(state, hold)
+        self.residual(state, hold)  # chooses the free points
         square = state.square * self.grid.size
         far, floor = 4 * math.sqrt(self.local * square) / max(state.curvature, 1e-3), 0.0
         for _ in range(3):
@@ -427,12 +438,11 @@ class AdhesiveContact:
             if hold.fixed and self.count:
                 noise -= np.float32(total / self.count) * self.free
             weight = self.weight(state.gap, far)
-            _, negative, _, steps = self.conjugate_gradients(noise, weight, hold, 1e-4, LANCZOS)
+            _, negative, _, steps = self.conjugate_gradients(noise, weight, hold, lambda _: 1e-4, LANCZOS)
             floor = min(floor, 0.0) if negative else least_ritz(steps)
             if negative or far >= 2 * math.sqrt(self.local * square) / floor:
                 break
             far *= 2
-        del start
         return floor, square / (2 * floor) / self.grid.size if floor > 0 else math.inf, far
 
 

@@ -26,6 +26,7 @@ LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the la
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
+SHARPER = 1e-5  # of the tolerance, where a state could not be certified
 COLD, FOLLOWED, PROBED = range(3)
 log = logging.getLogger("pgfmd")
 
@@ -104,7 +105,8 @@ class Branch:
         self.last = target, state
         return self._solution(state, hold, {
             **dict(zip(JUMP, jump, strict=True)), "energy_drop": drop * self.contact.length * self.contact.pressure,
-            "branch": way, "newton_steps": state.iterations, "inner_applications": state.inner,
+            "branch": way, "newton_steps": state.iterations, "trials_refused": state.refused,
+            "inner_applications": state.inner,
         }, (began, transforms))  # fmt: skip
 
     def _see(self, state: AdhesiveState) -> None:
@@ -189,6 +191,9 @@ class Branch:
         """The contact in units of the job.  Collective."""
         contact, law, grid = self.contact, self.contact.law, self.grid
         floor, bound, distance = contact.certified(state, hold)
+        if floor <= 0 or bound > 2 * self.tolerance * state.elastic:  # within a smaller distance, ν may be larger
+            state = contact.minimise(state.gap, hold, self.tolerance * SHARPER, self._see)
+            floor, bound, distance = contact.certified(state, hold)
         scale = contact.length * contact.pressure
         pressure = np.where(state.gap > law.least, -law.traction(state.gap), state.stress - state.pull)
         pressure *= contact.pressure
