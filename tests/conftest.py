@@ -52,7 +52,9 @@ def pytest_collection_modifyitems(config, items):
     left_out = [mark for mark, option in (("breadth", "--all"), ("long", "--long")) if not config.getoption(option)]
     chosen, others = [], []
     for item in items:
-        (others if any(map(item.get_closest_marker, left_out)) else chosen).append(item)
+        mpi = item.get_closest_marker("mpi")
+        alone = SIZE > 1 and mpi is not None and "breadth" in mpi.args and not config.getoption("--all")
+        (others if alone or any(map(item.get_closest_marker, left_out)) else chosen).append(item)
     config.hook.pytest_deselected(items=others)
     items[:] = chosen
 

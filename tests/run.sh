@@ -4,7 +4,7 @@
 #   bash tests/run.sh [--all | --long] [-k EXPRESSION] [tests/test_x.py …]     # whatever pytest understands
 #
 # Default: types and style; all tests but those marked `breadth` or `long`, in parallel processes; those marked `mpi` on
-# two ranks, those marked `uneven` on three.  --all: then those marked `breadth`, and all marked `mpi` on 3 and 4 ranks
+# two ranks, those marked `uneven` on three.  --all: then those marked `breadth`, and all marked `mpi` on 2, 3 and 4 ranks
 # (or on $RANKS).  --long: then those marked `long`.
 # BUDGET=SECONDS: the stages of --all begin only in the first two thirds of that time.  LIMIT=SECONDS: how long one stage
 # may take.  WORKERS: how many processes run tests at a time.
@@ -86,9 +86,8 @@ stage "uneven slabs on three ranks" on_ranks 3 -m uneven
 if [ "$breadth" ]; then
     options+=(--all)
     more "breadth" in_parallel -m breadth
-    more "breadth on two ranks" on_ranks 2 -m "mpi and breadth"
-    for ranks in ${RANKS:-3 4}; do
-        more "$ranks ranks" on_ranks "$ranks" -m "$([ "$ranks" = 3 ] && echo "mpi and (breadth or not uneven)" || echo mpi)"
+    for ranks in ${RANKS:-2 3 4}; do
+        more "$ranks ranks" on_ranks "$ranks" -m mpi
     done
 fi
 if [ "$long" ]; then

@@ -50,6 +50,7 @@ def same(value, other) -> bool:
     return type(value) is type(other) and repr(value) == repr(other)
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("name", ALLOWED)
 def test_odd_values_are_refused_in_one_line(comm, name):
     """Numbers out of range, texts, lists, nothing: InputError on one line, but for the few that mean something."""

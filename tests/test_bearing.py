@@ -16,7 +16,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Certificate, ContactSolution
 from pgfmd.surfaces.self_affine import self_affine
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 
 def kinds():

@@ -36,7 +36,6 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
 
 
 @pytest.mark.mpi
-@pytest.mark.uneven
 @pytest.mark.parametrize("count", broad([40, 300]))
 def test_random_jobs(comm, shared_tmp_path, count):
     """Each is right, to its certified error, or refused in one line.  A third are right at least: 62 per cent

@@ -54,6 +54,7 @@ def ratio(comm, case: str, seed: int, change) -> float:
     return found.certified_error / float(exact.error_of(pressure) * exact.scaled_work / work)
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_bound_holds_for_random_pressures(comm, case, seed):
@@ -70,6 +71,7 @@ def test_the_bound_holds_for_random_pressures(comm, case, seed):
     assert ratio(comm, case, seed, replaced) >= 1 - 1e-9
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("size", [1e-2, 1e-4])
 def test_the_bound_is_sharp_near_the_solution(comm, case, size):

@@ -8,7 +8,7 @@ from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable
 from pgfmd.parallel import collectives, mpi
 from pgfmd.parallel.collectives import from_root, raise_together, shared
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 
 @pytest.mark.parametrize("kind", [InputError, SolverError, Uncertifiable, Unreachable, OSError, MemoryError])

@@ -128,6 +128,7 @@ def test_staircase_is_the_mean_shift():
 # ---- straight lines --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("direction", [(1, 0), (0, 1), (9, 1), (5, 2), (3, 2), (4, 4), (1, 8)])
 def test_straight_edges(comm, direction):
     """The edges of waves of any direction lie within .02 a (rms over offsets; the bound asked for) of the exact ones,
@@ -149,6 +150,7 @@ def test_straight_edges(comm, direction):
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("direction", [(1, 0), (9, 1), (3, 2), (4, 4)])
 def test_straight_edges_on_a_thin_slab(comm, direction):
     """A slab of .02 pixels answers a wave Δ cos(qx) like springs: p = k Δ (cos qx − cos φ) for |qx| < φ, p̄ =

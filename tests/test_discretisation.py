@@ -39,6 +39,7 @@ def measured(grid, heights, load, cutoff):
     return observer.row(contact), grid.comm.bcast(observer.groups(contact)["discretisation"]), contact
 
 
+@pytest.mark.mpi("breadth")
 def test_bars_hold_what_a_finer_grid_finds(comm):
     """Of 40 numbers of rough contacts (λ_s = 8a), 9 in 10 are meant to lie within their bars of those on a grid four
     times as fine, whose errors are some 50 times smaller, and bars to be about three times the errors in the middle.
@@ -189,6 +190,7 @@ def test_load_that_moves_between_regions_is_no_error(seed):
     np.testing.assert_allclose(change_at_equal_load(fine, coarse, "mean_gap"), rest, atol=1e-13)
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("law", [HardWall(), Hardness(hardness=0.4)], ids=["hard", "hardness"])
 def test_gap_errs_by_what_the_energy_lacks(comm, law):
     """(pg − w)/p̄ has the error of the mean gap, but for terms smaller by √a: here against a grid three times as fine.

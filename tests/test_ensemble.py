@@ -241,6 +241,7 @@ def test_a_wrong_input_leaves_an_ensemble_as_it_was(comm, shared_tmp_path):
     assert (folder / "ensemble.h5").read_bytes() == before and len(pgfmd.Ensemble(folder)) == 4
 
 
+@pytest.mark.mpi("breadth")
 def test_one_surface_and_an_ensemble_do_not_share_a_folder(comm, shared_tmp_path):
     """Neither takes the other's folder, whatever the mode; readers say which it is."""
     pgfmd.run(with_seeds(3), shared_tmp_path / "one", comm=comm)
@@ -288,6 +289,7 @@ def test_ranks_share_what_one_cannot_hold():
     assert rank_groups(job, 3, alone * 0.6) == 1  # not two groups, one of which is a single rank
 
 
+@pytest.mark.mpi("breadth")
 def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeypatch):
     """A node that holds one surface at a time, but not one for each rank, runs the ensemble: it is refused only if the
     groups that are chosen for that memory do not fit.

@@ -66,6 +66,7 @@ LAWS = {
 }
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("law", LAWS)
 def test_random_contacts_by_brute_force(comm, law):
     """Pressures of a tight solution obey the law where the gap is by a dense matrix in extended precision, to 1e-9 of

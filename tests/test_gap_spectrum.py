@@ -17,7 +17,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Certificate, ContactSolution
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 JOB = rough_job(
     [24, 18],

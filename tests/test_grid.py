@@ -17,7 +17,7 @@ from pgfmd.parallel import collectives, mpi
 from pgfmd.parallel.collectives import await_all, raise_together, shared, slab_starts
 from pgfmd.parallel.layout import Layout
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 SHAPES = [(8, 8), (13, 10), (9, 7), (16, 6), (31, 1), (12, 2), (64, 48)]
 # Rounding of an FFT grows like eps log N; the factor covers the norm used here.

@@ -172,6 +172,7 @@ def test_solution_obeys_the_contact_conditions(comm, shape, load):
     assert found.max_violation < 1e-8
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("load", [0.0005, 0.05, 0.4, 1.5])
 @pytest.mark.parametrize("lambda_s", [1.0, 8.0])
 def test_certificate_is_a_sharp_bound(comm, lambda_s, load):
@@ -240,6 +241,7 @@ def lightly_loaded(grid):
     yield np.where((x == 3) & (y == 4) | (x == 20) & (y == 21), 1.0, 0.0)
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("thickness", [np.inf, 2.0])
 @pytest.mark.parametrize("load", [1e-100, 1e-30, 1e-12, 1e-9, 1e-7, 1e-5])
 def test_light_loads_are_certified(comm, load, thickness):
@@ -281,6 +283,7 @@ def solved(comm, heights, load, modulus=1.0, lengths=None, start=None, tolerance
     return whole(grid, found.pressure), found
 
 
+@pytest.mark.mpi("breadth")
 def test_work_does_not_grow_with_the_grid(comm):
     """Rough down to the pixel, four times as many points a side: no more than a quarter more transforms per point."""
     counts = []

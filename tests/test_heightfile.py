@@ -27,7 +27,7 @@ from pgfmd.surfaces.file import FromFile
 from pgfmd.surfaces.heights_file import digest, fill_missing
 from pgfmd.surfaces.sinusoid import Sinusoid
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 SHAPE = (11, 24)
 SDF, NPY = ROOT / "jobs" / "data" / "measured.sdf", ROOT / "jobs" / "data" / "measured.npy"

@@ -21,7 +21,7 @@ from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.active_set.unknowns import HALO, SetVector, Unknowns
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 comm = MPI.COMM_WORLD
 
 

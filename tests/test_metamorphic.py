@@ -120,6 +120,7 @@ def plain(comm, tmp_path_factory):
     return solved
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
 def test_units(comm, shared_tmp_path, plain, case):
     """Lengths × 1e±100 (in turns), pressures ÷ that: the same contact."""
@@ -136,6 +137,7 @@ MOVES = {
 }
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
 def test_moves(comm, shared_tmp_path, plain, case):
     """A surface that is shifted, turned, mirrored or repeated (in turns, over all four solids and all controls): so are
@@ -149,6 +151,7 @@ def test_moves(comm, shared_tmp_path, plain, case):
 ANY_ORDER = [case for case in CASES if case[1] in ("half-space", "free") and case[0] != "hardness"]
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", ANY_ORDER, ids=" ".join)
 def test_order_of_loads(comm, shared_tmp_path, plain, case):
     """Loads in another order, each from another one before it: the same pressures.  (A wall that yields remembers its
@@ -195,6 +198,7 @@ def files(comm, folder) -> dict:
 COSTS = ("iterations", "transforms", "seconds", "pressure_error", "certified_error", "max_violation")
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
 def test_restart(comm, shared_tmp_path, case):
     """A run of one load, stopped in it, continued with a load added, stopped in that, and continued again: the rows of

@@ -34,7 +34,7 @@ from pgfmd.surfaces.sinusoid import sinusoid
 from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import persson
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 MODULUS = 8 / 3
 NAMES = ["histogram", "spectra", "acf", "patches", "bearing", "lowpass"]

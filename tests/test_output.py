@@ -27,7 +27,7 @@ from pgfmd.observables import schema
 from pgfmd.observables.observable_kinds import LAYOUT
 from pgfmd.parallel.collectives import slab
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 SHAPE, LENGTHS = (13, 6), (26.0, 6.0)  # 13 rows: uneven slabs on 2, 3 and 4 ranks
 FIELD = np.arange(78.0).reshape(SHAPE) ** 1.5

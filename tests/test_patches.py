@@ -19,7 +19,7 @@ from pgfmd.observables.patch_table import patch_table
 from pgfmd.observables.run_length import find_fragments, find_runs
 from pgfmd.parallel.collectives import slab_starts
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 SPACING = (0.75, 1.25)  # unequal, and exact in binary: areas and extents come out without rounding
 EXACT = ("area", "perimeter", "extent_x", "extent_y", "peak_pressure", "percolates_x", "percolates_y")
@@ -226,6 +226,7 @@ def test_spiral_around_the_torus(comm):
     assert stair.percolates_x and stair.percolates_y
 
 
+@pytest.mark.mpi("breadth")
 def test_comb(comm):
     """Teeth that meet at the last row only, or at the first one, or at both in turn, are one patch."""
     teeth = np.zeros((18, 21), bool)

@@ -25,7 +25,7 @@ from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import exact
 
-pytestmark = pytest.mark.mpi
+pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 
 MODULUS = 8 / 3
 STRETCHED = ((48, 80), (1.0, 3.1))  # points, cell: pixels 0.021 × 0.039

@@ -1,0 +1,126 @@
+"""Changes of the code that tests must notice: seeded mutants of pgfmd/, each against the default tests of its line.
+
+    bash tools/bench/coverage.sh && python tools/bench/mutants.py [--seed 1] [--count 60]
+
+A mutant swaps one operator (comparison, arithmetic, and/or) or one condition of a line that coverage.sh counted.  Tests
+run in a copy of the checkout: the files whose tests run the line, those that run few lines first, serially, then on
+two ranks.  Half an hour for 60.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import coverage
+
+ROOT = Path(__file__).resolve().parents[2]
+ROOMS = ("solvers", "observables", "application", "surfaces")
+LIMIT = 240  # seconds for the tests of a mutant; one that takes longer hangs
+SWAPS = {
+    ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.And: ast.Or, ast.Or: ast.And,
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+}  # fmt: skip
+
+
+def sites(tree: ast.Module) -> list[ast.AST]:
+    """Nodes that can be changed, but not those of annotations."""
+    hidden = {id(node) for each in ast.walk(tree) for name in ("annotation", "returns")
+              if getattr(each, name, None) is not None for node in ast.walk(getattr(each, name))}  # fmt: skip
+    return [node for node in ast.walk(tree) if id(node) not in hidden and hasattr(node, "lineno") and _change(node)]
+
+
+def _change(node: ast.AST) -> str | None:
+    """What `mutate` would make of a node; None if nothing."""
+    if isinstance(node, ast.Compare):
+        return type(SWAPS[type(node.ops[0])]()).__name__
+    if isinstance(node, (ast.BinOp, ast.BoolOp)) and type(node.op) in SWAPS:
+        parts = [each for each in ast.iter_child_nodes(node) if isinstance(each, (ast.JoinedStr, ast.Constant))]
+        text = any(not isinstance(getattr(each, "value", ""), (int, float)) for each in parts)
+        return None if text else SWAPS[type(node.op)].__name__
+    if isinstance(node, (ast.If, ast.While, ast.IfExp)):
+        return "Not"
+    return None
+
+
+def mutate(node: ast.AST) -> None:
+    """Change a node in place."""
+    if isinstance(node, ast.Compare):
+        node.ops[0] = SWAPS[type(node.ops[0])]()
+    elif isinstance(node, (ast.BinOp, ast.BoolOp)):
+        node.op = SWAPS[type(node.op)]()
+    else:
+        node.test = ast.UnaryOp(ast.Not(), node.test)
+
+
+def tests_of(data: coverage.CoverageData, path: Path, line: int) -> list[str]:
+    """Test files that run the line, those that run least of the file first."""
+    by_line = data.contexts_by_lineno(str(path))
+    names = {name.split(".")[-2] for name in by_line.get(line, []) if "test_" in name}
+    size = {name: sum(any(f".{name}." in f".{each}" for each in found) for found in by_line.values()) for name in names}
+    files = [f"tests/{name}.py" for name in sorted(names, key=lambda name: size[name])]
+    return [file for file in files if (ROOT / file).exists()]
+
+
+def verdict(folder: Path, files: list[str]) -> str:
+    """How the tests end in the copy: "killed", on how many ranks, or "survived"."""
+    environment = os.environ | {"PYTHONPATH": str(folder), "MPLBACKEND": "Agg", "PGFMD_CACHE": str(folder / "cache")}
+    pytest = [sys.executable, "-m", "mpi4py", "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files]
+    on_two = [str(folder / "tests" / "mpirun.sh"), "2", sys.executable, *pytest[3:], "-m", "mpi"]
+    for ranks, command in ((1, pytest), (2, on_two)):
+        try:
+            done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT)
+        except subprocess.TimeoutExpired:
+            return f"killed, a hang on {ranks}"
+        if done.returncode not in (0, 5):
+            failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+            return f"killed on {ranks} by {failed[0] if failed else 'an error'}"
+    return "survived"
+
+
+def main() -> int:
+    """Draw the mutants, run their tests, and count; exit code 0."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--root", type=Path, default=ROOT, help="where coverage.sh ran")
+    options = parser.parse_args()
+    chance = random.Random(options.seed)
+    data = coverage.CoverageData(str(options.root / ".coverage"))
+    data.read()
+    drawn = []
+    for path in sorted(file for room in ROOMS for file in (options.root / "pgfmd" / room).rglob("*.py")):
+        lines = set(data.lines(str(path)) or ())
+        nodes = sites(ast.parse(path.read_text()))
+        drawn += [(path, number) for number, node in enumerate(nodes) if node.lineno in lines]
+    killed = 0
+    for path, number in chance.sample(drawn, options.count):
+        tree = ast.parse(path.read_text())
+        node = sites(tree)[number]
+        change, before = _change(node), ast.unparse(node).splitlines()[0]
+        files = tests_of(data, path, node.lineno)
+        mutate(node)
+        with tempfile.TemporaryDirectory() as folder:
+            copy = Path(folder) / "checkout"
+            shutil.copytree(options.root, copy, ignore=shutil.ignore_patterns(".git", ".venv", "results", ".coverage*"))
+            where = path.relative_to(options.root)
+            (copy / where).write_text(ast.unparse(tree))
+            said = verdict(copy, files) if files else "survived: no test runs it"
+        killed += said.startswith("killed")
+        print(json.dumps([f"{where}:{node.lineno}", change, before[:100], said], ensure_ascii=False), flush=True)
+    print(f"{killed} of {options.count} killed")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
