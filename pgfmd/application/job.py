@@ -8,11 +8,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import pickle
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
+from pgfmd import plugins as user_plugins
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.observables.adhesion import Adhesion
@@ -30,6 +33,7 @@ from pgfmd.physics.laws.table import LAWS
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.kinds import SOLIDS
 from pgfmd.physics.solids.solid import Solid
+from pgfmd.plugins import Plugin
 from pgfmd.solvers.options import CONTROLS, Load, Solver
 from pgfmd.surfaces.surface import Surface
 from pgfmd.surfaces.surface_kinds import SURFACES
@@ -83,6 +87,9 @@ class Written(Section):
     )
     pressure_unit: str = key(text(), "pressure", "label")
 
+    def __reduce__(self) -> tuple:  # to other ranks, where the class is made again
+        return _output, ({field.name: getattr(self, field.name) for field in dataclasses.fields(self)},)
+
     def check(self) -> None:
         makers = {field: name for name, kind in OBSERVABLES.items() for field in kind.fields}
         for field in self.fields:
@@ -101,10 +108,25 @@ class Written(Section):
         return patches.connectivity
 
 
-# `Output` is `Written` with one more key for each observable: the table [output.NAME].
-TABLES = [(name, kind, key(kind)) for name, kind in OBSERVABLES.items()]
-NAMES = {"__doc__": Written.__doc__, "__module__": __name__}  # the module, so that a job can be sent to other ranks
-Output = dataclasses.make_dataclass("Output", TABLES, bases=(Written,), namespace=NAMES, frozen=True, kw_only=True)
+def _output(values: dict[str, Any]) -> Written:
+    return output_section()(**values)
+
+
+def output_section() -> type[Written]:
+    """The section [output]: `Written`, with the observables that there are, and a table [output.NAME] for each."""
+    return _output_section(tuple(OBSERVABLES.items()))
+
+
+@cache
+def _output_section(kinds: tuple[tuple[str, type[Observable]], ...]) -> type[Written]:
+    listed = {field.name: field for field in dataclasses.fields(Written)}["observables"].metadata
+    names = many(choice(*(name for name, _ in kinds)), distinct=True)
+    observables = key(names, (), listed["about"], example=listed["example"])
+    fields = [("observables", tuple, observables), *((name, kind, key(kind)) for name, kind in kinds)]
+    names_of_class = {"__doc__": Written.__doc__, "__module__": __name__}
+    return dataclasses.make_dataclass(
+        "Output", fields, bases=(Written,), namespace=names_of_class, frozen=True, kw_only=True
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,8 +139,9 @@ class Job:
     wall: ContactLaw = dataclasses.field(default_factory=HardWall)
     load: Load
     solver: Solver = dataclasses.field(default_factory=Solver)
-    output: Written = dataclasses.field(default_factory=Output)
+    output: Written = dataclasses.field(default_factory=lambda: output_section()())
     run: Run = dataclasses.field(default_factory=Run)
+    plugins: tuple[Plugin, ...] = ()
     text: str = dataclasses.field(default="", compare=False, repr=False)  # the TOML file as the user wrote it
 
     def __post_init__(self) -> None:
@@ -138,6 +161,10 @@ class Job:
             names = (*self.output.observables, Adhesion.name)
             object.__setattr__(self, "output", dataclasses.replace(self.output, observables=names))
 
+    def __reduce__(self) -> tuple:  # to other ranks, which need the plugins before the objects that are made of them
+        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return _job, (values.pop("plugins"), pickle.dumps(values))
+
     @property
     def cell(self) -> Cell:
         """The grid on which contacts are solved."""
@@ -145,8 +172,9 @@ class Job:
 
     @property
     def sources(self) -> dict[str, tuple[str, str | None]]:
-        """The files that sections name, each with the dataset in it: section → `Section.source`."""
-        found = {name: getattr(self, name).source for name in SECTIONS}
+        """The files that the job names, each with the dataset in it: key → (path, dataset)."""
+        found = {f"{name}.path": getattr(self, name).source for name in SECTIONS}
+        found |= {f"plugins[{number}]": (plugin.path, None) for number, plugin in enumerate(self.plugins)}
         return {name: source for name, source in found.items() if source is not None}
 
     def of_seed(self, seed: int) -> Job:
@@ -154,7 +182,13 @@ class Job:
         return dataclasses.replace(self, surface=dataclasses.replace(self.surface, seed=seed))  # type: ignore[call-arg]
 
 
-_SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, SOLIDS, LAWS, Load, Solver, Output, Run)
+def _job(plugins: tuple[Plugin, ...], values: bytes) -> Job:
+    for plugin in plugins:
+        plugin.load()
+    return Job(**pickle.loads(values), plugins=plugins)
+
+
+_SECTIONS: tuple[type[Section] | Kinds, ...] = (Cell, SURFACES, SOLIDS, LAWS, Load, Solver, output_section(), Run)
 SECTIONS = {kind.where: kind for kind in _SECTIONS}
 
 
@@ -193,6 +227,7 @@ def parse(
     try:
         if folder is not None:
             _anchor(document, folder)
+        plugins = _load_plugins(document.pop("plugins", []))
         changes = {dotted: (value, entry) for dotted, value, entry in map(_change, overrides)}
         overridden |= changes.keys()
         _make_way(document, {dotted: value for dotted, (value, _) in changes.items()})
@@ -200,7 +235,7 @@ def parse(
             _override(document, dotted, value, entry)
         if folder is not None:
             _complete(document)
-        sections: dict[str, Any] = {}
+        sections: dict[str, Any] = {"plugins": plugins}
         for section, table in document.items():
             if section not in SECTIONS:
                 raise InputError(f"[{printable(section)}] is not a section{guess(section, list(SECTIONS))}")
@@ -215,12 +250,27 @@ def parse(
         raise InputError(f"{at_fault}: {error}") from None
 
 
+PLUGINS = many(text())
 NO_UNIT = "length"  # the length_unit of jobs that do not say one
 NEEDED = {
     "grid": "n, the points per side (those of a file of heights if it is left out)",
     "surface": "kind, the sort of heights",
     "load": f"one of {', '.join(CONTROLS)}",
 }
+
+
+def _load_plugins(paths: Any) -> tuple[Plugin, ...]:
+    """Register what the files of the key `plugins` define; raises InputError."""
+    try:
+        found = tuple(map(user_plugins.read, PLUGINS.convert(paths)))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"plugins = {show(paths)}: must be {PLUGINS.allowed}") from None
+    for plugin in found:
+        plugin.load()
+    SECTIONS["output"] = output_section()
+    return found
 
 
 def _change(entry: str) -> tuple[str, Any, str]:
@@ -271,6 +321,8 @@ def _anchor(document: dict, folder: str) -> None:
     for table in document.values():
         if isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
             table["path"] = os.path.join(folder, table["path"])
+    if isinstance(found := document.get("plugins"), list):
+        document["plugins"] = [os.path.join(folder, path) if isinstance(path, str) else path for path in found]
 
 
 def _complete(document: dict) -> None:
@@ -303,7 +355,8 @@ def _complete(document: dict) -> None:
 
 def as_toml(job: Job) -> str:
     """The effective job as TOML: every key with its value, defaults included.  `parse` of it gives an equal Job."""
-    return "\n".join(section_as_toml(section, getattr(job, section)) for section in SECTIONS)
+    plugins = [f"plugins = {as_toml_value([plugin.path for plugin in job.plugins])}\n"] if job.plugins else []
+    return "\n".join([*plugins, *(section_as_toml(section, getattr(job, section)) for section in SECTIONS)])
 
 
 def tables_as_toml(job: Mapping[str, Any]) -> str:

@@ -16,12 +16,16 @@ UNITS = """\
 # The unit of a number stands in brackets. [length] and [pressure] are yours: any consistent set, such as m and Pa.
 # [grid spacings] are the shorter ones, where those along x and y differ; [1] is a pure number.
 """
+PLUGINS = """\
+# plugins = ["my_law.py"]         # Python files with laws, solids, surfaces or observables of your own, relative to the
+                                  # job's folder. Their code runs: use only files that you trust. Above all tables.
+"""
 Tables = Iterable[type[Section] | Kinds]
 
 
 def reference(tables: Tables) -> str:
     """A commented job with every table of every kind.  Keys that may be left out are commented out, unless `shown`."""
-    return "\n".join([UNITS, *(block for table in tables for block in _blocks(table))])
+    return "\n".join([UNITS + PLUGINS, *(block for table in tables for block in _blocks(table))])
 
 
 def example(tables: Tables, *kinds: str) -> str:

@@ -84,17 +84,25 @@ class Kinds:
     """The sections that one table may be.
 
     where: the name of the table.  choices: the sections; several may share a kind if their needed keys differ.
-    default: the section of a table that is left out; None: the table and its `kind` are needed.
+    default: the section of a table that is left out; None: the table and its `kind` are needed.  added: choices of a
+    user, which only their `kind` chooses.
     """
 
     where: str
     choices: tuple[type[Section], ...]
     default: type[Section] | None = None
+    added: tuple[type[Section], ...] = ()
 
     @property
     def allowed(self) -> str:
         """The values of `kind`, in words."""
         return "one of " + ", ".join(show(kind) for kind in dict.fromkeys(choice.kind for choice in self.choices))
+
+    def add(self, section: type[Section]) -> None:
+        """Add a section; it replaces those of its kind."""
+        others = (choice for choice in self.choices if choice.kind != section.kind)
+        object.__setattr__(self, "choices", (*others, section))
+        object.__setattr__(self, "added", (*self.added, section))
 
     def choose(self, table: Mapping[str, Any]) -> type[Section]:
         """The section for the keys of a table; raises InputError for a kind that is unknown or missing.
@@ -110,7 +118,7 @@ class Kinds:
         elif self.default is None:
             raise InputError(f"{self.where}.kind is missing: it must be {self.allowed}")
         else:
-            found = [self.default, *self.choices]
+            found = [self.default, *(choice for choice in self.choices if choice not in self.added)]
         return max(found, key=lambda choice: (_fits(choice, table), -len(dataclasses.fields(choice))))
 
     def keys(self, kind: Any) -> set[str] | None:
