@@ -13,10 +13,11 @@ from typing import Any, TypedDict, Unpack, overload
 import numpy as np
 
 from pgfmd.errors import InputError
+from pgfmd.grid.domain import DOMAINS, Domain
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import interpolate
 from pgfmd.observables.contact import Certified, Contact, certified
-from pgfmd.options.rules import POSITIVE, Rule, integer, number, pair
+from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
 from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import raise_together
@@ -58,6 +59,7 @@ class Options(TypedDict, total=False):
     gap_tolerance: float
     start: np.ndarray | None
     refine: int
+    boundary: str
     comm: MPI.Comm | None
     threads: int | None
     progress: bool | None
@@ -113,6 +115,7 @@ def solve(
     gap_tolerance: float = 1e-4,
     start: np.ndarray | None = None,
     refine: int = 1,
+    boundary: str = "periodic",
     comm: MPI.Comm | None = None,
     threads: int | None = None,
     progress: bool | None = None,
@@ -130,6 +133,9 @@ def solve(
     Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
     them, each starting from the last if its p̄ is within 5 %.  area_tolerance, gap_tolerance: see [load] of a job.
+
+    boundary: "periodic", or "open": the heights are a patch of an infinite surface, and no pressure acts outside of it;
+    displacement is then the approach of distant points.
 
     spacing: of the grid; None: that of a topography, else 1.  wall: a contact law, or its keys as in [wall] of a job; a
     hard wall if this and zeta are None.  zeta: the range of an exponential wall with σ_ref = contact_modulus.
@@ -159,14 +165,16 @@ def solve(
         topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
         heights = _surface(heights, topography)
         name, targets, single = _targets(imposed)
-        refine = _checked("refine", refine, integer(1))
+        refine, domain = _checked("refine", refine, integer(1)), DOMAINS[_checked("boundary", boundary, BOUNDARY)]
+        if refine > 1 and not domain.wraps:
+            raise InputError('refine: must be 1 with boundary = "open": heights that do not wrap have no Fourier modes')
         solid = _solid(contact_modulus, thickness, base, poisson, solid)
         law = _law(wall, zeta)
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
-    _agree(comm, (name, targets, single, solid, law, options, closeness, refine, start is None))
-    grid = _grid(comm, heights, spacing, threads)
+    _agree(comm, (name, targets, single, solid, law, options, closeness, refine, domain, start is None))
+    grid = _grid(comm, heights, spacing, threads, domain)
     _mend(grid, heights, topography)
     if refine > 1:
         own, grid = grid, grid.like(comm, (refine * grid.shape[0], refine * grid.shape[1]), grid.lengths)
@@ -208,6 +216,7 @@ def certify(
     thickness: float = math.inf,
     base: str | None = None,
     poisson: float = 0.25,
+    boundary: str = "periodic",
     comm: MPI.Comm | None = None,
     threads: int | None = None,
 ) -> Certified:
@@ -236,9 +245,10 @@ def certify(
         if not np.isfinite(given).all():
             raise InputError("pressure: all values must be finite")
         solid, law = _solid(contact_modulus, thickness, base, poisson, solid), _law(wall, zeta)
+        domain = DOMAINS[_checked("boundary", boundary, BOUNDARY)]
         mean = None if mean_pressure is None else _checked("mean_pressure", mean_pressure, POSITIVE)
-    _agree(comm, (solid, law, mean))
-    grid = _grid(comm, heights, spacing, threads)
+    _agree(comm, (solid, law, mean, domain))
+    grid = _grid(comm, heights, spacing, threads, domain)
     _mend(grid, heights, topography)
     solid.prepare(grid)
     contact = certified(ContactProblem(grid, heights, solid, law), given, mean)
@@ -282,14 +292,14 @@ def _kept(array: np.ndarray, given: Any) -> np.ndarray:
     return array.copy() if owner.flags.writeable and np.may_share_memory(array, given) else array
 
 
-def _grid(comm: MPI.Comm, heights: np.ndarray, spacing: Any, threads: Any) -> SlabGrid:
+def _grid(comm: MPI.Comm, heights: np.ndarray, spacing: Any, threads: Any, domain: Domain) -> SlabGrid:
     """The grid of heights that are split over the ranks; raises InputError.  Collective."""
     with raise_together(comm):
         ax, ay = _checked("spacing", 1.0 if spacing is None else spacing, SPACING)
         threads = None if threads is None else _checked("threads", threads, integer(1))
     rows, ny = comm.allgather(len(heights)), heights.shape[1]
     _agree(comm, (ax, ay, ny))
-    grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads)
+    grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads, domain=domain)
     if rows != list(np.diff(grid.starts)):
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
     return grid
@@ -380,6 +390,7 @@ def _solve(
         bar.hide()
 
 
+BOUNDARY = choice(*DOMAINS)
 SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow
 
 

@@ -35,7 +35,7 @@ def field(shape, seed=0):
 def test_forward_is_the_plain_sum(comm, shape, shared, dtype):
     """Spectra equal NumPy's rfft2, transposed, whether strips are shared or exchanged."""
     whole = field(shape)
-    grid = SlabGrid(comm, shape, shared=shared)
+    grid = SlabGrid(comm, shape, transform="blocked" if shared else "exchanged")
     found = grid.forward(whole[grid.rows].astype(dtype))
     expected = np.fft.rfft2(whole.astype(dtype)).T[grid.columns]
     assert found.shape == grid.spectral_shape
@@ -247,7 +247,7 @@ def test_waiting_for_those_who_work_takes_no_processor(monkeypatch):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_rows_cross_the_ranks(comm, shared, shape, dtype):
     """In messages, or through the memory of transforms once that is there, as often as one likes."""
-    grid = SlabGrid(comm, shape, shared=shared)
+    grid = SlabGrid(comm, shape, transform="blocked" if shared else "exchanged")
     whole = field(shape).astype(dtype)
     for _ in range(3):
         for first, stop in ((-3 - comm.rank, 5), (4, 4), (9, 9 + 25 + comm.rank), (-30, -2)):

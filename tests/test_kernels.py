@@ -80,7 +80,7 @@ def test_correlate(density, rng):
         for mask in (source, target)
     ]
     for rows in ((0, 5), (5, 78)):
-        stencil.correlate((field[source], lists[0]), disc[3:, 3:], np.empty((38, 76)), lists[1], rows, out)
+        stencil.correlate((field[source], lists[0]), (disc[3:, 3:], True), np.empty((38, 76)), lists[1], rows, out)
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(field, ((0, 0), (3, 3)), mode="wrap"), (7, 7))
     assert np.allclose(out, np.einsum("ijst,st->ij", windows, disc)[target], rtol=1e-13, atol=1e-15)
 
@@ -252,7 +252,7 @@ def test_interpolate_rows(rng, twice):
         first, column_weights = np.arange(12) // 2 - 1, np.tile([[0, 1, 0, 0], rng.random(4)], (6, 1))
     columns = (first[:, None] + np.arange(4)) % 6
     out = np.empty((3, len(first)))
-    kernels.interpolate_rows(coarse, index, weights, first, column_weights, out)
+    kernels.interpolate_rows(coarse, (index, weights), (first, column_weights), True, out)
     picked = coarse[(index[:, None] + np.arange(4))[:, :, None, None], columns[None, None]]
     assert np.allclose(out, np.einsum("is,jt,isjt->ij", weights, column_weights, picked), rtol=1e-13, atol=0)
 
@@ -264,7 +264,7 @@ def test_combine_columns(rng, twice):
     if twice:
         field, out, weights = rng.random((3, 14)), np.empty((3, 7)), np.tile(rng.random(8), (7, 1))
         columns = (2 * np.arange(7)[:, None] - 3 + np.arange(8)) % 14
-    kernels.combine_columns(field, columns, weights, out)
+    kernels.combine_columns(field, columns, weights, out, True)
     picked = field[:, columns]
     assert np.allclose(out, np.einsum("jt,ijt->ij", weights, picked), rtol=1e-13, atol=0)
 

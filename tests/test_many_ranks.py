@@ -20,7 +20,7 @@ TCP = {"OMPI_MCA_btl": "tcp,self", "OMPI_MCA_pml": "ob1", "OMPI_MCA_osc": "^sm"}
 EXCHANGED = """
 import functools, sys
 from pgfmd.application import simulate
-simulate.SlabGrid = functools.partial(simulate.SlabGrid, shared=False)
+simulate.SlabGrid = functools.partial(simulate.SlabGrid, transform="exchanged")
 from pgfmd.application.cli import main
 sys.exit(main())
 """

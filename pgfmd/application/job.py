@@ -150,6 +150,9 @@ class Job:
         self.load.check_law(self.wall)
         if not self.wall.convex:
             self._of_attraction()
+        for observable in self.output.asked:
+            observable.check_in(self.grid.domain)
+        self.solver.check_domain(self.wall, self.solid, self.grid.domain)
 
     def _of_attraction(self) -> None:
         """What walls that attract ask of the output: columns of their own, no observable that knows hard walls only."""

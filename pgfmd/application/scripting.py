@@ -40,7 +40,7 @@ def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None)
     if isinstance(job, Mapping):
         job = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": 1.0}} | dict(job)
     job = job if isinstance(job, Job) else from_root(comm, _job, job)
-    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform)
+    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
     with grid.freed():
         return refined_heights(job.surface, job.grid, grid, job.output.length_unit)
 

@@ -81,7 +81,7 @@ def simulate(
     memory = from_root(comm, estimate, job, comm.size, math.inf, here).node / here  # may read the surface's table
     if alone:
         machine.refuse_too_large(comm, memory)
-    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform)
+    grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
     output = job.output
     inputs = {source[0]: digest(comm, source) for source in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)

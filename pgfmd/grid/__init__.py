@@ -1,1 +1,1 @@
-"""A periodic grid in slabs of rows: its transforms, the transfer between grids, rows of neighbouring ranks."""
+"""A grid in slabs of rows: its transforms, the transfer between grids, rows of neighbouring ranks."""

@@ -15,7 +15,7 @@ from pgfmd.grid import kernels
 RowAction = Callable[[int, int, np.ndarray], None]
 """action(first, stop, rows): fills or reads `rows` (stop − first, ny), local rows first … stop−1 of a field."""
 ColumnAction = Callable[[np.ndarray, int, int], None]
-"""action(block, first, stop): changes, makes or reads `block` (stop − first, nx), local ky first … stop−1."""
+"""action(block, first, stop): changes, makes or reads `block` (stop − first, Nx), local ky first … stop−1."""
 
 
 def source(field: np.ndarray) -> RowAction:
@@ -56,7 +56,7 @@ def sink(field: np.ndarray) -> RowAction:
 
 
 def scaling(factors: np.ndarray) -> ColumnAction:
-    """Multiplies the modes of a spectrum, complex64, by factors (nky_local, nx), float32."""
+    """Multiplies the modes of a spectrum, complex64, by factors (nky_local, Nx), float32."""
 
     def act(block: np.ndarray, first: int, stop: int) -> None:
         kernels.scale_modes(block.view(factors.dtype).reshape(*block.shape, 2), factors[first:stop])

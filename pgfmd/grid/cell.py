@@ -1,11 +1,12 @@
-"""The periodic cell as a job describes it: points, and their spacing or the cell's size.  No MPI here."""
+"""The cell or patch as a job describes it: points, and their spacing or the cell's size.  No MPI here."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from pgfmd.options.rules import POSITIVE, integer, pair
+from pgfmd.grid.domain import DOMAINS, Domain
+from pgfmd.options.rules import POSITIVE, choice, integer, pair
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
@@ -17,7 +18,7 @@ the library's arrays in both precisions, measured."""
 
 @dataclass(frozen=True, kw_only=True)
 class Cell(Section):
-    """The periodic cell and its grid of points."""
+    """The grid of points, on a periodic cell or, with boundary = "open", on a patch outside of which nothing acts."""
 
     where = "grid"
     n: tuple[int, int] = key(
@@ -35,7 +36,15 @@ class Cell(Section):
         "by their Fourier modes: a smaller error where roughness reaches the pixel",
     )
 
+    boundary: str = key(
+        choice(*DOMAINS), "periodic", "open: a patch of an infinite surface, outside of which no pressure acts"
+    )
+
     def check(self) -> None:
+        if self.boundary == "open" and self.refine > 1:
+            raise wrong(
+                self, "refine", 'must be 1 with boundary = "open": heights that do not wrap have no Fourier modes'
+            )
         if max(self.n) < 2:
             raise wrong(self, "n", "at least one direction must have 2 points")
         if self.length and self.spacing:
@@ -47,7 +56,12 @@ class Cell(Section):
     def refined(self) -> Cell:
         """The grid on which contacts are solved."""
         nx, ny = (self.refine * n for n in self.n)
-        return Cell(n=(nx, ny), length=self.lengths) if self.refine > 1 else self
+        return Cell(n=(nx, ny), length=self.lengths, boundary=self.boundary) if self.refine > 1 else self
+
+    @property
+    def domain(self) -> Domain:
+        """Which points may bear pressure, and what wraps."""
+        return DOMAINS[self.boundary]
 
     @property
     def shape(self) -> tuple[int, int]:

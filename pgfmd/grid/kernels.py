@@ -55,9 +55,7 @@ def tiles_and_columns(tiles: np.ndarray, nx: int, first: int, count: int, block:
 
 
 @jit
-def scale_by_q(
-    block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float, divide: bool
-) -> None:
+def scale_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float, divide: bool) -> None:
     """block[j, i] *= factor · √(qx²[i] + qy²[j]), or if `divide` factor / √(qx²[i] + qy²[j]) and 0 at q = 0; the last
     axis of `block` holds (real, imaginary).
     """
@@ -83,43 +81,67 @@ def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
 
 
 @jit
+def scale_even(block: np.ndarray, table: np.ndarray, factor: float, divide: bool) -> None:
+    """block *= factor · table, or factor / table if `divide`, for a table of kx = 0 … n // 2 of modes that are even in
+    kx; the last axis of `block` holds (real, imaginary).
+    """
+    n = block.shape[1]
+    scale = np.empty(n, table.dtype)
+    for j in range(table.shape[0]):
+        for i in range(table.shape[1]):
+            scale[i] = factor / table[j, i] if divide else factor * table[j, i]
+        for i in range(1, n - table.shape[1] + 1):
+            scale[n - i] = scale[i]
+        for i in range(n):
+            block[j, i, 0] *= scale[i]
+            block[j, i, 1] *= scale[i]
+
+
+@jit
 def interpolate_rows(
     coarse: np.ndarray,
-    first_row: np.ndarray,
-    weights: np.ndarray,
-    first_column: np.ndarray,
-    column_weights: np.ndarray,
+    rows: tuple[np.ndarray, np.ndarray],
+    columns: tuple[np.ndarray, np.ndarray],
+    wraps: bool,
     out: np.ndarray,
 ) -> None:
     """out[i, j] = Σ_st weights[i, s] column_weights[j, t] coarse[first_row[i] + s, first_column[j] + t]: separable
-    interpolation by four points; columns from −1 on, wrapping.
+    interpolation by four points, rows: first_row, weights; columns from −1 on, wrapping, or from −2 on, mirrored.
     """
+    (first_row, weights), (first_column, column_weights) = rows, columns
     ny = coarse.shape[1]
-    line = np.empty(ny + 4, coarse.dtype)
+    line = np.empty(ny + 5, coarse.dtype)
     for i in range(out.shape[0]):
         at, a, b, c, d = first_row[i], weights[i, 0], weights[i, 1], weights[i, 2], weights[i, 3]
         for j in range(ny):
-            line[j + 1] = b * coarse[at + 1, j] + c * coarse[at + 2, j] + (a * coarse[at, j] + d * coarse[at + 3, j])
-        line[0] = line[ny]
-        for t in range(1, weights.shape[1]):  # not range(4): to unroll it takes long
-            line[ny + t] = line[t]
-        if out.shape[1] == 2 * ny:  # column 2j is point j, column 2j + 1 a middle: six times as fast
+            line[j + 2] = b * coarse[at + 1, j] + c * coarse[at + 2, j] + (a * coarse[at, j] + d * coarse[at + 3, j])
+        for t in range(weights.shape[1] - 1):  # not range(3): to unroll it takes long
+            line[ny + 2 + t] = line[2 + t] if wraps else line[2 + max(ny - 1 - t, 0)]
+        line[0], line[1] = (line[ny], line[ny + 1]) if wraps else (line[2 + min(ny - 1, 1)], line[2])
+        if out.shape[1] == 2 * ny and not wraps:  # columns lie a quarter of a spacing before and after each point
             a, b, c, d = column_weights[1, 0], column_weights[1, 1], column_weights[1, 2], column_weights[1, 3]
             for j in range(ny):
-                out[i, u(2 * j)] = line[u(j + 1)]
-                out[i, u(2 * j + 1)] = (a * line[u(j)] + d * line[u(j + 3)]) + (b * line[u(j + 1)] + c * line[u(j + 2)])
+                left, middle, right = line[u(j + 1)], line[u(j + 2)], line[u(j + 3)]
+                out[i, u(2 * j)] = (d * line[u(j)] + c * left) + (b * middle + a * right)
+                out[i, u(2 * j + 1)] = (a * left + b * middle) + (c * right + d * line[u(j + 4)])
+        elif out.shape[1] == 2 * ny:  # column 2j is point j, column 2j + 1 a middle: six times as fast
+            a, b, c, d = column_weights[1, 0], column_weights[1, 1], column_weights[1, 2], column_weights[1, 3]
+            for j in range(ny):
+                out[i, u(2 * j)] = line[u(j + 2)]
+                middle = b * line[u(j + 2)] + c * line[u(j + 3)]
+                out[i, u(2 * j + 1)] = (a * line[u(j + 1)] + d * line[u(j + 4)]) + middle
         else:
             for j in range(out.shape[1]):
-                start, weight = u(first_column[j] + 1), column_weights[j]
+                start, weight = u(first_column[j] + 2), column_weights[j]
                 left = weight[0] * line[start] + weight[1] * line[start + u(1)]
                 out[i, j] = left + (weight[2] * line[start + u(2)] + weight[3] * line[start + u(3)])
 
 
 @jit
-def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray, out: np.ndarray, wraps: bool) -> None:
     """out[i, j] = Σ_t weights[j, t] field[i, columns[j, t]] over t < `TAPS`; (ny_coarse, `TAPS`) weights"""
     ny = field.shape[1]
-    line, begin = np.empty(ny + 2 * TAPS, out.dtype), (columns[0, 0] + TAPS) % ny
+    line, begin = np.empty(ny + 2 * TAPS, out.dtype), (columns[0, 0] + TAPS) % ny if wraps else TAPS - 3
     if ny == 2 * out.shape[1] and ny >= TAPS:  # the same weights at every second column: four times as fast
         a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
         e, f, g, h = weights[0, 4], weights[0, 5], weights[0, 6], weights[0, 7]
@@ -127,7 +149,8 @@ def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray,
             for j in range(ny):
                 line[u(j + TAPS)] = field[i, u(j)]
             for j in range(weights.shape[1]):
-                line[j], line[ny + TAPS + j] = line[ny + j], line[TAPS + j]
+                line[j] = line[ny + j] if wraps else line[2 * TAPS - 1 - j]
+                line[ny + TAPS + j] = line[TAPS + j] if wraps else line[ny + TAPS - 1 - j]
             for j in range(out.shape[1]):
                 k = 2 * j + begin
                 left = (a * line[u(k)] + b * line[u(k + 1)]) + (c * line[u(k + 2)] + d * line[u(k + 3)])

@@ -1,16 +1,18 @@
-"""`SlabGrid`: a doubly periodic grid in slabs of rows, its wave numbers and transforms.
+"""`SlabGrid`: a grid in slabs of rows, its wave numbers and transforms.
 
-Symbols: nx × ny points on a cell lx × ly; fields are float64 of shape (nx_local, ny), axis 0 (x) split over the ranks.
-Spectra are complex of shape (nky_local, nx): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in FFT order, so
-spectra are *transposed*.  A mode with 0 < ky < ny/2 stands for itself and its conjugate: Hermitian weight 2, else 1.
+Symbols: nx × ny points on lx × ly; fields are float64 of shape (nx_local, ny), axis 0 (x) split over the ranks.
+Transforms run on the torus of the `Domain`, of Nx × Ny modes: those of the points in a periodic cell, more where fields
+end at the border.  Spectra are complex of shape (nky_local, Nx): axis 0 is ky ≥ 0 split over the ranks, axis 1 is kx in
+FFT order, so spectra are *transposed*.  A mode with 0 < ky < Ny/2 stands for itself and its conjugate: Hermitian weight
+2, else 1.
 
-DFT convention: `forward` is the plain sum over points, `backward` carries 1/(nx ny).  The methods that take callbacks
+DFT convention: `forward` is the plain sum over points, `backward` carries 1/(Nx Ny).  The methods that take callbacks
 (`make_field`, `convolve`) do not apply that factor; one of their callbacks has to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -19,6 +21,7 @@ from numpy.typing import DTypeLike
 from pgfmd.errors import InputError
 from pgfmd.grid.aligned import new_field
 from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
+from pgfmd.grid.domain import PERIODIC, Domain
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import Transform
 from pgfmd.grid.transpose import Strips, make_strips
@@ -30,16 +33,25 @@ from pgfmd.parallel.threads import Threads, threads_per_rank
 BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into the cache together
 
 
+def transform_work(shape: tuple[int, int], torus: tuple[int, int]) -> float:
+    """Work of a pair of transforms of nx × ny points on a torus of Nx × Ny modes, over that of a periodic pair: nx rows
+    of Ny and Ny columns of Nx numbers, for nx rows of ny and ny columns of nx.
+    """
+    return torus[1] / shape[1] * (1 + torus[0] / shape[0]) / 2
+
+
 class SlabGrid:
-    """A periodic grid whose rows are distributed over the ranks of `comm`.  Making one does not communicate; memory
+    """A grid whose rows are distributed over the ranks of `comm`.  Making one does not communicate; memory
     for transforms is allocated on first use.
 
     Attributes
     ----------
     comm, shape (nx, ny), lengths (lx, ly), spacing (ax, ay), pixel_area
     rows: slice of the global rows that this rank holds;  starts: first row of each rank, and nx;  layout: both
-    local_shape: (nx_local, ny);  spectral_shape: (nky_local, nx);  band: number of rows in a band (`BAND`)
-    qx (1, nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
+    size: number of points;  domain;  torus (Nx, Ny), modes: their number, period: sides of the torus
+    local_shape: (nx_local, ny);  spectral_shape: (nky_local, Nx);  band: number of rows in a band (`BAND`)
+    qx (1, Nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
+    even_weight (Nx // 2 + 1,): 2 for a kx > 0 that stands for itself and −kx, else 1
     transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
     """
 
@@ -50,11 +62,11 @@ class SlabGrid:
         lengths: tuple[float, float] | None = None,
         threads: int | None = None,
         transform: str = "blocked",
-        shared: bool = True,
+        domain: Domain = PERIODIC,
     ) -> None:
         """lengths: None means the numbers of points (spacing 1).  threads: number of threads of this rank, None means
-        `threads_per_rank()`.  transform: one of `cell.TRANSFORMS`.  shared: whether blocked transforms may use memory
-        that the ranks of a node share.
+        `threads_per_rank()`.  transform: one of `cell.TRANSFORMS`, or "exchanged": blocked, without memory that the
+        ranks of a node share.
         """
         nx, ny = (int(n) for n in shape)
         if min(nx, ny) < 1:
@@ -66,28 +78,38 @@ class SlabGrid:
         self.lengths = (float(nx), float(ny)) if lengths is None else (float(lengths[0]), float(lengths[1]))
         self.spacing = (self.lengths[0] / nx, self.lengths[1] / ny)
         self.pixel_area = self.spacing[0] * self.spacing[1]
-        self.size = nx * ny
+        self.size, self.domain = nx * ny, domain
+        if transform == "mpi4py-fft" and not domain.wraps:
+            raise InputError('solver.transform = "mpi4py-fft": does not pad; with boundary = "open" take "blocked"')
+        self.torus = domain.torus(self.shape, self.spacing)
+        self.modes, self.work = self.torus[0] * self.torus[1], transform_work(self.shape, self.torus)
+        padded = self.torus[0] * self.spacing[0], self.torus[1] * self.spacing[1]
+        self.period = self.lengths if domain.wraps else padded
         self.layout = Layout(comm, slab_starts(nx, comm.size))
         self.rows, self.starts = self.layout.rows, self.layout.starts
         self.local_shape = (self.rows.stop - self.rows.start, ny)
         self.band = max(1, BAND // ny)
-        self.columns = slab(ny // 2 + 1, comm.size, comm.rank)
-        self.spectral_shape = (self.columns.stop - self.columns.start, nx)
+        mx, my = self.torus
+        self.columns = slab(my // 2 + 1, comm.size, comm.rank)
+        self.spectral_shape = (self.columns.stop - self.columns.start, mx)
         ky = np.arange(self.columns.start, self.columns.stop)
-        self.qx = (2 * np.pi / self.lengths[0] * np.fft.fftfreq(nx, 1 / nx))[None, :]
-        self.qy = (2 * np.pi / self.lengths[1] * ky)[:, None]
-        self.hermitian_weight = np.where((ky == 0) | (2 * ky == ny), 1.0, 2.0)[:, None]
+        self.qx = (2 * np.pi / self.period[0] * np.fft.fftfreq(mx, 1 / mx))[None, :]
+        self.qy = (2 * np.pi / self.period[1] * ky)[:, None]
+        self.hermitian_weight = np.where((ky == 0) | (2 * ky == my), 1.0, 2.0)[:, None]
+        kx = np.arange(mx // 2 + 1)
+        self.even_weight = np.where((kx == 0) | (2 * kx == mx), 1.0, 2.0)
         # A small slab is not worth waking threads for.
         threads = self.asked_threads = threads_per_rank() if threads is None else threads
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
-        self._transform_name, self._shared = transform, shared
+        self._transform_name = transform
         self._strips: Strips | None = None
         self._planned: dict[np.dtype, Transform | LibraryTransform] = {}
+        self.tables: dict[Hashable, np.ndarray] = {}  # symbols of solids, kept for the next load
         self._around: dict[tuple[int, int], RowPlan] = {}
 
     def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:
-        """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, nx)."""
+        """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, Nx)."""
         return self.qx**2 + self.qy[first:stop] ** 2
 
     def transform(self, dtype: DTypeLike = np.float64) -> Transform | LibraryTransform:
@@ -97,8 +119,9 @@ class SlabGrid:
             self._planned[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
         elif dtype not in self._planned:
             if self._strips is None:
-                self._strips = make_strips(self.comm, self.shape, self._shared)
-            self._planned[dtype] = Transform(self._strips, self.shape, dtype, self.threads)
+                place = self.shape[0], self.torus[1]
+                self._strips = make_strips(self.comm, place, self._transform_name != "exchanged")
+            self._planned[dtype] = Transform(self._strips, self.shape, self.torus, dtype, self.threads)
         return self._planned[dtype]
 
     def new_field(self, dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -106,7 +129,7 @@ class SlabGrid:
         return new_field(self.local_shape, dtype)
 
     def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Spectrum (nky_local, nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""
+        """Spectrum (nky_local, Nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""
         transform = self.transform(field.dtype)
         out = np.empty(self.spectral_shape, transform.complex) if out is None else out
 
@@ -117,12 +140,12 @@ class SlabGrid:
         return out
 
     def backward(self, spectrum: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Field (nx_local, ny) of a spectrum (nky_local, nx), with 1/N, so that backward(forward(u)) = u.
+        """Field (nx_local, ny) of a spectrum (nky_local, Nx), with 1/(Nx Ny), so that backward(forward(u)) = u.
         Collective.
         """
         real = np.zeros((), spectrum.dtype).real.dtype
         out = np.empty(self.local_shape, real) if out is None else out
-        normalisation = real.type(1 / self.size)
+        normalisation = real.type(1 / self.modes)
 
         def copy(block: np.ndarray, first: int, stop: int) -> None:
             np.multiply(spectrum[first:stop], normalisation, out=block)
@@ -139,7 +162,7 @@ class SlabGrid:
         count: the action is called for the first `count` ky of this rank only.
         """
         transform = self.transform(dtype)
-        self.transforms += transform.cost / 2
+        self.transforms += self.work * transform.cost / 2
         transform.rows_forward(fill)
         transform.columns(action, backward=False, count=count)
 
@@ -157,7 +180,7 @@ class SlabGrid:
         row; may be collective.  No 1/N is applied.
         """
         transform = self.transform(dtype)
-        self.transforms += transform.cost / 2
+        self.transforms += self.work * transform.cost / 2
         transform.columns(action, forward=False)
         if between is not None:
             between()
@@ -168,49 +191,75 @@ class SlabGrid:
         the rows to `drain`.  No 1/N is applied.  Collective.
         """
         transform = self.transform(dtype)
-        self.transforms += transform.cost
+        self.transforms += self.work * transform.cost
         transform.rows_forward(fill)
         transform.columns(action)
         transform.rows_backward(drain)
 
     def like(self, comm: MPI.Comm, shape: tuple[int, int], lengths: tuple[float, float]) -> SlabGrid:
-        """Another grid, on the ranks of `comm`, with as many threads and the same kind of transforms as this one."""
-        return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, self._shared)
+        """Another grid, on the ranks of `comm`, with as many threads and the same kind of domain and transforms as this
+        one.
+        """
+        return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, self.domain)
+
+    def as_cell(self) -> SlabGrid:
+        """The grid of the same points as a periodic cell: this one, if it is that."""
+        if self.domain.wraps:
+            return self
+        return SlabGrid(self.comm, self.shape, self.lengths, self.asked_threads, self._transform_name)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
-        """Global rows first … stop−1 (periodic) of a distributed field; each rank may ask for a different range.
-        Collective.
+        """Global rows first … stop−1 of a distributed field; each rank may ask for a different range.  Beyond a border
+        these are the rows at the opposite one, or where fields do not wrap copies of the last row.  Collective.
         """
-        return self.layout.fetch(field, first, stop, self.threads)
+        if self.domain.wraps:
+            return self.layout.fetch(field, first, stop, self.threads)
+        rows = np.clip(np.arange(first, stop), 0, self.shape[0] - 1)
+        low, high = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
+        found = self.layout.fetch(field, low, high, self.threads)
+        return found if high - low == len(rows) else found[rows - low]
 
     def around(self, margin: int, between: int = 0) -> RowPlan:
-        """The plan to fetch `margin` rows before this rank's and as many after, periodic.  Collective on first use.
+        """The plan to fetch `margin` rows before this rank's and as many after, as far as the domain has such rows.
+        Collective on first use.
 
         between: number of rows that the target has between the two parts.
         """
         if (margin, between) not in self._around:
             first, stop = self.rows.start, self.rows.stop
-            ranges = (first - margin, first), (stop, stop + margin)
-            self._around[margin, between] = RowPlan(self.layout, ranges, (0, margin + between))
+            low, high = first - margin, stop + margin
+            if not self.domain.wraps:
+                low, high = max(low, 0), min(high, self.shape[0])
+            places = low - first + margin, margin + between
+            self._around[margin, between] = RowPlan(self.layout, ((low, first), (stop, high)), places)
         return self._around[margin, between]
 
-    def neighbours(self, fields: Sequence[np.ndarray], margin: int = 1) -> list[np.ndarray]:
-        """The `margin` rows before this rank's and those after them, (2 margin, ny), of each field.  Collective."""
+    def neighbours(
+        self, fields: Sequence[np.ndarray], margin: int = 1, beyond: Sequence[float] = ()
+    ) -> list[np.ndarray]:
+        """The `margin` rows before this rank's and those after them, (2 margin, ny), of each field.  Collective.
+
+        beyond: what the fields are taken for where the domain has no such rows; 0 if not given.
+        """
         exchange = Exchange(self.comm)
-        found = [np.empty((2 * margin, *field.shape[1:]), field.dtype) for field in fields]
+        values = beyond or [0.0] * len(fields)
+        found = [
+            np.full((2 * margin, *field.shape[1:]), value, field.dtype)
+            for field, value in zip(fields, values, strict=True)
+        ]
         for field, rows in zip(fields, found, strict=True):
             exchange.fetch(self.around(margin), field, rows)
         exchange.carry_out()
         return found
 
     @contextmanager
-    def freed(self) -> Iterator[None]:
+    def freed(self) -> Iterator[SlabGrid]:
         """Frees the memory of the transforms after a block, also after an error that all ranks raise.  Collective.
 
         After any other error it does not: the ranks that have none would not come.
         """
         try:
-            yield
+            yield self
         except BaseException as error:
             if isinstance(error, GeneratorExit) or shared(self.comm, error):
                 self.free()

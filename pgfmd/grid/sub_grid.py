@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.grid.holders import LEAST_ROWS, holders
-from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.slab_grid import SlabGrid, transform_work
 from pgfmd.parallel.collectives import await_all, mark_shared, shared
 from pgfmd.parallel.layout import Layout, Range, RowWindow
 from pgfmd.parallel.teams import team_of
@@ -20,8 +20,8 @@ T = TypeVar("T")
 class SubGrid:
     """A grid on some of the ranks of a larger one.  Collective to make.
 
-    Attributes: shape, size; spacing; layout, of its rows over the ranks of the larger grid; local_shape of a field on
-    this rank, which may have no rows; grid: None on ranks without rows.
+    Attributes: shape, size, spacing, domain, torus and work as of a `SlabGrid`; layout, of its rows over the ranks of
+    the larger grid; local_shape of a field on this rank, which may have no rows; grid: None on ranks without rows.
     """
 
     def __init__(
@@ -32,6 +32,9 @@ class SubGrid:
         count = holders(shape, parent.comm.size, least)
         self.comm, self.shape, self.size = parent.comm, shape, nx * ny
         self.spacing = lengths[0] / nx, lengths[1] / ny
+        self.domain = parent.domain
+        self.torus = self.domain.torus(shape, self.spacing)
+        self.work = transform_work(shape, self.torus)
         self.layout = Layout.spread(parent.comm, nx, count)
         self.local_shape = self.layout.rows.stop - self.layout.rows.start, ny
         team = team_of(parent.comm, count)
@@ -39,8 +42,11 @@ class SubGrid:
 
     @classmethod
     def coarse(cls, fine: SlabGrid, factor: int = 2) -> SubGrid:
-        """The grid of the same cell with 1/factor of the points each way (rounded up).  Collective."""
-        return cls(fine, (-(-fine.shape[0] // factor), -(-fine.shape[1] // factor)), fine.lengths)
+        """The grid of the same domain with 1/factor of the points each way (rounded up).  Collective."""
+        nx, ny = -(-fine.shape[0] // factor), -(-fine.shape[1] // factor)
+        if fine.domain.wraps:
+            return cls(fine, (nx, ny), fine.lengths)
+        return cls(fine, (nx, ny), (factor * nx * fine.spacing[0], factor * ny * fine.spacing[1]))
 
     @property
     def columns(self) -> slice:

@@ -1,4 +1,4 @@
-"""From one grid to another of the same cell: spectral and local restriction and interpolation."""
+"""From one grid to another of the same domain: local restriction and interpolation, in a periodic cell spectral too."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import numpy as np
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import new_field
 from pgfmd.grid.callbacks import sink, source
+from pgfmd.grid.domain import Domain
 from pgfmd.grid.kernels import TAPS
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
@@ -74,20 +75,31 @@ def interpolate(coarse: SlabGrid, fine: SlabGrid, field: np.ndarray) -> np.ndarr
 
 def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
     """The field on a coarse grid of half as many points or more each way (nx_coarse_local, ny_coarse), without
-    transforms: means of fine points, weighted by the transpose of `Interpolation`, in single precision.  Collective.
+    transforms (where fields do not wrap, of half as many): means of fine points, weighted by the transpose of
+    `Interpolation`, in single precision.  Collective.
     """
-    (first, weights), (left, across) = (_means(*counts) for counts in zip(fine.shape, coarse.shape, strict=True))
+    domain = fine.domain
+    (first, weights), (left, across) = (
+        _means(domain, *counts) for counts in zip(fine.shape, coarse.shape, strict=True)
+    )
     weights, across = weights.astype(np.float32), across.astype(np.float32)
-    columns = (np.add.outer(left, np.arange(TAPS)) % fine.shape[1]).astype(np.int32)
+    columns = domain.indices(np.add.outer(left, np.arange(TAPS)), fine.shape[1]).astype(np.int32)
     start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
     low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
+    below, above = low, high  # where fields do not wrap, these rows are mirrored into low … high−1
+    if not domain.wraps:
+        low, high = max(low, 0), min(high, fine.shape[0])
     rows, begin, end = np.empty((high - low, coarse.shape[1]), np.float32), fine.rows.start, fine.rows.stop
     if low <= begin and end <= high:  # this rank's rows are made where they are needed
         narrow, ranges, places = rows[begin - low : end - low], ((low, begin), (end, high)), (0, end - low)
     else:
         narrow, ranges, places = np.empty((len(field), rows.shape[1]), np.float32), ((low, high), (high, high)), (0, 0)
-    fine.threads.deal(lambda a, b: kernels.combine_columns(field[a:b], columns, across, narrow[a:b]), len(field))
+    fine.threads.deal(
+        lambda a, b: kernels.combine_columns(field[a:b], columns, across, narrow[a:b], domain.wraps), len(field)
+    )
     RowPlan(fine.layout, ranges, places).fetch(narrow, rows)
+    if (below, above) != (low, high):
+        rows, low = rows[domain.indices(np.arange(below, above), fine.shape[0]) - low], below
     out = new_field(coarse.local_shape)
 
     def combine(a: int, b: int) -> None:
@@ -108,14 +120,24 @@ class Interpolation:
     def __init__(self, coarse: SubGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
         """fields: (nx_coarse_local, ny_coarse), all in the same precision."""
         margin = 2
-        positions = np.arange(fine.rows.start, fine.rows.stop) * (coarse.shape[0] / fine.shape[0])
+        domain = fine.domain
+        positions, columns = (
+            (np.arange(first, stop) - domain.first_point(ratio := domain.coarse_spacing(n, m))) / ratio
+            for first, stop, n, m in ((fine.rows.start, fine.rows.stop, fine.shape[0], coarse.shape[0]),
+                                      (0, fine.shape[1], fine.shape[1], coarse.shape[1]))
+        )  # fmt: skip
         low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
+        self._wraps, begin, wanted = domain.wraps, low, np.arange(low, high)
+        if not domain.wraps:
+            wanted = domain.indices(wanted, coarse.shape[0])
+            low, high = int(wanted.min()), int(wanted.max()) + 1
         # Rows that this rank holds are read where they are; only those before and after them are fetched.
         first = min(max(coarse.layout.rows.start, low), high)
         stop = min(max(coarse.layout.rows.stop, first), high)
         places = np.arange(low, high) - coarse.layout.rows.start
         away = np.r_[: first - low, stop - low : high - low]
         places[away] = -1 - np.arange(len(away))
+        places = places[wanted - low]
         others = [np.empty((len(away), coarse.shape[1]), field.dtype) for field in fields]
         plan, exchange = RowPlan(coarse.layout, [(low, first), (stop, high)]), Exchange(fine.comm)
         for field, rows in zip(fields, others, strict=True):
@@ -123,8 +145,8 @@ class Interpolation:
         exchange.carry_out()
         self._fields = [(field, rows, places) for field, rows in zip(fields, others, strict=True)]
         real = fields[0].dtype
-        self._x = _weights(positions - low, real)
-        self._y = _weights(np.arange(fine.shape[1]) * (coarse.shape[1] / fine.shape[1]), real)
+        self._x = _weights(positions - begin, real)
+        self._y = _weights(columns, real)
         self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]), real)
 
     def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
@@ -134,21 +156,24 @@ class Interpolation:
         index, weights = (each[first:stop] for each in self._x)
         out, (own, others, places) = self._buffer[thread, which, : stop - first], self._fields[which]
         needed = places[index[0] : index[-1] + 4]
-        if needed.min() >= 0:
+        if needed.min() >= 0 and needed[-1] - needed[0] == len(needed) - 1:
             coarse = own[needed[0] : needed[-1] + 1]
         else:
             coarse = np.array([own[place] if place >= 0 else others[-1 - place] for place in needed])
-        kernels.interpolate_rows(coarse, index - index[0], weights, *self._y, out)
+        kernels.interpolate_rows(coarse, (index - index[0], weights), self._y, self._wraps, out)
         return out
 
 
-def _means(fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray]:
+def _means(domain: Domain, fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray]:
     """For each coarse point, the first of the fine points within two coarse spacings and their weights (coarse, TAPS),
     whose sum is 1.
     """
     at = np.arange(coarse)
-    first = (at - 2) * fine // coarse + 1
-    x = np.abs((first[:, None] + np.arange(TAPS)) * (coarse / fine) - at[:, None])
+    if domain.wraps:
+        first, middle = (at - 2) * fine // coarse + 1, at * (fine / coarse)
+    else:
+        first, middle = 2 * at - 3, 2 * at + domain.first_point(2.0)
+    x = np.abs(first[:, None] + np.arange(TAPS) - middle[:, None]) / domain.coarse_spacing(fine, coarse)
     weights = np.where(x < 1, (1 - x**2) * (2 - x) / 2, (1 - x) * (2 - x) * (3 - x) / 6 * (x < 2))
     return first, weights / weights.sum(axis=1, keepdims=True)
 

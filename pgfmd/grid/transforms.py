@@ -38,26 +38,33 @@ TILE_PIECE, ROW_PIECE = 1 << 11, 1 << 7
 class _Worker:
     """Blocks of one thread.
 
-    rows: a block of real rows; half: their transforms along y, the half with ky ≥ 0; block: a block of columns.
+    rows: a block of real rows, of the torus; points: the same of the grid, a copy if there are fewer; half: their
+    transforms along y, the half with ky ≥ 0; block: a block of columns.
     """
 
     def __init__(self, transform: Transform) -> None:
-        nx, ny = transform.shape
+        (_, ny), (mx, my) = transform.shape, transform.torus
         real, cplx = transform.real, transform.complex
-        self.rows = aligned((transform.row_block, ny), real, pad=False)
-        self.half = aligned((transform.row_block, ny // 2 + 1), cplx)
-        self.block = aligned((transform.column_block, nx), cplx)
+        self.rows = aligned((transform.row_block, my), real, pad=False)
+        self.points = self.rows if my == ny else aligned((transform.row_block, ny), real, pad=False)
+        self.half = aligned((transform.row_block, my // 2 + 1), cplx)
+        self.block = aligned((transform.column_block, mx), cplx)
         self.padded_half, self.padded_block = with_padding(self.half), with_padding(self.block)
 
 
 class Transform:
-    """The three passes in one precision, over the strips of a grid of shape (nx, ny)."""
+    """The three passes in one precision, over the strips of a grid of shape (nx, ny), on a torus of (Nx, Ny).
 
-    def __init__(self, strips: Strips, shape: tuple[int, int], dtype: DTypeLike, threads: Threads) -> None:
-        self.strips, self.shape = strips, shape
+    Rows and columns are padded with zeros in the blocks.  Strips have nx rows of Ny // 2 + 1 columns: no rows of zeros.
+    """
+
+    def __init__(
+        self, strips: Strips, shape: tuple[int, int], torus: tuple[int, int], dtype: DTypeLike, threads: Threads
+    ) -> None:
+        self.strips, self.shape, self.torus = strips, shape, torus
         self.real = np.dtype(dtype)
         self.complex = np.result_type(self.real, np.complex64)
-        nx, ny = shape
+        nx, ny = torus
         self.parts, self.strip = strips.parts(self.complex), strips.strip(self.complex)
         # Larger with threads: between blocks they wait for the interpreter's lock.
         budget, itemsize = ROW_BLOCK * min(threads.count, 2), self.complex.itemsize
@@ -88,7 +95,10 @@ class Transform:
 
         def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
-            fill(first, stop, worker.rows[: stop - first])
+            fill(first, stop, worker.points[: stop - first])
+            if worker.points is not worker.rows:
+                worker.rows[:, : self.shape[1]] = worker.points
+                worker.rows[:, self.shape[1] :] = 0
             plans[thread]()
             self.strips.put(self.parts, first, worker.padded_half[: stop - first])
 
@@ -114,6 +124,7 @@ class Transform:
             block = worker.block[: stop - first]
             if forward:
                 kernels.tiles_and_columns(self.strip, self.shape[0], place, stop - first, worker.padded_block, False)
+                block[:, self.shape[0] :] = 0
                 to[thread]()
             action(block, first, stop)
             if backward:
@@ -130,7 +141,9 @@ class Transform:
             worker = self.workers[thread]
             self.strips.get(self.parts, first, worker.padded_half[: stop - first])
             plans[thread]()
-            drain(first, stop, worker.rows[: stop - first])
+            if worker.points is not worker.rows:
+                worker.points[...] = worker.rows[:, : self.shape[1]]
+            drain(first, stop, worker.points[: stop - first])
 
         self.strips.to_rows(self.complex)
         self.threads.share(one, self.strips.rows, self.row_block)

@@ -56,7 +56,9 @@ class Bearing(Observable):
             groups |= surface.acf_groups("bearing", found)
         patches = contact.asked.get("patches")
         if isinstance(patches, ContactPatches):
-            labels = label_patches(contact.grid.comm, heights > threshold, contact.grid.starts, patches.connectivity)
+            grid = contact.grid
+            above = heights > threshold
+            labels = label_patches(grid.comm, above, grid.starts, patches.connectivity, grid.domain.wraps)
             groups["bearing_patches"] = contact.patches(labels, None)
         return {"bearing": {"threshold": np.array(threshold)}, **groups}
 

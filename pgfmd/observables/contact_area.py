@@ -76,7 +76,8 @@ class ContactLine:
         along_x, along_y = self.tables
         tables = Tables((along_x.values, along_y.values), self.is_thin)
         scales = [(table.scale or 1.0) / step for table, step in zip(self.tables, (ax, ay), strict=True)]
-        return self.solid.surface_modulus * np.array(scales), np.array([ay / ax, ax / ay]), tables, self.bound
+        scale, ratios = self.solid.surface_modulus * np.array(scales), np.array([ay / ax, ax / ay])
+        return scale, ratios, tables, self.bound, self.grid.domain
 
     @property
     def is_thin(self) -> bool:
@@ -207,7 +208,8 @@ def contact_area(
     line, that of an elastic edge, lies too far inside: at λ_s = 8a by up to 5 % of the area, which is then near p̄/σ_Y.
     """
     above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
-    parts = grid.threads.collect(lambda a, b: _count_edges(pressure, above, a, b), grid.local_shape[0])
+    left = grid.domain.indices(np.arange(grid.shape[1]) - 1, grid.shape[1])
+    parts = grid.threads.collect(lambda a, b: _count_edges(pressure, above, left, a, b), grid.local_shape[0])
     pixels, edges_x, edges_y = (int(total) for total in grid.reduction.sums(*np.sum(parts, axis=0)))
     ax, ay = grid.spacing
     fraction, edge_length = pixels / grid.size, edges_x * ay + edges_y * ax
@@ -218,13 +220,15 @@ def contact_area(
     return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)
 
 
-def _count_edges(pressure: np.ndarray, above: np.ndarray, first: int, stop: int) -> tuple[int, ...]:
+def _count_edges(
+    pressure: np.ndarray, above: np.ndarray, left: np.ndarray, first: int, stop: int
+) -> tuple[int, ...]:
     """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
 
-    `above` (1, ny) is the row before row 0; column 0 follows the last one.
+    `above` (1, ny) is the row before row 0, `left` (ny,) the column before each.
     """
     rows = np.concatenate([above, pressure[:stop]]) if first == 0 else pressure[first - 1 : stop]
     inside = rows > 0
     here = inside[1:]
-    counts = here, here != inside[:-1], here != np.roll(here, 1, axis=1)
+    counts = here, here != inside[:-1], here != here[:, left]
     return tuple(int(np.count_nonzero(each)) for each in counts)

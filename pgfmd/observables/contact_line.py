@@ -20,6 +20,7 @@ from functools import cache
 
 import numpy as np
 
+from pgfmd.grid.domain import Domain
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.theory.lattice_edge import LONG, LatticeEdge, Stiffness, lattice_edge
 
@@ -122,7 +123,7 @@ def locate(
     return offset, cosine
 
 
-Lookup = tuple[np.ndarray, np.ndarray, Tables, float]  # see `lines_of_pixels`
+Lookup = tuple[np.ndarray, np.ndarray, Tables, float, Domain]  # see `lines_of_pixels`
 
 
 def lines_of_pixels(fields: Fields, lookup: Lookup, first: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -132,17 +133,18 @@ def lines_of_pixels(fields: Fields, lookup: Lookup, first: int, stop: int) -> tu
 
     fields: pressure, gap (nx_local, ny) and their two more rows before and after the slab (2, 4, ny)
     lookup: (k, spacing across the pair over that along it), each for pairs along x and along y; their tables;
-    `bound` of `locate`
+    `bound` of `locate`; the domain: at a border where fields do not wrap, a pixel is its own neighbour
     corners: a quarter for each convex corner of the contact's outline, minus a quarter for each concave one; their sum
     over a patch is the number of its outer outlines less that of its holes.
     """
-    scales, ratios, tables, bound = lookup
+    scales, ratios, tables, bound, domain = lookup
     pressure, gap = (_with_margin(field, more, first, stop) for field, more in zip(fields[:2], fields[2], strict=True))
     inside, ny = pressure > 0, pressure.shape[1]
     here, closed = inside[2:-2], inside[1:-3] & inside[2:-2] & inside[3:-1]
-    pixel = np.flatnonzero(here & ~(closed & np.roll(closed, 1, 1) & np.roll(closed, -1, 1)))
+    left, right = (domain.indices(np.arange(ny) + shift, ny) for shift in (-1, 1))
+    pixel = np.flatnonzero(here & ~(closed & closed[:, left] & closed[:, right]))
     i, j = np.divmod(pixel, ny)
-    columns = [(j + shift) % ny for shift in range(-2, 3)]
+    columns = [domain.indices(j + shift, ny) for shift in range(-2, 3)]
     sides = np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
     opened = [np.flatnonzero(~inside[i + 2 + di, columns[2 + dj]]) for di, dj in sides]
     pairs, side = np.concatenate(opened), np.repeat(np.arange(4), [len(pairs) for pairs in opened])
@@ -150,7 +152,7 @@ def lines_of_pixels(fields: Fields, lookup: Lookup, first: int, stop: int) -> tu
     around, found = np.empty((8, len(pairs))), np.zeros((4, len(pixel)))
     for k in range(8):
         along, across = (k - 1, 0) if k < 4 else ((k - 4) // 2, 2 * (k % 2) - 1)
-        at = (row + along * di + across * dj) * ny + (column + along * dj + across * di) % ny
+        at = (row + along * di + across * dj) * ny + domain.indices(column + along * dj + across * di, ny)
         p = pressure.take(at)
         around[k] = np.where(p > 0, p, -scales[along_y] * np.maximum(gap.take(at), 0.0))
     offset, cosine = locate(around, along_y, ratios[along_y], tables, bound)

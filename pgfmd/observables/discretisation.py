@@ -78,6 +78,7 @@ class Discretisation(Observable):
 
     name = "discretisation"
     attraction = False
+    needs_period = "heights are coarsened by their Fourier modes"
     where = "output.discretisation"
     layout = {
         "discretisation": {

@@ -22,6 +22,7 @@ class GapSlope(Observable):
     """√⟨|∇g|²⟩ = √Σ q²|g̃(q)|² over all modes of the gap, points in contact included."""
 
     name = "gap_slope"
+    needs_period = "from the modes of the gap"
     where = "output.gap_slope"
     layout = {"loads": {"gap_rms_slope": Dataset("1", "rms slope of the gap over the cell, from its modes")}}
 

@@ -85,8 +85,10 @@ class Labels:
         return _exchange(self.comm, values, self.send_counts, self.return_counts)
 
 
-def label_patches(comm: MPI.Comm, mask: np.ndarray, starts: np.ndarray, connectivity: int = 8) -> Labels:
-    """Find the doubly periodic patches of a mask.  Collective.
+def label_patches(
+    comm: MPI.Comm, mask: np.ndarray, starts: np.ndarray, connectivity: int = 8, wraps: bool = True
+) -> Labels:
+    """Find the patches of a mask, doubly periodic if it `wraps`.  Collective.
 
     `mask`: (rows, columns) bool, rows starts[rank] … starts[rank + 1] − 1 of the grid, at least one per rank.
     `connectivity`: 8 joins pixels that share an edge or a corner, 4 only those that share an edge.
@@ -102,11 +104,15 @@ def label_patches(comm: MPI.Comm, mask: np.ndarray, starts: np.ndarray, connecti
     above = np.empty_like(mask[0])
     comm.Sendrecv(mask[-1], (comm.rank + 1) % comm.size, recvbuf=above, source=(comm.rank - 1) % comm.size)
 
+    if comm.rank == 0 and not wraps:
+        above[:] = False
     reach = int(connectivity == 8)
     runs, first = find_runs(above, mask)
     fragment, covered, below, count = find_fragments(runs, first, reach)
     pieces = PeriodicSets(count)
     ends, begins = column_wraps(runs, first, mask.shape[1], reach)
+    if not wraps:
+        ends = begins = ends[:0]
     pieces.unite(fragment[ends], fragment[begins], np.broadcast_to(np.array([0, 1], np.int32), (len(ends), 2)))
 
     top, bottom = fragment[: first[1]], fragment[first[-2] :]
@@ -115,7 +121,7 @@ def label_patches(comm: MPI.Comm, mask: np.ndarray, starts: np.ndarray, connecti
     own_key = np.where(roots < below, (comm.rank << _RANK_BITS) + roots.astype(np.int64), _NOWHERE)
     seam = _Seam(at_seam[: len(top)], shift[: len(top)], at_seam[len(top) :], shift[len(top) :],
                  own_key, pieces.winds[roots])  # fmt: skip
-    key, move, winds = _join_seams(comm, seam)
+    key, move, winds = _join_seams(comm, seam, wraps)
 
     pieces.winds[roots] = winds
     moves = np.zeros((count, 2), np.int32)
@@ -140,7 +146,7 @@ class _Seam:
     winds: np.ndarray  # (m, 2) bool
 
 
-def _join_seams(comm: MPI.Comm, seam: _Seam) -> Answer:
+def _join_seams(comm: MPI.Comm, seam: _Seam, wraps: bool) -> Answer:
     """Join the pieces at all seams: key, shift (to the frame of the patch) and winds of this rank's m.  Collective."""
     joined = []
     step = 1
@@ -151,7 +157,7 @@ def _join_seams(comm: MPI.Comm, seam: _Seam) -> Answer:
             seam = joint.seam
         step *= 2
     if comm.rank == 0:
-        answer = _close(seam)
+        answer = _close(seam) if wraps else (seam.key, np.zeros((len(seam.key), 2), np.int32), seam.winds)
     else:
         comm.send(seam, comm.rank - step)
         answer = comm.recv(source=comm.rank - step)

@@ -51,6 +51,7 @@ class Lowpass(Observable):
     resolves it.
     """
 
+    needs_period = "heights are filtered by their Fourier modes"
     name = "lowpass"
     attraction = False
     where = "output.lowpass"

@@ -142,7 +142,9 @@ class MeasuredContact:
         """The contact patches for that connectivity (4 or 8); computed on the first call for it."""
         if connectivity not in self._labels:
             mask = self.pressure > 0
-            self._labels[connectivity] = label_patches(self.grid.comm, mask, self.grid.starts, connectivity)
+            self._labels[connectivity] = label_patches(
+                self.grid.comm, mask, self.grid.starts, connectivity, self.grid.domain.wraps
+            )
         return self._labels[connectivity]
 
     def line_of_patches(self, connectivity: int) -> tuple[np.ndarray, np.ndarray] | None:
@@ -177,7 +179,11 @@ class MeasuredContact:
             elif name == "displacement":
                 position = self.solution.gap + self.surface.heights
                 position -= self.solution.plastic_depth
-                fields[name] = position - self.grid.reduction.sum(position) / self.grid.size
+                if self.grid.domain.wraps:
+                    position -= self.grid.reduction.sum(position) / self.grid.size
+                else:  # absolute: distant points are at rest
+                    position += self.solution.approach - self.grid.reduction.max(self.surface.heights)
+                fields[name] = position
             elif name == "labels":
                 fields[name] = self.labels(connectivity).label_field()
             elif name in self._kept:

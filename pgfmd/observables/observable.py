@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.cost import Cost
+from pgfmd.grid.domain import Domain
 from pgfmd.observables.binning import wave_number_bins
 from pgfmd.observables.schema import Dataset, GroupLayout, Groups
 from pgfmd.options.rules import choice, flag, integer
@@ -31,12 +33,20 @@ class Observable(Section):
     name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.  The group
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
     fields: of `schema.FIELDS`, that it can write.  attraction: whether it can be measured where the wall attracts.
+    needs_period: why it is not measured with open boundaries; "" if it is.
     """
 
     name: ClassVar[str]
     layout: ClassVar[GroupLayout]
     fields: ClassVar[tuple[str, ...]] = ()
     attraction: ClassVar[bool] = True
+    needs_period: ClassVar[str] = ""
+
+    def check_in(self, domain: Domain) -> None:
+        """Raises InputError for a domain on which it cannot be measured."""
+        if self.needs_period and not domain.wraps:
+            why = f'needs a period, not boundary = "open": {self.needs_period}'
+            raise InputError(f"output.observables: {self.name} {why}")
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """What measuring one load costs, at most (what several observables need is computed once).

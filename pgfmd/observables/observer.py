@@ -53,13 +53,15 @@ class Observer:
         self.asked = {name: asked[name] for name in (*OBSERVABLES, *asked) if name in asked}
         self.problem, self.seconds, self.fields = problem, dict[str, float](), frozenset(fields)
         for observable in self.asked.values():
+            observable.check_in(grid.domain)
             observable.check_contact(problem)
         spectra, acf = asked.get("spectra", Spectra()), asked.get("acf")
         assert isinstance(spectra, Spectra)
         cell = Cell(n=grid.shape, length=grid.lengths)
         edges = spectra.edges(cell, cutoff)
         lags = lag_rings(grid, acf.edges(cell)) if isinstance(acf, Acf) else None
-        self.surface = RoughSurface(grid, problem.heights, cutoff, edges, lags, bool(asked.keys() & {"spectra", "acf"}))
+        correlated = grid.domain.wraps and bool(asked.keys() & {"spectra", "acf"})
+        self.surface = RoughSurface(grid, problem.heights, cutoff, edges, lags, correlated)
         options = Solver(method=problem.law.methods[0], tolerance=LOWPASS_TOLERANCE)
         self._given_solve = solve or partial(solve_contact, options=options, overwrite_heights=True)
         _ = self.surface.rms_slope  # measures the heights now, so that no observable is charged for it

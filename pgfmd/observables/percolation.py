@@ -23,6 +23,7 @@ class Percolation(Observable):
     """
 
     name = "percolation"
+    needs_period = "paths wind around the cell"
     where = "output.percolation"
     layout = {
         TABLE: {

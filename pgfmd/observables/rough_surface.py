@@ -271,12 +271,42 @@ class RoughSurface:
         if self.correlated:
             found = self.correlate(source(self.heights), watch)
         else:
-            grid.read_spectrum(source(self.heights), lambda block, *place: watch(squared(block), *place))
+            fill = source(self.heights) if grid.domain.wraps else self._windowed()
+            grid.read_spectrum(fill, lambda block, *place: watch(squared(block), *place))
         totals = grid.reduction.sums_of_blocks(parts, 3)
-        second, fourth = np.sqrt(totals[:2]) / grid.size
+        second, fourth = np.sqrt(totals[:2] / grid.modes / grid.size)
         if second == 0:
             return 0.0, 0.0, 0.0, found
-        return float(second) / unit, float(fourth / second) / unit, float(1 - totals[2] / totals[0]), found
+        slope = float(second) / unit if grid.domain.wraps else self._slope_of_steps()
+        return slope, float(fourth / second) / unit, float(1 - totals[2] / totals[0]), found
+
+    def _windowed(self) -> RowAction:
+        """The heights without their mean plane, times Hann's window, which vanishes at the border.  Collective."""
+        grid, heights = self.grid, self.heights
+        axes = [np.arange(n) + 0.5 for n in grid.shape]
+        hann = [np.sin(np.pi * at / n) ** 2 for at, n in zip(axes, grid.shape, strict=True)]
+        (x, y), (nx, ny) = axes, grid.shape
+        x, y = (2 * x / nx - 1)[grid.rows], 2 * y / ny - 1
+        squares = [n * (1 - 1 / n**2) / 3 or 1.0 for n in grid.shape]  # Σ x², Σ y²
+        rows, columns = heights.sum(axis=1), heights.sum(axis=0)
+        mean, along, across = grid.reduction.sums(rows.sum(), rows @ x, columns @ y)
+        plane = mean / grid.size, along / (ny * squares[0]), across / (nx * squares[1])
+        wx, wy = hann[0][grid.rows], hann[1]
+
+        def fill(first: int, stop: int, out: np.ndarray) -> None:
+            out[...] = heights[first:stop] - (plane[0] + plane[1] * x[first:stop, None] + plane[2] * y)
+            out *= wx[first:stop, None] * wy
+
+        return fill
+
+    def _slope_of_steps(self) -> float:
+        """Rms slope between neighbours.  Collective."""
+        grid, heights = self.grid, self.heights
+        (nx, ny), (ax, ay) = grid.shape, grid.spacing
+        below = grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1)
+        x, y = np.diff(heights, axis=0, append=below) / ax, np.diff(heights, axis=1) / ay
+        sums = grid.reduction.sums(float(np.vdot(x, x)), float(np.vdot(y, y)))
+        return math.sqrt(float(sums[0]) / max((nx - 1) * ny, 1) + float(sums[1]) / max(nx * (ny - 1), 1))
 
     @cached_property
     def correlations(self) -> Correlations:

@@ -26,6 +26,9 @@ class Spectra(Spectrum):
     """Mean of |f̃(q)|² over the modes in each bin of |q|, for the pressure, the contact (1 in contact, 0 outside) and
     the heights, and of Re h̃* σ̃.
 
+    With open boundaries the field counts as 0 outside, on a torus of twice the points each way; of the heights, which
+    do not vanish at the border, there is no spectrum.
+
     Fourier coefficients are f̃(q) = (1/N) Σ f(r) exp(−iq·r) over the N points, so that Σ |f̃|² over all modes is ⟨f²⟩.
     """
 
@@ -45,12 +48,9 @@ class Spectra(Spectrum):
     def measure(self, contact: MeasuredContact) -> Groups:
         """Shares its transforms with the autocorrelations.  Collective."""
         modes = contact.surface.modes
-        power = {
-            "stress": contact.stress.power,
-            "contact": contact.indicator.power,
-            "height": contact.surface.correlations.power,
-            "cross": contact.cross_power,
-        }
+        power = {"stress": contact.stress.power, "contact": contact.indicator.power}
+        if contact.grid.domain.wraps:
+            power |= {"height": contact.surface.correlations.power, "cross": contact.cross_power}
         return {f"{name}_spectrum": modes.means(sums, "q") for name, sums in power.items()}
 
 
@@ -62,6 +62,7 @@ class GapSpectrum(Spectrum):
     """
 
     name = "gap_spectrum"
+    needs_period = "the gap does not vanish at the border"
     where = "output.gap_spectrum"
     layout = {"gap_spectrum": spectrum_layout("{length}^2", "|g̃|² of the gap")}
 
@@ -90,6 +91,7 @@ class Acf(Observable):
     """
 
     name = "acf"
+    needs_period = "mean over all pairs of points at one distance"
     where = "output.acf"
     layout = {
         **acf_layout("stress", "{pressure}^2", "stress autocorrelation ⟨σ(r) σ(r')⟩"),

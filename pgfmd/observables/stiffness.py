@@ -33,6 +33,7 @@ class Stiffness(Observable):
 
     name = "stiffness"
     attraction = False
+    needs_period = "its bounds use the modes of the cell"
     where = "output.stiffness"
     fields = ("current_density",)
     layout = {

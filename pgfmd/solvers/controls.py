@@ -32,7 +32,8 @@ class Control:
 
     def __init__(self, problem: ContactProblem, load: Load):
         self.problem, self.options, self.grid = problem, load, problem.grid
-        stiffness = problem.solid.mean_stiffness()
+        # With open boundaries the approach contains the compression of a slab: distant points are at rest.
+        stiffness = problem.solid.mean_stiffness() if problem.grid.domain.wraps else 0.0
         self.mean_compliance = 1 / stiffness if stiffness > 0 else 0.0
 
     @cached_property
@@ -71,6 +72,8 @@ class Control:
         """Raises InputError for a target that is wrong input.  Collective."""
         if self.rms_height == 0:
             name = self.options.control
+            if not self.grid.domain.wraps and name != "contact_area":
+                return
             raise InputError(f"load.{name}: the surface is flat: its contact is full at any load; impose a pressure")
 
     def check_reachable(self, target: float) -> None:
@@ -130,7 +133,8 @@ class Control:
             parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
 
         grid.read_spectrum(source(self.problem.heights), measure)
-        return height * stiffest * math.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)])) / grid.size
+        total = grid.reduction.sum([parts[first] for first in sorted(parts)])
+        return height * stiffest * math.sqrt(total / grid.modes / grid.size)
 
 
 class Pressure(Control):
@@ -209,10 +213,14 @@ class MeanGap(Control):
 
     def reached(self, found: ContactSolution) -> float:
         """Approach of a solution, counted to the mean gap: what has yielded leaves no gap."""
+        if not self.grid.domain.wraps:  # the surface moves by less than its far side
+            return self.summit - found.mean_gap
         return found.approach - found.mean_plastic_depth
 
     def imposed(self, target: float) -> Imposed | None:
         """The approach, unless its tolerance is lost in rounding."""
+        if not (self.grid.domain.wraps or isinstance(self, Displacement)):
+            return None  # the surface moves by less than its far side
         allowed = self.options.gap_tolerance * self._size(target)
         if self.problem.law.kind != "hard" or allowed < RESOLVED * self.rms_height:
             return None
@@ -286,8 +294,14 @@ class MeanGap(Control):
         return abs(self.reached(found) - self.approach(target)) / self.allowed(found, target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """`bound` over the tolerance.  Collective."""
-        return self.bound(found) / self.allowed(found, target)
+        """`bound` over the tolerance, and with open boundaries that of the mean displacement ⟨Gδ⟩ for an error δ of the
+        pressure: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² ≤ 2B max Â per point.  Collective.
+        """
+        bound = self.bound(found)
+        if not self.grid.domain.wraps:
+            above = 2 * found.elastic_energy * max(found.certified_error, LEAST_ERROR)
+            bound += math.sqrt(2 * above * self.grid.reduction.max(self.problem.solid.modes(self.grid)))
+        return bound / self.allowed(found, target)
 
     def bound(self, found: ContactSolution) -> float:
         """A bound of the errors of the mean gap and of the approach.  Collective.
@@ -327,7 +341,7 @@ class MeanGap(Control):
             block = pressure[first:stop]
             parts[first] = float(np.vdot(rows, block)) / 2, float(block.sum())
 
-        grid.convolve(source(pressure), self.problem.solid.apply_compliance(grid, np.float64, 1 / grid.size), measure)
+        grid.convolve(source(pressure), self.problem.solid.apply_compliance(grid, np.float64, 1 / grid.modes), measure)
         energy, total = grid.reduction.sums_of_blocks(parts, 2)
         return float(energy) / grid.size, float(total) / grid.size
 
@@ -337,7 +351,7 @@ class Displacement(MeanGap):
 
     def __init__(self, problem: ContactProblem, load: Load):
         super().__init__(problem, load)
-        if self.mean_compliance or problem.law.highest < math.inf:
+        if self.mean_compliance or problem.law.highest < math.inf or not self.grid.domain.wraps:
             self.limit = math.inf
 
     def approach(self, target: float) -> float:

@@ -47,6 +47,7 @@ def solve_contact(
     tolerance cannot be reached.
     """
     options.check_law(problem.law)
+    options.check_domain(problem.law, problem.solid, problem.grid.domain)
     if not problem.law.convex:
         return SOLVERS[problem.law.methods[0]](problem, options.tolerance, start, monitor)
     problem = problem.with_law(problem.law.up_to(problem.load))  # no point bears more than all of the load
@@ -56,7 +57,7 @@ def solve_contact(
         if method != "active-set":
             raise SolverError(f"{method} needs a given mean pressure")
         return solve_hard_wall(problem, options.tolerance, start, monitor, overwrite_heights)
-    rescued = options.method == "auto" and "gfmd" in problem.law.methods
+    rescued = options.method == "auto" and "gfmd" in problem.law.methods and problem.grid.domain.wraps
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
     solver = partial(SOLVERS[method], problem, monitor=monitor, overwrite_heights=overwrite_heights, **limit)
     try:

@@ -51,7 +51,7 @@ class LawOperations:
 
     def __init__(self, problem: ContactProblem) -> None:
         self.problem, self.grid, self.heights, self.law = problem, problem.grid, problem.heights, problem.law
-        scale, solid = 1 / self.grid.size, problem.solid
+        scale, solid = 1 / self.grid.modes, problem.solid
         self.compliance = {real: solid.apply_compliance(self.grid, real, scale) for real in (np.float32, np.float64)}
         self.stiffness, self.rounding = solid.apply_stiffness(self.grid, np.float32, scale), Rounding(self.grid, solid)
         self.squares = np.zeros(2)

@@ -109,6 +109,8 @@ class NestedIteration(Generic[StateType]):
             return None
         place = SubGrid.coarse(problem.grid)
         heights = restrict_locally(problem.grid, place, problem.heights)
+        if not problem.grid.domain.wraps:
+            return Coarse(place, heights)
         flat = problem.grid.reduction.dot(heights, heights) < (FLAT * self.rms) ** 2 * place.size
         return None if flat else Coarse(place, heights)
 

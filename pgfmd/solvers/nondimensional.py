@@ -12,6 +12,7 @@ from pgfmd.errors import InputError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.cost import MODERATE
 from pgfmd.solvers.second_order import last_digits
 from pgfmd.solvers.solution import Certificate, ContactSolution, SolverState
@@ -134,11 +135,15 @@ class Dimensionless:
             depth = np.maximum(-gap, 0.0)
             np.maximum(gap, 0.0, out=gap)
             sunk = grid.reduction.sum(depth) / grid.size
+        if grid.domain.wraps:  # the mean of Gp is 0
+            mean_gap = units.offset - level * units.height + lowered + sunk
+        else:
+            mean_gap = grid.reduction.sum(gap) / grid.size
         return ContactSolution(
             pressure=pressure,
             gap=gap,
             mean_pressure=self.physical.mean_pressure,
-            mean_gap=units.offset - level * units.height + lowered + sunk,
+            mean_gap=mean_gap,
             elastic_energy=energy * units.pressure * units.height,
             certificate=Certificate(error + (1 + SUMS) * lost),
             max_violation=violation * (units.height / self._heights.rms),
@@ -171,13 +176,14 @@ class Dimensionless:
 
 def elastic_energy_is_lost(problem: ContactProblem, rms: float) -> bool:
     """Whether errors in the last digits of the pressure have more energy than any elastic energy of the problem.  With
-    heights h of that rms value and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩, and at most the largest
-    compliance times ⟨p²⟩, which is at most the number of points.
+    heights h of that rms value and pressures p ≥ 0 of mean 1, ⟨p, Gp⟩ is at most ⟨h, Kh⟩ in a periodic cell, and at
+    most the largest compliance times ⟨p²⟩, which is at most the number of points.
     """
     grid, solid = problem.grid, problem.solid
-    shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.lengths)
+    shortest, longest = math.hypot(*(math.pi / step for step in grid.spacing)), 2 * math.pi / max(grid.period)
     stiffness, compliance = float(solid.stiffness(np.array(shortest))), float(solid.compliance(np.array(longest)))
-    return last_digits(problem, 1.0, problem.law.range_at(1.0)) > min(rms**2 * stiffness, grid.size * compliance)
+    most = min(rms**2 * stiffness if grid.domain.wraps else math.inf, grid.size * compliance)
+    return last_digits(problem, 1.0, problem.law.range_at(1.0)) > most
 
 
 def deepest(problem: ContactProblem, height: float) -> float:
@@ -194,13 +200,19 @@ def deepest(problem: ContactProblem, height: float) -> float:
     stiffest = math.hypot(*(math.pi / step for step in grid.spacing))
     if 2 * mean_pressure * grid.size * float(solid.compliance(np.array(stiffest))) + beyond >= height:
         return math.inf  # the mean of the compliance is larger still
-    parts = []
-    for first in range(0, grid.spectral_shape[0], grid.band):
-        block = slice(first, first + grid.band)
-        q = np.sqrt(grid.q_squared(block.start, min(block.stop, grid.spectral_shape[0])))
-        parts.append(float(np.sum(grid.hermitian_weight[block] * solid.compliance(q))))
-    depth = BEYOND * 2 * mean_pressure * grid.reduction.sum(parts) + beyond
+    mean = mean_compliance(grid, solid)
+    depth = BEYOND * 2 * mean_pressure * grid.size * mean + beyond
     return depth if depth < height else math.inf
+
+
+def mean_compliance(grid: SlabGrid, solid: Solid) -> float:
+    """Mean compliance of all modes, that of a point.  Collective."""
+    parts = []
+    solid.modes(grid, 0, 0)  # collective, where the domain has a border
+    for first in range(0, grid.spectral_shape[0], grid.band):
+        stop = min(first + grid.band, grid.spectral_shape[0])
+        parts.append(float(grid.hermitian_weight[first:stop, 0] @ (solid.modes(grid, first, stop) @ grid.even_weight)))
+    return grid.reduction.sum(parts) / grid.modes
 
 
 class Heights(NamedTuple):
@@ -245,6 +257,9 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
     for name, value, unit, limit in limits:
         if value != 0 and not 1 / limit <= value / unit <= limit:
             raise InputError(f"{name} = {value / unit:.1e}: must lie between {1 / limit:g} and {limit:g}")
+    if low == high and not grid.domain.wraps and problem.mean_pressure > 0:  # a punch: its indentation is the unit
+        unit = problem.mean_pressure / solid.contact_modulus * max(grid.lengths)
+        return Heights(np.zeros(grid.local_shape), 0.0, unit, unit, high, math.inf)
     if low == high:
         return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 and not problem.imposed else math.inf

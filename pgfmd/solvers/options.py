@@ -8,11 +8,13 @@ from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import TRANSFORMS
+from pgfmd.grid.domain import Domain
 from pgfmd.options.rules import choice, flag, integer, many, number
 from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
+from pgfmd.physics.solids.solid import Solid
 
 METHODS = tuple(
     dict.fromkeys(method for law in LAWS.choices if issubclass(law, ContactLaw) for method in law.methods)
@@ -50,6 +52,21 @@ class Solver(Section):
         if self.method not in ("auto", *law.methods):
             allowed, kind = ", ".join(("auto", *law.methods)), show(law.kind)
             raise InputError(f"solver.method = {show(self.method)}: must be one of {allowed} for wall.kind = {kind}")
+
+
+    def check_domain(self, law: ContactLaw, solid: Solid, domain: Domain) -> None:
+        """Raises InputError for what cannot be solved on that domain."""
+        if domain.wraps:
+            return
+        method = law.methods[0] if self.method == "auto" else self.method
+        for reason in (
+            solid.no_border and f"solid.kind = {show(solid.kind)}: {solid.no_border}",
+            "" if law.convex else f"wall.kind = {show(law.kind)}: its branches are followed in periodic cells only",
+            method == "gfmd" and f'wall.kind = {show(law.kind)} by "gfmd": dynamics move the surface outside too',
+            self.transform == "mpi4py-fft" and 'solver.transform = "mpi4py-fft": it does not pad; take "blocked"',
+        ):
+            if reason:
+                raise InputError(f'grid.boundary = "open": not with {reason}')
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,7 +49,7 @@ def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction)
 
     grid.read_spectrum(fill, act, np.float32)
     square, change = grid.reduction.sums_of_blocks(parts, 2)
-    return float(square) / 2, float(change) * grid.size
+    return float(square) / 2, float(change) * grid.modes
 
 
 @compiled()
@@ -78,18 +78,18 @@ class Rounding:
     """
 
     def __init__(self, grid: SlabGrid, solid: Solid) -> None:
-        columns, nx = grid.spectral_shape
-        qx, counts = grid.qx[:, : nx // 2 + 1], np.full(nx // 2 + 1, 2.0)  # kx and −kx have the same symbols
-        counts[0] = counts[(nx + 1) // 2 :] = 1
+        columns, counts = grid.spectral_shape[0], grid.even_weight
 
         def part(first: int, stop: int) -> list[float]:
-            q, weights = np.sqrt(qx**2 + grid.qy[first:stop] ** 2), grid.hermitian_weight[first:stop, 0]
-            return [float(weights @ (symbol(q) @ counts)) for symbol in (solid.compliance, solid.stiffness)]
+            compliance, weights = solid.modes(grid, first, stop), grid.hermitian_weight[first:stop, 0]
+            stiffness = np.divide(1.0, compliance, out=np.zeros_like(compliance), where=compliance > 0)
+            return [float(weights @ (symbol @ counts)) for symbol in (compliance, stiffness)]
 
+        solid.modes(grid, 0, 0)  # collective, where the domain has a border
         sums = np.sum(grid.threads.collect(part, columns, COLUMNS), axis=0) if columns else np.zeros(2)
-        self.means = grid.reduction.sums(*sums) / grid.size
-        primes = any(pow(30030, 64, n) for n in grid.shape)  # whether a prime above 13 divides n
-        self.factor = ROUNDING[primes] * math.sqrt(math.log2(2 * grid.size))
+        self.means = grid.reduction.sums(*sums) / grid.modes
+        primes = any(pow(30030, 64, n) for n in grid.torus)  # whether a prime above 13 divides n
+        self.factor = ROUNDING[primes] * math.sqrt(math.log2(2 * grid.modes))
 
     def bound(
         self, squares: np.ndarray, heights_squared: float, work: float, precision: type[np.floating] = np.float64
@@ -109,7 +109,7 @@ def last_digits(problem: ContactProblem, square: float, softness: float) -> floa
     """A bound of the energy of errors δ in the last digits of a pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point, which the
     certificate does not contain.  square: ⟨p²⟩; softness: ⟨p² φ''⟩ (`ContactLaw.softness`).
     """
-    longest = np.array(2 * math.pi / max(problem.grid.lengths))
+    longest = np.array(2 * math.pi / max(problem.grid.period))
     return DIGITS**2 / 2 * (square * float(problem.solid.compliance(longest)) + softness)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numba
@@ -70,6 +70,9 @@ class RandomModes:
         The argument is proportional to the rms slope of the modes and the same on all ranks, so `factor` may raise.
         """
         moments: list[tuple[int, float]] = []
+        if not self.grid.domain.wraps:
+            with self.grid.as_cell().freed() as cell:
+                return replace(self, grid=cell).heights(factor)
         heights, scale = self.grid.new_field(), np.empty(())
 
         def spectrum(block: np.ndarray, first: int, stop: int) -> None:

@@ -87,7 +87,7 @@ def problem_of(comm, n: int, shared: bool = True):
     from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.surfaces.self_affine import self_affine
 
-    grid = SlabGrid(comm, (n, n), shared=shared)
+    grid = SlabGrid(comm, (n, n), transform="blocked" if shared else "exchanged")
     return ContactProblem(
         grid, self_affine(grid, 0.8, n / 64, SLOPE, 1), Homogeneous(contact_modulus=2.66667), HardWall(), PRESSURE
     )

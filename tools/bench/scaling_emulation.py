@@ -69,7 +69,7 @@ def emulate(n: int, ranks: int) -> dict[str, float]:
     RowPlan.__init__ = _planned
     sub_grid.team_of = _team
     comm = Silent(ranks, 0) if ranks > 1 else alone.COMM_SELF
-    grid = SlabGrid(comm, (n, n), threads=1, shared=False)
+    grid = SlabGrid(comm, (n, n), threads=1, transform="exchanged")
     field = np.random.default_rng(1).standard_normal(grid.local_shape)
     share = field.size
 

@@ -57,6 +57,10 @@ class Homogeneous(Solid):
     def effort(self) -> float:
         return super().effort if math.isfinite(self.thickness) else 1.0
 
+    @property
+    def no_border(self) -> str:
+        return "a slab's kernel on a patch is not known" if math.isfinite(self.thickness) else ""
+
     def factor(self, q: np.ndarray) -> np.ndarray:
         if math.isinf(self.thickness):
             return np.ones(np.shape(q))
@@ -78,13 +82,20 @@ class Homogeneous(Solid):
         uniaxial = (1 - nu) ** 2 / (1 - 2 * nu) if periodic or self.base == "bonded" else 1.0
         return self.contact_modulus * uniaxial / self.thickness
 
+    def open_table(self, grid: SlabGrid) -> np.ndarray:
+        from pgfmd.physics.solids.open_kernel import half_space_table, positive
+
+        if "half-space" not in grid.tables:
+            grid.tables["half-space"] = positive(grid, half_space_table(grid))
+        return grid.tables["half-space"]
+
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
-        if math.isfinite(self.thickness):
+        if math.isfinite(self.thickness) or not grid.domain.wraps:
             return super().apply_compliance(grid, dtype, factor)
         return _scale_by_q(grid, dtype, 2 * factor / self.contact_modulus * min(grid.spacing), divide=True)
 
     def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
-        if math.isfinite(self.thickness):
+        if math.isfinite(self.thickness) or not grid.domain.wraps:
             return super().apply_stiffness(grid, dtype, factor)
         return _scale_by_q(grid, dtype, factor * self.contact_modulus / 2 / min(grid.spacing), divide=False)
 

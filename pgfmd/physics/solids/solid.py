@@ -84,6 +84,11 @@ class Solid(Section):
         return False
 
     @property
+    def no_border(self) -> str:
+        """Why it cannot be loaded on a patch alone; "" if it can."""
+        return "its kernel on a patch is not known"
+
+    @property
     def surface_modulus(self) -> float:
         """E' F(q → ∞), the contact modulus of the half-space that answers short waves alike."""
         return self.contact_modulus
@@ -132,6 +137,15 @@ class Solid(Section):
         stiffness = self.stiffness(q)
         return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
 
+    def compliance_of_mean(self, period: tuple[float, float]) -> float:
+        """About the compliance of the mean mode on a domain with a border, whose torus has these sides: the integral of
+        the kernel over the torus, 1/(π E' r) with the E' of the longest wave; or 1/`mean_stiffness`.
+        """
+        if (stiffness := self.mean_stiffness(periodic=False)) > 0:
+            return 1 / stiffness
+        (a, b), q = (side / 2 for side in period), 2 * math.pi / max(period)
+        return float(self.compliance(np.array(q))) * q / math.pi * 2 * (a * math.asinh(b / a) + b * math.asinh(a / b))
+
     def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
         """That of a half-space which answers short waves alike."""
         return 0.5 * self.surface_modulus * q
@@ -140,13 +154,37 @@ class Solid(Section):
         """1/half_space_stiffness, for q > 0."""
         return 1 / self.half_space_stiffness(q)
 
+    def open_table(self, grid: SlabGrid) -> np.ndarray:
+        """E' times the compliance of the modes with kx ≥ 0, (nky_local, Nx // 2 + 1), on a domain with a border; made
+        once for each grid.  Collective.
+        """
+        raise NotImplementedError
+
+    def modes(self, grid: SlabGrid, first: int = 0, stop: int | None = None) -> np.ndarray:
+        """Compliance of the modes kx ≥ 0 of this rank's columns first … stop−1, (columns, Nx // 2 + 1).  Collective at
+        its first use on a domain with a border.
+        """
+        if not grid.domain.wraps:
+            return self.open_table(grid)[first:stop] / self.contact_modulus
+        return self.compliance(np.sqrt(grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2))
+
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
-        """Column action p̃ ← factor · compliance(q) · p̃ in the given precision."""
+        """Column action p̃ ← factor · compliance(q) · p̃ in the given precision.  Collective as `modes`."""
+        if not grid.domain.wraps:
+            return _by_table(grid, dtype, factor / self.contact_modulus, self.open_table(grid), False)
         return multiply(grid, dtype, lambda q: factor * self.compliance(q))
 
     def apply_stiffness(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
-        """Column action ũ ← factor · stiffness(q) · ũ in the given precision."""
+        """Column action ũ ← factor · stiffness(q) · ũ in the given precision, 0 at q = 0.  Collective as `modes`."""
+        if not grid.domain.wraps:
+            return _by_table(grid, dtype, factor * self.contact_modulus, self.open_table(grid), True)
         return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
+
+
+def _by_table(grid: SlabGrid, dtype: DTypeLike, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:
+    from pgfmd.physics.solids.open_kernel import multiply_even  # compiled code, which only a run needs
+
+    return multiply_even(grid, np.dtype(dtype), factor, table, divide)
 
 
 def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], np.ndarray]) -> ColumnAction:

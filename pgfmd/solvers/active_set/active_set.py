@@ -107,8 +107,8 @@ class Relaxation:
         self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
         self.highest, self.kind, self.imposed = problem.law.highest, problem.law.kind, problem.imposed
         precisions: tuple[Precision, Precision] = (np.float32, np.float64)
-        self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.size) for real in precisions}
-        self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.size) for real in precisions}
+        self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.modes) for real in precisions}
+        self.stiffness = {real: solid.apply_stiffness(grid, real, 1 / grid.modes) for real in precisions}
         self.squares, self.heights_squared = np.zeros(2), 0.0
         self.rounding = Rounding(grid, solid) if exact else None
         self.summit = float(grid.reduction.max(problem.heights))
@@ -252,8 +252,8 @@ class Relaxation:
         pieces = ((p[:margin], g[:margin]), 0), (own, margin), ((p[margin:], g[margin:]), margin + len(own[0]))
         real, wide, ny = state.gap.dtype.type, STRIDES[0], self.grid.shape[1]
         limits, paid = (real(state.level), real(self.highest), real(self.spare)), dict[int, float]()
-        edges = np.r_[:wide, wide + ny : 2 * wide + ny]
-        within = wide + (edges - wide) % ny
+        edges, wraps = np.r_[:wide, wide + ny : 2 * wide + ny], self.grid.domain.wraps
+        within = wide + self.grid.domain.indices(edges - wide, ny)
 
         def make(first: int, stop: int) -> np.ndarray:
             stop, at = min(stop, len(own[0])), 0
@@ -263,9 +263,12 @@ class Relaxation:
                 piece = fields[0][part], fields[1][part]
                 residual_limits(piece, limits, (at, wide), work)
                 at += len(piece[0])
+            if not wraps:  # ρ = 0 beyond the border
+                outside = np.arange(first, stop + 2 * margin) - margin + self.grid.rows.start
+                work[:, (outside < 0) | (outside >= self.grid.shape[0])] = 0
             for done, stride in enumerate(STRIDES):
                 field, means = work[2 + done % 2], work[3 - done % 2]
-                field[:, edges] = field[:, within]
+                field[:, edges] = field[:, within] if wraps else 0.0
                 average_between(field, work[:2], stride, wide, means)
             found = means[margin:-margin, wide:-wide]
             if self.spare < math.inf:

@@ -17,12 +17,12 @@ from numpy.typing import DTypeLike
 from pgfmd.grid import kernels
 from pgfmd.grid.callbacks import scaling
 from pgfmd.grid.holders import LEAST_MESH_ROWS
-from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.slab_grid import SlabGrid, transform_work
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.solvers.active_set.stencil import Symbol
 
-FEWEST = 64  # larger blocks are used if there are at least so many per side
+FEWEST = 64  # larger blocks are used if there are at least so many per side of the torus
 FACTOR = 4  # side of a block in pixels, and of a larger block in blocks
 SOFTENING = 0.125  # compliance of the contact within a block, over the compliance to a wave of wave number 1/side
 
@@ -87,12 +87,17 @@ class Blocks:
         self.coarser: Blocks | None = None
         if (blocks := self.place.grid) is not None:
             soft, stiff = SOFTENING * side / stiffness(np.array(1 / pixel)), stiffness(np.sqrt(blocks.q_squared()))
-            self.stiffness = (self.area / blocks.size * stiff / (1 + soft * stiff)).astype(np.float32)
-            if min(larger(shape)) >= FEWEST:
+            self.stiffness = (self.area / blocks.modes * stiff / (1 + soft * stiff)).astype(np.float32)
+            if min(self._torus(larger(shape))) >= FEWEST:
                 self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel)
-        self.transformed = 0
-        while not self.transformed or min(shape) >= FEWEST:
-            self.transformed, shape = self.transformed + math.prod(shape), larger(shape)
+        self.transformed = 0.0
+        while not self.transformed or min(self._torus(shape)) >= FEWEST:
+            work = transform_work(shape, self._torus(shape))
+            self.transformed, shape = self.transformed + work * math.prod(shape), larger(shape)
+
+    def _torus(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """Modes of a grid of blocks of that shape."""
+        return self.place.domain.torus(shape, self.place.spacing)
 
     def prepare(self, counts: Sums) -> None:
         """Takes a new set, by the number of its points in each block.  Collective."""

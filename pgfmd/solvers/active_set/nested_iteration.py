@@ -42,12 +42,16 @@ def stress_of_full_contact(problem: ContactProblem) -> float:
         parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
 
     grid.read_spectrum(source(problem.heights), measure)
-    return float(np.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)]))) / grid.size
+    return float(np.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)]) / grid.modes / grid.size))
 
 
 def _full_contact(problem: ContactProblem) -> State | None:
-    """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere.  Collective."""
+    """The state of full contact, p = p̄ + Kh, or None if that is beyond a bound somewhere, or not known: where the
+    domain has a border, K acts on displacements beyond it too.  Collective.
+    """
     grid, heights = problem.grid, problem.heights
+    if not grid.domain.wraps:
+        return None
     pressure = grid.new_field()
     stiffness = multiply(grid, np.float64, lambda q: problem.solid.stiffness(q) / grid.size)  # no loop is compiled
     grid.convolve(source(heights), stiffness, sink(pressure))
@@ -139,7 +143,7 @@ class ActiveSetIteration(NestedIteration[State]):
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
         falling at a given load, by steps that lower the energy each time.  Collective.
         """
-        given, most = problem.imposed is None, GAPS_FROM * problem.grid.size
+        given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
         by_gaps = given and problem.law.highest == np.inf and state.between > most
         solver: Relaxation = GapSteps(problem, exact) if by_gaps else PressureSteps(problem, exact)
         while True:

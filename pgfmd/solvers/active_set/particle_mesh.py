@@ -14,6 +14,8 @@ transforms.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, scaling, sink
@@ -28,26 +30,42 @@ from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, add_point
 FITTED = 16  # waves of the mesh each way to which the near part is fitted
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
+MARGIN = 4  # nodes beyond half the points, where the mesh does not wrap
 SMALLEST = 256  # points of the shorter side below which full transforms are as cheap
 
 Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """First node and weights (nx_local, 4) of each row; nodes, periodic, and weights (ny, 4) of each column."""
 
 
+Mean = Callable[[tuple[float, float]], float]
+"""An operator's factor on the mean mode of a torus with these sides."""
+
+
+def no_mean(period: tuple[float, float]) -> float:
+    """Of a periodic cell: the mean mode does not respond."""
+    return 0.0
+
+
 class MeshResponse:
     """S A Sᵀ v, nearly: S restricts to a set, A is the solid's compliance or stiffness; stencil: the near part."""
 
-    def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol) -> None:
-        """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself."""
-        self.grid = grid
-        shape = -(-grid.shape[0] // 2), -(-grid.shape[1] // 2)
-        self.place = SubGrid(grid, shape, grid.lengths, LEAST_MESH_ROWS)
+    def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol, mean: Mean = no_mean) -> None:
+        """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself; mean: that
+        for the mean mode.
+        """
+        self.grid, self._mean = grid, mean
+        shape, lengths = (-(-grid.shape[0] // 2), -(-grid.shape[1] // 2)), grid.lengths
+        scale, shift = (shape[0] / grid.shape[0], shape[1] / grid.shape[1]), 0
+        if not grid.domain.wraps:  # splines reach a node beyond the first point and two beyond the last
+            shape, scale, shift = (shape[0] + MARGIN, shape[1] + MARGIN), (0.5, 0.5), 1
+            lengths = 2 * shape[0] * grid.spacing[0], 2 * shape[1] * grid.spacing[1]
+        self.place = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS)
         kernel = near_kernel(grid.spacing, half_space)
         self.stencil = Stencil(kernel)
         if self.place.grid is not None:
             self.influence = self._influence(self.place.grid, kernel, response)
-        rows = _splines(np.arange(grid.rows.start, grid.rows.stop) * (shape[0] / grid.shape[0]))
-        first, weights = _splines(np.arange(grid.shape[1]) * (shape[1] / grid.shape[1]))
+        rows = _splines(np.arange(grid.rows.start, grid.rows.stop) * scale[0] + shift)
+        first, weights = _splines(np.arange(grid.shape[1]) * scale[1] + shift)
         nodes = np.add.outer(first, np.arange(4, dtype=np.int32)) % np.int32(shape[1])
         self.splines: Splines = *rows, nodes, weights
         self.window = self.place.window((int(rows[0][0]), int(rows[0][-1]) + 4))
@@ -71,7 +89,7 @@ class MeshResponse:
         self.grid.threads.deal(
             lambda a, b: add_interpolated(window.rows, window.low, lists, (a, b), splines, out), count
         )
-        self.grid.transforms += 0.5 * self.place.size / self.grid.size
+        self.grid.transforms += 0.5 * self.place.work * self.place.size / self.grid.size
 
     def _respond(self, mesh: SlabGrid, values: SetVector, pieces: list[Piece]) -> None:
         """The smooth part of the response, on this rank's rows of the mesh.  pieces: (first row, rows) that others
@@ -105,10 +123,14 @@ class MeshResponse:
         cos_x, cos_y = (np.cos(np.outer(q, a * offsets)) for q, a in zip(waves, self.grid.spacing, strict=True))
         spline_x, spline_y = (_spline_response(q * a / (2 * np.pi)) for q, a in zip(waves, mesh.spacing, strict=True))
         across, influence = kernel.T @ cos_x.T, np.empty(mesh.spectral_shape, np.float32)
+        share = self.grid.pixel_area / (mesh.modes * mesh.pixel_area)
 
         def part(_: int, first: int, stop: int) -> None:
-            rest = response(np.sqrt(mesh.q_squared(first, stop))) - cos_y[first:stop] @ across
-            influence[first:stop] = rest * np.outer(spline_y[first:stop], spline_x / self.grid.size)
+            rest = response(np.sqrt(mesh.q_squared(first, stop)))
+            if first == mesh.columns.start == 0:
+                rest[0, 0] = self._mean(mesh.period)
+            rest -= cos_y[first:stop] @ across
+            influence[first:stop] = rest * np.outer(spline_y[first:stop], spline_x * share)
 
         self.grid.threads.share(part, len(influence), COLUMNS)
         return influence
@@ -180,7 +202,7 @@ class FullResponse:
 
 
 def inner_response(
-    grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction
+    grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction, mean: Mean = no_mean
 ) -> MeshResponse | FullResponse:
     """A `MeshResponse` on large grids of nearly square pixels, if the solid responds like a half-space to short waves;
     else a `FullResponse`: `action` multiplies modes by A.  Collective.
@@ -188,7 +210,7 @@ def inner_response(
     if min(grid.shape) >= SMALLEST and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
         q = np.array(0.25 * np.pi / max(grid.spacing))
         if abs(response(q) / half_space(q) - 1) < 1e-2:
-            return MeshResponse(grid, half_space, response)
+            return MeshResponse(grid, half_space, response, mean)
     return FullResponse(action)
 
 

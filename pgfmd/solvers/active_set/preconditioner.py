@@ -33,7 +33,7 @@ class MultilevelStiffness:
         self.grid, kernel = grid, lattice_kernel(grid, half_space)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(kernel)
-        large = min(grid.shape) >= FEWEST * FACTOR
+        large = min(grid.torus) >= FEWEST * FACTOR
         self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing)) if large else None
 
     def apply(self, residual: SetVector, out: np.ndarray, near_only: bool = False) -> None:

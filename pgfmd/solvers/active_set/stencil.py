@@ -55,27 +55,30 @@ class Stencil:
         """The same for values whose halo is present."""
         points = values.points
         vector, (rows, ny) = (values.all, points.extended), points.grid.local_shape
+        wraps = points.grid.domain.wraps
 
         def part(first: int, stop: int) -> None:
             work = np.empty((ROWS + 2 * RADIUS, ny + 2 * RADIUS), np.float32)
-            correlate(vector, self.weights, work, points.lists, (first, stop), out)
+            correlate(vector, (self.weights, wraps), work, points.lists, (first, stop), out)
 
         points.grid.threads.deal(part, rows)
 
 
 @jit
 def correlate(
-    vector: Vector, weights: np.ndarray, rows: np.ndarray, targets: Points, part: Part, out: np.ndarray
+    vector: Vector, kernel: tuple[np.ndarray, bool], rows: np.ndarray, targets: Points, part: Part, out: np.ndarray
 ) -> None:
     """out[k] = Σ_st w[s, t] field[i + s, columns[k] + t] at the points k of the rows first ≤ i < stop of one set.  The
-    field is a vector (values, points) on another set, 0 elsewhere, and periodic along the rows; row i of `targets` is
-    row i + 3 of the field's points.
+    field is a vector (values, points) on another set, 0 elsewhere; row i of `targets` is row i + 3 of the field's
+    points.
 
-    weights: w[|s|, |t|], those of `OFFSETS`; the others are 0.  rows (n + 6, ny + 6): work space for n rows at a time.
+    kernel: weights w[|s|, |t|], those of `OFFSETS`, the others are 0; whether the field is periodic along rows.
+    rows (n + 6, ny + 6): work space for n rows at a time.
     Points next to each other are evaluated by a vectorised loop.
     """
     values, (sources, begins) = vector
     columns, offsets = targets
+    weights, wraps = kernel
     a, b, c, d = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
     e, f, g, h = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
     k20, k21, k22, k30, k31 = weights[2, 0], weights[2, 1], weights[2, 2], weights[3, 0], weights[3, 1]
@@ -87,7 +90,7 @@ def correlate(
             row[:] = 0
             for k in range(begins[low + i], begins[low + i + 1]):
                 row[u(sources[k] + 3)] = values[k]
-            for j in range(3):
+            for j in range(3 if wraps else 0):
                 row[2 - j], row[ny + 3 + j] = row[ny + 2 - j], row[3 + j]
         for i in range(count):
             n, o, p, q, r, s, t = rows[i], rows[i + 1], rows[i + 2], rows[i + 3], rows[i + 4], rows[i + 5], rows[i + 6]

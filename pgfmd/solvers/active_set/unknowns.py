@@ -37,7 +37,7 @@ class Unknowns:
     def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, highest: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid, rows = grid, grid.local_shape[0]
-        self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO)
+        self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO, (0.0, math.inf))
 
         real = fields[1].dtype.type  # of the limits too, since loops that convert are slower
 

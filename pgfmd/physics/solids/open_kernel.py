@@ -1,0 +1,98 @@
+"""The compliance of an elastic solid that is loaded on a patch only: the kernel of a point load, cut off at the torus.
+
+On a half-space the kernel is 1/(π E' r).  Split at a length 1/α of a few spacings, its short-ranged part is the one
+that the modes of the grid resolve, as in a periodic cell; the long-ranged part is smooth, and summed on the torus:
+
+    Â(q) = (2/E'|q|) erf(|q|/2α) + (aₓ a_y/πE') Σ_r erf(α r)/r cos(q·r),
+
+the first term 2/(√π α E') at q = 0, the summand 2α/√π at r = 0, and r the least distance on the torus.  The sum runs
+over the rows and columns of a quadrant, as Â is even in qx and in qy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid.callbacks import ColumnAction
+from pgfmd.grid.domain import SPLIT
+from pgfmd.grid.kernels import scale_even
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.collectives import slab_starts
+
+CLOSE = 6.0  # α r from which erf is 1 in double precision
+
+
+def half_space_table(grid: SlabGrid) -> np.ndarray:
+    """E' Â(q) of a half-space for the modes of this rank with kx ≥ 0: (nky_local, Nx // 2 + 1).  Collective."""
+    alpha = SPLIT / max(grid.spacing)
+    i, q = _rows(grid), np.sqrt(half_q_squared(grid))
+    x, y = i * grid.spacing[0], np.arange(grid.torus[1] // 2 + 1) * grid.spacing[1]
+    far = cosine_transform(grid, _long_ranged(x, y, alpha)) * (grid.pixel_area / math.pi)
+    from scipy.special import erf  # slow to import
+
+    near = np.divide(2 * erf(q / (2 * alpha)), q, out=np.full(q.shape, 2 / (math.sqrt(math.pi) * alpha)), where=q > 0)
+    return far + near
+
+
+def _long_ranged(x: np.ndarray, y: np.ndarray, alpha: float) -> np.ndarray:
+    """erf(α r)/r at the points (x, y)."""
+    from scipy.special import erf
+
+    r = np.hypot(x[:, None], y[None, :])
+    out = np.divide(1.0, r, out=np.full(r.shape, 2 * alpha / math.sqrt(math.pi)), where=r > 0)
+    close = np.ix_(x * alpha < CLOSE, y * alpha < CLOSE)
+    out[close] *= np.where(r[close] > 0, erf(alpha * r[close]), 1.0)
+    return out
+
+
+def half_q_squared(grid: SlabGrid, first: int = 0, stop: int | None = None) -> np.ndarray:
+    """|q|² of the modes with kx ≥ 0 of this rank: (columns, Nx // 2 + 1)."""
+    return grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2
+
+
+def _rows(grid: SlabGrid) -> np.ndarray:
+    """The rows 0 … Nx/2 of the quadrant that this rank makes."""
+    starts = slab_starts(grid.torus[0] // 2 + 1, grid.comm.size)
+    return np.arange(starts[grid.comm.rank], starts[grid.comm.rank + 1])
+
+
+def cosine_transform(grid: SlabGrid, rows: np.ndarray) -> np.ndarray:
+    """Σ f(r) cos(q·r) over the torus, (nky_local, Nx // 2 + 1), for the rows of f that this rank makes.  Collective."""
+    from scipy.fft import dct
+
+    along = dct(rows, type=1, axis=1, workers=grid.threads.count)
+    if grid.comm.size > 1:
+        starts = slab_starts(grid.torus[1] // 2 + 1, grid.comm.size)
+        parts = [along[:, first:stop] for first, stop in zip(starts[:-1], starts[1:], strict=True)]
+        along = np.concatenate(grid.comm.alltoall(parts))
+    return dct(np.ascontiguousarray(along.T), type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
+
+
+def positive(grid: SlabGrid, table: np.ndarray) -> np.ndarray:
+    """The table; raises InputError unless all its entries are positive.  Collective."""
+    if not (least := grid.reduction.min(table)) > 0:
+        nx, ny = grid.shape
+        raise InputError(
+            f'grid.boundary = "open": the response of {nx} x {ny} points with spacings {grid.spacing[0]:g} and '
+            f"{grid.spacing[1]:g} is not positive ({least:.2g}); take pixels or sides that are less oblong"
+        )
+    return table
+
+
+def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:
+    """Column action that multiplies each mode by factor · table, or by factor/table except for the mean mode, which
+    becomes 0.
+    """
+    real = np.dtype(dtype)
+    number, held = real.type(factor), table.astype(real, copy=False)
+    has_mean = divide and grid.columns.start == 0
+
+    def act(block: np.ndarray, first: int, stop: int) -> None:
+        scale_even(block.view(real).reshape(*block.shape, 2), held[first:stop], number, divide)
+        if has_mean and first == 0:
+            block[0, 0] = 0
+
+    return act

@@ -1,0 +1,296 @@
+"""Open boundaries: a patch of an infinite surface, against exact solutions, brute force and its own certificate."""
+
+import math
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from solids import elastic
+
+import pgfmd
+from pgfmd.errors import InputError
+from pgfmd.grid.callbacks import sink, source
+from pgfmd.grid.domain import OPEN
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.grid.transfer import Interpolation, restrict_locally
+from pgfmd.observables.labelling import label_patches
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.active_set.active_set import Relaxation, State
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
+from pgfmd.surfaces.self_affine import self_affine
+
+MODULUS = 1.7
+
+
+def grid_of(shape, spacing=(1.0, 1.0), comm=MPI.COMM_SELF):
+    """An open grid."""
+    return SlabGrid(comm, shape, tuple(n * a for n, a in zip(shape, spacing, strict=True)), domain=OPEN)
+
+
+def response(grid, pressure):
+    """Gp, by transforms."""
+    out = grid.new_field()
+    grid.convolve(source(pressure), elastic(MODULUS).apply_compliance(grid, np.float64, 1 / grid.modes), sink(out))
+    return out
+
+
+def paraboloid(n, radius, centre=(0.0, 0.0)):
+    """−r²/2R about a point near the middle, largest at 0."""
+    x, y = (np.arange(n) - n / 2 - c for c in centre)
+    return -(x[:, None] ** 2 + y**2) / (2 * radius)
+
+
+def rough(n, seed=3, slope=0.1):
+    """A rough sphere that touches within the patch."""
+    return self_affine(SlabGrid(MPI.COMM_SELF, (n, n)), 0.8, 8.0, slope, seed) * 0.5 + paraboloid(n, 8 * n)
+
+
+def solved(heights, force, tolerance=1e-10, **options):
+    """The contact under a total force, spacing 1."""
+    return pgfmd.solve(heights, force=force, boundary="open", contact_modulus=MODULUS, tolerance=tolerance, **options)
+
+
+def matrix(grid):
+    """G of all points of a small grid, column by column."""
+    columns = []
+    for k in range(grid.size):
+        unit = np.zeros(grid.size)
+        unit[k] = 1
+        columns.append(response(grid, unit.reshape(grid.shape)).ravel())
+    return np.array(columns)
+
+
+def test_a_loaded_pixel_displaces_itself_and_others_as_on_a_half_space():
+    """u(0) = 4 ln(1 + √2) p a/πE' to 1e-4, and p a²/πE'r elsewhere: to 2.4e-4 away from the axes, on which the modes
+    that the grid lacks leave √2/(π²i) of it at distance i.
+    """
+    grid, pressure = grid_of((96, 64)), np.zeros((96, 64))
+    pressure[20, 30] = 1.0
+    u = response(grid, pressure) * math.pi * MODULUS
+    assert abs(u[20, 30] / (4 * math.log(1 + math.sqrt(2))) - 1) < 1e-4
+    x, y = np.arange(96)[:, None] - 20, np.arange(64) - 30
+    wrong = u * np.hypot(x, y) - 1
+    assert np.abs(wrong[(np.abs(x) >= 4) & (np.abs(y) >= 4)]).max() < 2.5e-4
+    assert np.abs(np.abs(wrong[26:36, 30]) * np.arange(6, 16) - math.sqrt(2) / math.pi**2).max() < 3e-3
+
+
+@pytest.mark.mpi
+def test_the_response_does_not_depend_on_the_ranks():
+    """G of a random pressure on uneven slabs is that on one rank."""
+    pressure = np.random.default_rng(1).random((37, 20))
+    grid = grid_of(pressure.shape, (1.0, 1.5), MPI.COMM_WORLD)
+    with grid.freed():
+        found = grid.fetch(response(grid, pressure[grid.rows]), 0, 37)
+    assert np.abs(found - response(grid_of(pressure.shape, (1.0, 1.5)), pressure)).max() < 1e-12 * found.max()
+
+
+def test_hertz():
+    """Approach a²/R to 1e-5 in the mean of six random centres, and the pressure's L2 error ∝ pixel."""
+    errors = []
+    random = np.random.default_rng(7)
+    for a, n in ((32, 80), (16, 40)):
+        radius, shifts = 8.0 * n, random.random((6, 2))
+        approaches, wrong = [], []
+        for shift in shifts:
+            heights = paraboloid(n, radius, shift)
+            found = solved(heights, 4 * MODULUS * a**3 / (3 * radius))
+            approaches.append((found.displacement - heights.max()) / (a**2 / radius) - 1)
+            r2 = -2 * radius * heights
+            exact = 2 * MODULUS / (math.pi * radius) * np.sqrt(np.maximum(a**2 - r2, 0))
+            wrong.append(np.linalg.norm(found.pressure - exact) / np.linalg.norm(exact))
+        errors.append((abs(np.mean(approaches)), np.mean(wrong)))
+    assert errors[0][0] < 1e-5
+    assert 1.5 < errors[1][1] / errors[0][1] < 2.7 and errors[0][1] < 6e-3
+
+
+def test_cone():
+    """P = π a² E' m/2 at the approach π a m/2 (Sneddon 1965)."""
+    a, slope, n = 32, 0.1, 80
+    values = []
+    for shift in np.random.default_rng(2).random((4, 2)):
+        x, y = (np.arange(n) - n / 2 - c for c in shift)
+        heights = -slope * np.hypot(x[:, None], y)
+        values.append(solved(heights, math.pi * a**2 * MODULUS * slope / 2).displacement - heights.max())
+    assert abs(np.mean(values) / (math.pi * a * slope / 2) - 1) < 2e-3
+
+
+@pytest.mark.parametrize("n", [32, 64])
+def test_square_punch(n):
+    """P = 1.1523 E' δ (n − .38): a flat patch, which is a square punch, is wider by half its border's pixels less."""
+    found = solved(np.zeros((n, n)), 1.0)
+    assert abs(n - 1.0 / (1.1523 * MODULUS * found.displacement) - 0.37) < 0.02
+
+
+def test_two_distant_spheres():
+    """Each raises the other: λ − λ₁ = P/(πE's) (1 + (4/15)(a/s)² − (2/π)(a/s)³), to 5e-4."""
+    n, radius, a, s = 96, 600.0, 12.0, 56
+    one = np.full((n, n), -1e3)
+    x, y = np.arange(n)[:, None], np.arange(n)
+    left, right = (-((x - at) ** 2 + (y - 48.25) ** 2) / (2 * radius) for at in (20.3, 20.3 + s))
+    both = np.maximum(left, right)
+    one = np.where(left >= right, left, -1e3)
+    force = 4 * MODULUS * a**3 / (3 * radius)
+    alone, pair = solved(one, force), solved(both, 2 * force)
+    expected = force / (math.pi * MODULUS * s) * (1 + 4 / 15 * (a / s) ** 2 - 2 / math.pi * (a / s) ** 3)
+    assert abs((pair.displacement - alone.displacement) / expected - 1) < 2e-3
+
+
+def test_translation_transpose_and_mirror():
+    """A contact does not depend on where it lies in the patch, nor on the names and senses of the axes."""
+    heights = rough(48)
+    wide = np.full((80, 70), -1e3)
+    wide[9:57, 20:68] = heights
+    here = solved(heights, 8.0, 1e-12)
+    there = solved(wide, 8.0, 1e-12)
+    assert np.abs(there.pressure[9:57, 20:68] - here.pressure).max() < 1e-4 * here.pressure.max()
+    assert abs(there.displacement / here.displacement - 1) < 1e-6
+    turned = solved(np.ascontiguousarray(heights.T[::-1]), 8.0, 1e-12)
+    assert np.abs(turned.pressure - here.pressure.T[::-1]).max() < 1e-5 * here.pressure.max()
+
+
+@pytest.mark.parametrize(("shape", "spacing"), [((6, 7), (1.0, 1.0)), ((5, 9), (1.0, 4.0)), ((8, 3), (2.5, 1.0))])
+def test_certificate_and_solution_against_brute_force(shape, spacing):
+    """The compliance is positive definite; the solution is that of an exact active set on the dense matrix; the bound
+    of any feasible pressure is never below its true error.
+    """
+    random, grid = np.random.default_rng(11), grid_of(shape, spacing)
+    dense = matrix(grid)
+    assert np.abs(dense - dense.T).max() < 1e-12 * dense.max() and np.linalg.eigvalsh(dense).min() > 0
+    for _ in range(6):
+        heights, mean = random.normal(size=shape), 10 ** random.uniform(-2, 0.5)
+        problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall(), mean)
+        found = solve_contact(problem, Solver(tolerance=1e-12))
+        exact = dense_solution(dense, heights.ravel(), mean * grid.size)
+        assert np.abs(found.pressure.ravel() - exact).max() < 1e-5 * exact.max()
+
+        def energy(p, dense=dense, heights=heights):
+            return p @ dense @ p / 2 - p @ heights.ravel()
+
+        relaxation = Relaxation(problem)
+        for _ in range(4):
+            wrong = exact * (1 + random.uniform(0.01, 0.5) * random.normal(size=grid.size))
+            wrong = np.maximum(wrong, 0)
+            wrong *= mean * grid.size / wrong.sum()
+            state = State(wrong.reshape(shape).copy(), grid.new_field())
+            relaxation.compute_gap(state, np.float64)
+            relaxation.measure(state)
+            bound = relaxation.bound(state, np.float64) * 2 * state.energy
+            assert bound >= energy(wrong) - energy(exact) > -1e-12
+
+
+def dense_solution(dense, heights, load):
+    """min ½pᵀGp − pᵀh over p ≥ 0, Σp = load, by dropping tensions and taking in the deepest overlap."""
+    active = np.ones(len(heights), bool)
+    for _ in range(500):
+        k = np.flatnonzero(active)
+        system = np.block([[dense[np.ix_(k, k)], -np.ones((len(k), 1))], [np.ones((1, len(k))), np.zeros((1, 1))]])
+        solution = np.linalg.solve(system, np.append(heights[k], load))
+        p, level = np.zeros(len(heights)), solution[-1]
+        p[k] = solution[:-1]
+        if p.min() < 0:
+            active &= p > 0
+            continue
+        gap = dense @ p - heights - level
+        if gap.min() > -1e-10 * abs(level):
+            return p
+        active[np.argmin(gap)] = True
+    raise AssertionError("no active set found")
+
+
+def test_the_periodic_limit():
+    """Far from the border, a small contact in a periodic cell differs by about 1.9 (a/L)³."""
+    n, radius, a = 96, 700.0, 12.0
+    heights, force = paraboloid(n, radius), 4 * MODULUS * a**3 / (3 * radius)
+    cell = pgfmd.solve(heights, force=force, contact_modulus=MODULUS, tolerance=1e-12).pressure
+    patch = solved(heights, force, 1e-12).pressure
+    ratio = np.linalg.norm(cell - patch) / np.linalg.norm(patch) / (a / n) ** 3
+    assert 1.4 < ratio < 2.4
+
+
+@pytest.mark.mpi
+def test_ranks_agree_on_a_contact():
+    """Pressure, approach, patches and line on any number of ranks are those of one, at odd sizes with a mesh."""
+    heights = rough(259)
+    grid = SlabGrid(MPI.COMM_WORLD, heights.shape)
+    found = pgfmd.solve(heights[grid.rows], force=60.0, boundary="open", contact_modulus=MODULUS, tolerance=1e-12,
+                        comm=MPI.COMM_WORLD)  # fmt: skip
+    alone = solved(heights, 60.0, 1e-12)
+    assert np.abs(found.pressure - alone.pressure[grid.rows]).max() < 3e-5 * alone.pressure.max()
+    assert abs(found.displacement / alone.displacement - 1) < 1e-7
+    ours, theirs = found.observables("patches"), alone.observables("patches")
+    if grid.comm.rank == 0:
+        assert np.array_equal(ours["patches"]["area"], theirs["patches"]["area"])
+    assert abs(found.contact_area_corrected - alone.contact_area_corrected) < 1e-6
+
+
+@pytest.mark.parametrize("control", ["contact_area", "mean_gap", "displacement", "force"])
+def test_what_a_load_gives_imposed_gives_the_load(control):
+    """Area, mean gap, displacement and force of a solution, imposed, lead back to its pressure."""
+    heights = rough(40)
+    known = solved(heights, 9.0)
+    targets = {"contact_area": known.contact_area, "mean_gap": known.mean_gap, "displacement": known.displacement,
+               "force": 9.0}  # fmt: skip
+    found = pgfmd.solve(heights, boundary="open", contact_modulus=MODULUS, **{control: float(targets[control])})
+    assert abs(found.mean_pressure / known.mean_pressure - 1) < (0.03 if control == "contact_area" else 2e-4)
+    assert abs(known.mean_gap - known.gap.mean()) < 1e-12
+
+
+@pytest.mark.parametrize("wall", [{"kind": "hardness", "hardness": 0.06}, {"kind": "exponential", "zeta": 0.02}])
+def test_other_walls_obey_their_law(wall):
+    """Pressure and gap of a certified solution are those of the law, with the displacement of the dense response."""
+    heights = rough(24, slope=0.3)
+    found = pgfmd.solve(heights, force=6.0, boundary="open", contact_modulus=MODULUS, wall=wall, tolerance=1e-12)
+    u = response(grid_of(heights.shape), found.pressure)
+    rest = u - heights - (found.gap - found.plastic_depth)  # the level, the same everywhere
+    inside = found.pressure > 0
+    assert np.ptp(rest[inside]) < 1e-4 * np.ptp(heights) and abs(rest[inside].mean() - found.displacement
+                                                                 + heights.max()) < 1e-4  # fmt: skip
+    if wall["kind"] == "exponential":
+        assert np.allclose(found.pressure, MODULUS * np.exp(-found.gap / 0.02), rtol=2e-2, atol=1e-6)
+    else:
+        assert found.pressure.max() <= 0.06 and (found.pressure == 0.06).any()
+
+
+def test_coarse_fields_lie_between_the_points():
+    """Restriction and interpolation keep a plane away from the border, and mirror at it."""
+    fine = grid_of((41, 40))
+    place = SubGrid.coarse(fine)
+    x, y = np.arange(41)[:, None], np.arange(40)
+    plane = 0.3 * x + 0.1 * y
+    coarse = restrict_locally(fine, place, plane)
+    centres = 0.3 * (2 * np.arange(21)[:, None] + 0.5) + 0.1 * (2 * np.arange(20) + 0.5)
+    assert np.abs(coarse - centres)[2:-3, 2:-2].max() < 1e-5
+    rows = Interpolation(place, fine, [centres]).rows(0, 0, 41)
+    assert np.abs(rows - plane)[4:-4, 4:-4].max() < 1e-9
+    steps = np.repeat(np.arange(21.0)[:, None], 20, 1)
+    first = Interpolation(place, fine, [steps]).rows(0, 0, 1)[0, 0]  # −¼, between the mirrored points −2, −1, 0, 1
+    assert abs(first - np.dot([-0.0390625, 0.2734375, 0.8203125, -0.0546875], [1, 0, 0, 1])) < 1e-12
+
+
+@pytest.mark.mpi
+def test_patches_do_not_wrap():
+    """A patch that reaches two opposite borders is one patch, two at opposite borders are two."""
+    comm = MPI.COMM_WORLD
+    mask = np.zeros((12, 9), bool)
+    mask[0, 2:4] = mask[-1, 2:4] = mask[5, 0] = mask[5, -1] = True
+    starts = SlabGrid(comm, mask.shape).starts
+    rows = slice(starts[comm.rank], starts[comm.rank + 1])
+    assert label_patches(comm, mask[rows], starts, 8, False).count == 4
+    assert label_patches(comm, mask[rows], starts, 8, True).count == 2
+
+
+def test_what_open_boundaries_do_not_have_is_refused_by_name():
+    """Observables of a period, dynamics, other transforms and refinement: one line that names them."""
+    heights = rough(16)
+    contact = solved(heights, 1.0)
+    for name in ("acf", "gap_spectrum", "lowpass", "discretisation", "stiffness", "percolation", "gap_slope"):
+        with pytest.raises(InputError, match=f"{name} needs a period"):
+            contact.observables(name)
+    for options in ({"method": "gfmd"}, {"refine": 2}, {"thickness": 5.0, "base": "free"}):
+        with pytest.raises(InputError, match="open"):
+            solved(heights, 1.0, **options)
+    with pytest.raises(InputError, match="mpi4py-fft"):
+        SlabGrid(MPI.COMM_SELF, (8, 8), transform="mpi4py-fft", domain=OPEN)
