@@ -17,7 +17,8 @@ from test_readme import sections
 import pgfmd
 from pgfmd.application.job import SECTIONS
 from pgfmd.application.results import Results
-from pgfmd.observables.schema import LOADS
+from pgfmd.observables.observable_kinds import LAYOUT
+from pgfmd.observables.schema import FIELDS, LOADS, TABLE
 
 sys.path.insert(0, str(ROOT / "tools" / "docs"))
 import generated  # noqa: E402
@@ -70,6 +71,18 @@ def test_a_task_works_in_ten_lines(task, folder):
     assert blocks and len(lines) <= LINES
     for language, text in blocks:
         do(language, text, folder)
+
+
+@pytest.mark.breadth
+def test_the_measured_patch_is_typed_as_it_stands(tmp_path):
+    """Every command of the page works, in its order."""
+    pytest.importorskip("SurfaceTopography")
+    folder = equipped(tmp_path)
+    (folder / "jobs").symlink_to(ROOT / "jobs")
+    for language, text in BLOCK.findall((PAGES / "measured.md").read_text()):
+        if language == "sh":
+            do("sh", text, folder)
+    assert len(list((folder / "results" / "patch" / "export").iterdir())) == 3
 
 
 @pytest.mark.breadth
@@ -153,12 +166,12 @@ def test_the_reference_is_that_of_the_source():
 
 
 def test_search_finds_each_key_and_each_column(site):
-    """Each key of a job and each column of the table of loads is a word of the reference in the index of the search,
-    and the page stands in the navigation.
+    """Each key of a job, each column of the table of loads, also of observables, and each field is a word of the
+    reference in the index of the search, and the page stands in the navigation.
     """
     entries = json.loads((site / "search" / "search_index.json").read_text())["docs"]
     words = {word for entry in entries if entry["location"].startswith("reference.html")
              for word in re.findall(r"\w+", entry["text"])}  # fmt: skip
     keys = {field.name for kind in SECTIONS.values() for section in sections(kind) for field in fields(section)}
-    assert len(keys) > 50 and keys | LOADS.keys() <= words
+    assert len(keys) > 50 and keys | LOADS.keys() | LAYOUT[TABLE].keys() | FIELDS.keys() <= words
     assert 'href="reference.html"' in (site / "index.html").read_text()
