@@ -12,6 +12,7 @@ from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
+import pgfmd.observables.observable_kinds  # noqa: F401  (fills the table of observables)
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import DOMAINS, Domain
 from pgfmd.grid.slab_grid import SlabGrid

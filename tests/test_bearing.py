@@ -9,8 +9,9 @@ from solids import elastic
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.bearing import threshold_for_count
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable_kinds import OBSERVABLES
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Certificate, ContactSolution
@@ -66,8 +67,8 @@ def bearing(comm, n, hurst, seed, fraction, lambda_s=1.0, names=("bearing", "spe
     solution = ContactSolution(pressure, pressure, fraction, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
     cutoff = 2 * np.pi / lambda_s if lambda_s > 1 else None
     problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
-    observer = Observer(problem, [OBSERVABLES[name]() for name in names], cutoff)
-    return grid, heights, observer.groups(observer.contact(solution))
+    surface = RoughSurface(problem, [OBSERVABLES[name]() for name in names], cutoff)
+    return grid, heights, Contact.of(surface, solution).measure()
 
 
 def test_area_and_curves(comm):
@@ -101,8 +102,8 @@ def test_autocorrelation_of_a_gaussian_surface(comm):
     pressure = (np.arange(grid.rows.start, grid.rows.stop) < 128)[:, None] * np.ones((1, 512))
     solution = ContactSolution(pressure, pressure, 0.25, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
     problem = ContactProblem(grid, heights, elastic(1.0), HardWall())
-    observer = Observer(problem, [OBSERVABLES[name]() for name in ("bearing", "acf")])
-    groups = observer.groups(observer.contact(solution))
+    surface = RoughSurface(problem, [OBSERVABLES[name]() for name in ("bearing", "acf")])
+    groups = Contact.of(surface, solution).measure()
     rho = groups["height_acf"]["value"] / groups["height_acf"]["value"][0]
     expected = theory.bearing.autocorrelation(rho, 0.25)
     assert rho.min() < -0.2  # the law is tested at both signs

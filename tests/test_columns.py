@@ -19,9 +19,10 @@ from pgfmd.application.provenance import Origin
 from pgfmd.application.results import Results
 from pgfmd.application.writer import ResultWriter
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import Observable, layout_of
 from pgfmd.observables.observable_kinds import OBSERVABLES
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.schema import LOADS, Dataset
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -51,8 +52,8 @@ def contact_of(comm, pressure, gap, kind, lengths=None):
     """The groups that an observable measures on whole fields, which are cut into slabs."""
     grid = SlabGrid(comm, gap.shape, lengths)
     local, opening = (field[grid.rows].copy() for field in (pressure, gap))
-    observer = Observer(ContactProblem(grid, np.zeros_like(opening), elastic(1.0), HardWall()), [kind])
-    return observer.groups(observer.contact(ContactSolution(local, opening, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)))
+    surface = RoughSurface(ContactProblem(grid, np.zeros_like(opening), elastic(1.0), HardWall()), [kind])
+    return Contact.of(surface, ContactSolution(local, opening, 1.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0, 0.0)).measure()
 
 
 def test_numbers_are_on_all_ranks(comm):

@@ -11,10 +11,11 @@ from mpi4py import MPI
 from solids import elastic
 
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
 from pgfmd.observables.contact_line import Tables, edge_table, locate
 from pgfmd.observables.labelling import label_patches
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
@@ -297,5 +298,5 @@ def test_no_line_where_roughness_goes_down_to_the_pixel(comm, hurst, wavelength,
     heights = self_affine(grid, hurst, wavelength, 0.1, 3)
     for thickness, expected in ((math.inf, resolved), (0.1, True)):
         problem = ContactProblem(grid, heights, elastic(1.0, thickness), HardWall(), 0.01)
-        contact = Observer(problem).contact(solve_hard_wall(problem, 1e-6))
+        contact = Contact.of(RoughSurface(problem), solve_hard_wall(problem, 1e-6))
         assert (contact.line is not None) == expected

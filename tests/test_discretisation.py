@@ -17,9 +17,10 @@ from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.discretisation import MODES, change_at_equal_load, long_waves
 from pgfmd.observables.observable_kinds import OBSERVABLES
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -34,9 +35,9 @@ NUMBERS = ("contact_area_corrected", "contact_perimeter", "mean_gap", "elastic_e
 def measured(grid, heights, load, cutoff):
     """The row of a load, and its error bars on every rank."""
     problem = ContactProblem(grid, heights, elastic(1.0), HardWall(), load)
-    observer = Observer(problem, [OBSERVABLES["discretisation"]()], cutoff)
-    contact = observer.contact(solve_hard_wall(problem, 1e-9))
-    return observer.row(contact), grid.comm.bcast(observer.groups(contact)["discretisation"]), contact
+    surface = RoughSurface(problem, [OBSERVABLES["discretisation"]()], cutoff)
+    contact = Contact.of(surface, solve_hard_wall(problem, 1e-9))
+    return contact.numbers, grid.comm.bcast(contact.measure()["discretisation"]), contact
 
 
 @pytest.mark.mpi("breadth")
@@ -66,10 +67,10 @@ def test_long_waves_are_fourier_coefficients(comm):
     grid = SlabGrid(comm, (40, 32), (40.0, 16.0))
     heights = self_affine(grid, 0.5, 10, 0.05, 5)
     row, bars, contact = measured(grid, heights, 0.01, 2 * np.pi / 10)
-    found = long_waves(contact.problem, contact.solution, contact.line)
+    found = long_waves(contact.problem, contact, contact.line)
     assert found["perimeter"][0].real == pytest.approx(row["contact_perimeter"], rel=1e-12, abs=0)
     pressure, gap, heights = (
-        grid.fetch(field, 0, 40) for field in (contact.solution.pressure, contact.solution.gap, heights)
+        grid.fetch(field, 0, 40) for field in (contact.pressure, contact.gap, heights)
     )  # fmt: skip
     energy = (pressure - 0.01) * (gap + heights) / 2
     fields = {"load": pressure, "mean_square_pressure": pressure**2, "elastic_energy": energy}

@@ -11,8 +11,9 @@ from pgfmd.application import job
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable_kinds import OBSERVABLES
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Certificate, ContactSolution
@@ -33,8 +34,8 @@ def measure(comm, gap, **options):
     local = gap[grid.rows].copy()
     solution = ContactSolution(local, local, 1.0, 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
     problem = ContactProblem(grid, local, elastic(1.0), HardWall())
-    observer = Observer(problem, [OBSERVABLES["gap_spectrum"](**options)], 1.5)
-    return observer.groups(observer.contact(solution))["gap_spectrum"]
+    surface = RoughSurface(problem, [OBSERVABLES["gap_spectrum"](**options)], 1.5)
+    return Contact.of(surface, solution).measure()["gap_spectrum"]
 
 
 @pytest.mark.parametrize("spacing", ["log", "linear"])

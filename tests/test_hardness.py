@@ -14,8 +14,9 @@ from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables import contact as measuring
 from pgfmd.observables.contact_patches import ContactPatches
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -336,10 +337,10 @@ def test_no_area_bears_more_than_the_hardness(comm, part):
     grid = SlabGrid(comm, (64, 64))
     heights, law = self_affine(grid, 0.8, 8.0, 0.1, 3), Hardness(hardness=0.01)
     problem = ContactProblem(grid, heights, elastic(1.0), law, part * law.hardness)
-    observer = Observer(problem, [ContactPatches()])
-    contact = observer.contact(solve_contact(problem))
+    surface = RoughSurface(problem, [ContactPatches()])
+    contact = measuring.Contact.of(surface, solve_contact(problem))
     assert contact.line is not None
     assert part <= contact.area.corrected < contact.area.fraction
-    patches = observer.groups(contact)["patches"]
+    patches = contact.measure()["patches"]
     if comm.rank == 0:
         assert np.all(patches["area_corrected"] >= patches["load"] / law.hardness)

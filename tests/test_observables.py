@@ -17,12 +17,12 @@ from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import binning, histogram, rough_surface, schema
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import contact_area, line_of
 from pgfmd.observables.histogram import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.lowpass import coarsening, lowpass, octaves, touches_fully
 from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
-from pgfmd.observables.observer import Observer
-from pgfmd.observables.rough_surface import correlate, indicator, mode_rings
+from pgfmd.observables.rough_surface import RoughSurface, correlate, indicator, mode_rings
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -66,8 +66,8 @@ def observe(comm, shape, lengths, names=NAMES[:5], cutoff=None, **tables):
     """Groups of whole fields that are cut into slabs; those of rank 0 on every rank."""
     grid = SlabGrid(comm, shape, lengths)
     heights, pressure = (field[grid.rows].copy() for field in fields(shape))
-    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names, **tables), cutoff)
-    return comm.bcast(observer.groups(observer.contact(solved(pressure))))
+    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names, **tables), cutoff)
+    return comm.bcast(Contact.of(surface, solved(pressure)).measure())
 
 
 def whole_transform(field):
@@ -232,13 +232,12 @@ def test_work(comm, names, first, each):
     """Only what is asked for is computed: transforms for the heights, once, and for each load."""
     grid = SlabGrid(comm, (24, 24))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names))
+    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(names))
     assert grid.transforms == first
-    contact = observer.contact(solved(pressure))
-    observer.row(contact)
-    observer.groups(contact)
+    contact = Contact.of(surface, solved(pressure))
+    assert contact.numbers and contact.measure() is not None
     assert grid.transforms == first + each
-    assert sorted(observer.seconds) == sorted(names) and min(observer.seconds.values(), default=1) > 0
+    assert sorted(surface.seconds) == sorted(names) and min(surface.seconds.values(), default=1) > 0
     assert each <= sum(observable.cost(contact.surface.cell, None).transforms for observable in asked(names))
 
 
@@ -247,12 +246,12 @@ def test_memory(comm):
     tracemalloc.start()
     grid, solid = SlabGrid(comm, (512, 512)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 8, 0.05, 5)
-    observer = Observer(ContactProblem(grid, heights, solid, HardWall()), asked(NAMES), 2 * np.pi / 8)
+    surface = RoughSurface(ContactProblem(grid, heights, solid, HardWall()), asked(NAMES), 2 * np.pi / 8)
     tracemalloc.reset_peak()
     solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-3)
     solving = tracemalloc.get_traced_memory()[1]
     tracemalloc.reset_peak()
-    observer.groups(observer.contact(solution))
+    Contact.of(surface, solution).measure()
     observing = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert grid.reduction.sum(solving) > 40 * grid.size  # heights, pressure, gap, strips and one more field: it counts
@@ -289,16 +288,16 @@ def test_row(comm):
     """κ = f_c E' g/p̄ with the surface's spectral slope, and nan at no load; all numbers of the schema are there."""
     grid = SlabGrid(comm, (32, 48), (32.0, 24.0))
     heights = self_affine(grid, 0.5, 1, 0.07, 3)
-    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()))
-    assert observer.surface.rms_slope == pytest.approx(0.07, rel=1e-12, abs=0)  # that of which the surface was made
+    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()))
+    assert surface.rms_slope == pytest.approx(0.07, rel=1e-12, abs=0)  # that of which the surface was made
     solution = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.01), 1e-3)
-    row = observer.row(observer.contact(solution))
-    assert schema.LOADS.keys() - row.keys() == {"target", "displacement"}  # those the load control knows
+    row = Contact.of(surface, solution).numbers
+    assert schema.LOADS.keys() - row.keys() == {"target"}  # which the job knows
     assert row["contact_area"] == grid.reduction.sum(solution.pressure > 0) / grid.size
     assert row["kappa"] == pytest.approx(row["contact_area"] * MODULUS * 0.07 / 0.01, rel=1e-12, abs=0)
     assert 0 < row["pressure_error"] == solution.pressure_error < 1
     unloaded = solve_hard_wall(ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.0))
-    nothing = observer.row(observer.contact(unloaded))
+    nothing = Contact.of(surface, unloaded).numbers
     assert nothing["contact_area"] == nothing["contact_area_corrected"] == 0 and math.isnan(nothing["kappa"])
 
 
@@ -306,9 +305,9 @@ def test_patches_hold_the_contact(comm):
     """Areas add up to the contact area, loads to the load; labels are the numbers of the rows of the table."""
     grid = SlabGrid(comm, (24, 30), (24.0, 15.0))
     heights, pressure = (field[grid.rows].copy() for field in fields(grid.shape))
-    observer = Observer(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(["patches"]))
-    contact = observer.contact(solved(pressure))
-    table = comm.bcast(observer.groups(contact)["patches"])
+    surface = RoughSurface(ContactProblem(grid, heights, elastic(MODULUS), HardWall()), asked(["patches"]))
+    contact = Contact.of(surface, solved(pressure))
+    table = comm.bcast(contact.measure()["patches"])
     assert table["area"].sum() == contact.area.pixels * grid.pixel_area
     assert table["load"].sum() == pytest.approx(grid.reduction.sum(pressure) * grid.pixel_area, rel=1e-14, abs=0)
     labels = grid.fetch(contact.fields(("labels",), 8)["labels"], 0, 24)
@@ -436,10 +435,10 @@ def test_area_of_the_low_passed_surface(comm):
         return solve_hard_wall(problem, 1e-8)
 
     problem = ContactProblem(grid, heights, elastic(MODULUS), HardWall())
-    observer = Observer(problem, asked(["lowpass"], lowpass={"q": q}), solve=solve)
+    surface = RoughSurface(problem, asked(["lowpass"], lowpass={"q": q}), solve=solve)
     nothing = np.zeros(grid.local_shape)
-    contact = observer.contact(dataclasses.replace(solved(nothing), mean_pressure=load))
-    found = observer.groups(contact)["lowpass_area"]
+    contact = Contact.of(surface, dataclasses.replace(solved(nothing), mean_pressure=load))
+    found = contact.measure()["lowpass_area"]
     cell = contact.surface.cell
     assert coarsening(cell, q[0]) > coarsening(cell, q[1]) > 1
     assert found["area_corrected"][1] == pytest.approx(0.1905, abs=0.003)
@@ -456,9 +455,9 @@ def test_area_is_that_of_the_finest_grid(comm):
     grid, solid = SlabGrid(comm, (256, 256)), elastic(MODULUS)
     heights = self_affine(grid, 0.5, 4, 0.05, 5)
     problem = ContactProblem(grid, heights, solid, HardWall(), 0.01)
-    observer = Observer(problem, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
+    surface = RoughSurface(problem, asked(["lowpass"], lowpass={"q": 2 * np.pi / np.array([64, 32])}))
     solution = solve_hard_wall(problem, 1e-4)
-    found = observer.groups(observer.contact(solution))["lowpass_area"]
+    found = Contact.of(surface, solution).measure()["lowpass_area"]
     for q, area in zip(found["q"], found["area_corrected"], strict=True):
         smooth = problem.on(grid, lowpass(grid, heights, q))
         direct = solve_hard_wall(smooth, 1e-6)
@@ -471,9 +470,9 @@ def test_area_of_a_surface_without_waves(comm):
     """Below its only wave, of which rounding is left, a surface is flat: f = 1, at any load that is not nothing."""
     grid = SlabGrid(comm, (48, 48))
     problem = ContactProblem(grid, sinusoid(grid, 0.1, (2, 0)), elastic(MODULUS), HardWall(), 0.003)
-    observer = Observer(problem, asked(["lowpass"], lowpass={"q": [2 * np.pi / 48, 2 * np.pi / 24]}))
-    contact = observer.contact(solve_contact(problem))
-    found = observer.groups(contact)["lowpass_area"]
+    surface = RoughSurface(problem, asked(["lowpass"], lowpass={"q": [2 * np.pi / 48, 2 * np.pi / 24]}))
+    contact = Contact.of(surface, solve_contact(problem))
+    found = contact.measure()["lowpass_area"]
     assert found["area"][0] == found["area_corrected"][0] == 1
     assert found["area"][1] == pytest.approx(contact.area.fraction, abs=2 / 48)  # the wave itself is there
 
@@ -484,7 +483,7 @@ def test_no_contact_has_a_negative_area(comm):
     grid = SlabGrid(comm, (64, 64))
     problem = ContactProblem(grid, self_affine(grid, 0.8, 16, 0.1, 1), elastic(1.0), HardWall(), 1e-9)
     solution = solve_hard_wall(problem, 1e-8)
-    area = Observer(problem, [], 2 * np.pi / 16).contact(solution).area
+    area = Contact.of(RoughSurface(problem, [], 2 * np.pi / 16), solution).area
     assert area.pixels == 1 and 0 < area.corrected <= area.fraction and area.perimeter > 0
 
 
@@ -496,7 +495,7 @@ def test_cross_spectra_in_any_units(comm):
         grid = SlabGrid(comm, (16, 12), (16 * length, 12 * length))
         heights = np.random.default_rng(3).standard_normal(grid.shape)[grid.rows] * length
         problem = ContactProblem(grid, heights, elastic(pressure), HardWall(), 0.05 * pressure)
-        contact = Observer(problem, asked(["spectra"])).contact(solve_hard_wall(problem, 1e-12))
+        contact = Contact.of(RoughSurface(problem, asked(["spectra"])), solve_hard_wall(problem, 1e-12))
         found.append(contact.cross_power / pressure / length)
     np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-4 * np.abs(found[0]).max())
 
@@ -507,10 +506,10 @@ def test_no_patch_has_a_negative_area(comm):
     """
     grid = SlabGrid(comm, (128, 128))
     problem = ContactProblem(grid, self_affine(grid, 0.3, 4, 0.1, 1), elastic(1.0), HardWall(), 1e-3)
-    contact = Observer(problem, [], 2 * np.pi / 4).contact(solve_hard_wall(problem, 1e-10))
+    contact = Contact.of(RoughSurface(problem, [], 2 * np.pi / 4), solve_hard_wall(problem, 1e-10))
     labels = contact.labels(8)
     beyond, length = (grid.reduction.sum(part) for part in contact.line_of_patches(8))
-    table = contact.patches(labels, contact.solution.pressure)
+    table = contact.patches(labels, contact.pressure)
     if comm.rank == 0:
         area, inside = table["area"], table["area_corrected"]
         as_pixels = (inside == area) & (table["perimeter_corrected"] == table["perimeter"])
@@ -533,9 +532,9 @@ def test_a_contact_that_cannot_be_had_is_not_given(comm, caplog, failure):
         return solve_hard_wall(problem, 1e-4)
 
     lengths = []
-    observer = Observer(problem, asked(["lowpass", "discretisation"], lowpass={"q": waves}), 2 * np.pi / 16, solve)
-    contact = observer.contact(solve_hard_wall(problem, 1e-6))
-    found = observer.groups(contact)
+    surface = RoughSurface(problem, asked(["lowpass", "discretisation"], lowpass={"q": waves}), 2 * np.pi / 16, solve)
+    contact = Contact.of(surface, solve_hard_wall(problem, 1e-6))
+    found = contact.measure()
     for name in ("area", "area_corrected"):
         assert np.isnan(found["lowpass_area"][name]).sum() == 1
     errors = found["discretisation"]
@@ -569,9 +568,9 @@ def test_area_of_the_whole_surface(comm):
     heights = self_affine(grid, 0.5, 1, 0.05, 5)
     solution = solve_hard_wall(ContactProblem(grid, heights, solid, HardWall(), 0.01), 1e-6)
     before = solution.pressure.copy(), solution.gap.copy(), heights.copy()
-    observer = Observer(ContactProblem(grid, heights, solid, HardWall()), asked(["lowpass"]))
-    contact = observer.contact(solution)
-    found = observer.groups(contact)["lowpass_area"]
+    surface = RoughSurface(ContactProblem(grid, heights, solid, HardWall()), asked(["lowpass"]))
+    contact = Contact.of(surface, solution)
+    found = contact.measure()["lowpass_area"]
     assert found["area"][-1] == contact.area.fraction
     assert found["area_corrected"][-1] == contact.area.corrected
     assert np.all(found["area_corrected"][:-1] > contact.area.corrected)
@@ -587,10 +586,10 @@ def test_one_contact_for_all_observables(comm):
     grid = SlabGrid(comm, (48, 40))
     heights = self_affine(grid, 0.5, 4, 0.1, 5)
     problem = ContactProblem(grid, heights, elastic(MODULUS), ExponentialWall(zeta=0.02), 0.01)
-    observer = Observer(problem, asked(NAMES[:5], spectra={"all_modes": True}))
-    contact = observer.contact(solve_contact(problem))
-    found = comm.bcast(observer.groups(contact))
-    assert 0 < contact.area.pixels < grid.reduction.sum(contact.solution.pressure > 0)
+    surface = RoughSurface(problem, asked(NAMES[:5], spectra={"all_modes": True}))
+    contact = Contact.of(surface, solve_contact(problem))
+    found = comm.bcast(contact.measure())
+    assert 0 < contact.area.pixels < grid.reduction.sum(contact.pressure > 0)
     area = contact.area.fraction
     assert found["pressure_histogram"]["count"].sum() == contact.area.pixels
     assert found["patches"]["area"].sum() == pytest.approx(contact.area.pixels * grid.pixel_area, rel=1e-13, abs=0)

@@ -16,7 +16,7 @@ from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.stiffness import Stiffness
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
@@ -157,7 +157,7 @@ def test_refused(comm):
     grid = SlabGrid(comm, (8, 8))
     slab = ContactProblem(grid, np.zeros(grid.local_shape), elastic(1.0, 3.0), HardWall())
     with pytest.raises(InputError, match="half-spaces"):
-        Observer(slab, [Stiffness(conductivities=(1.0, 1.0))])
+        RoughSurface(slab, [Stiffness(conductivities=(1.0, 1.0))])
     with pytest.raises(InputError, match='observable "stiffness"'):
         job.parse(rough_job(8, load={"pressure": [0.1]}, output={"fields": ["current_density"]}))
     with pytest.raises(InputError, match="hard, hardness and exponential"):

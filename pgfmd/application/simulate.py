@@ -28,8 +28,9 @@ from pgfmd.application.stop import Interruptions
 from pgfmd.application.writer import Mode, ResultWriter
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import layout_of
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.schema import TABLE
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
@@ -107,7 +108,7 @@ def simulate(
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
-        observer = Observer(problem, job.output.asked, cutoff, fields=job.output.fields)
+        surface = RoughSurface(problem, job.output.asked, cutoff, fields=job.output.fields)
         control = load_control(job.load, problem, job.solver.tolerance)
         impossible = _impossible(control, job.load.targets, alone)
         first = of_first_load(job)
@@ -151,9 +152,9 @@ def simulate(
                 progress.end()
                 continue
             with phases("observe"):
-                contact = observer.contact(solution)
-                row = {"target": target, "displacement": control.displacement(solution)} | observer.row(contact)
-                groups = observer.groups(contact)
+                contact = Contact.of(surface, solution, control.displacement(solution))
+                row = {"target": target} | contact.numbers
+                groups = contact.measure()
                 row |= {name: float(value) for name, value in groups.pop(TABLE, {}).items()}
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
@@ -169,7 +170,7 @@ def simulate(
             raise SolverError("; ".join(map(str, unreachable.values())))
         for index in unreachable:
             writer.write_load(index, {"target": job.load.targets[index]})
-        writer.finish(phases.seconds | {f"observe {name}": value for name, value in observer.seconds.items()})
+        writer.finish(phases.seconds | {f"observe {name}": value for name, value in surface.seconds.items()})
     if unreachable:
         raise SolverError(f"{'; '.join(map(str, unreachable.values()))}; the other loads are written")
 

@@ -13,7 +13,7 @@ from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.text import show
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
     from pgfmd.physics.problem import ContactProblem
 
 COLUMNS = {
@@ -49,7 +49,7 @@ class Adhesion(Observable):
         if problem.law.convex:
             raise InputError(f"output.adhesion: wall.kind = {show(problem.law.kind)} does not attract")
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """As the solver counted."""
-        details = contact.solution.details
+        details = contact.details
         return {"loads": {name: np.array(details[name]) for name in COLUMNS}}

@@ -21,7 +21,7 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 
@@ -45,16 +45,16 @@ class Bearing(Observable):
         """A transform, if spectra or autocorrelations are asked for, and a mask with its runs."""
         return Cost(transforms=1.0, memory=2.0)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Four passes over the heights for the threshold.  Collective."""
         surface, heights, groups = contact.surface, contact.surface.heights, dict[str, Mapping[str, np.ndarray]]()
         threshold = threshold_for_count(contact.grid, heights, contact.area.pixels)
-        if {"spectra", "acf"} & contact.asked.keys():
+        if {"spectra", "acf"} & contact.surface.asked.keys():
             found = surface.correlate(indicator(heights, threshold))
-            if "spectra" in contact.asked:
+            if "spectra" in contact.surface.asked:
                 groups["bearing_spectrum"] = surface.modes.means(found.power, "q")
             groups |= surface.acf_groups("bearing", found)
-        patches = contact.asked.get("patches")
+        patches = contact.surface.asked.get("patches")
         if isinstance(patches, ContactPatches):
             grid = contact.grid
             above = heights > threshold

@@ -1,8 +1,10 @@
-"""`Contact`: what `pgfmd.solve` returns, a solved contact that can be measured, drawn and handed on."""
+"""`Contact`: a solved contact, to measure, draw and hand on; `pgfmd.solve` returns it, observables measure it."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,10 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.observables.observable import Observable
-from pgfmd.observables.observable_kinds import OBSERVABLES
-from pgfmd.observables.observer import Observer
-from pgfmd.observables.schema import FIELDS, LOADS, Groups
+from pgfmd.grid.callbacks import source
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact_area import Area, ContactLine, contact_area, line_of
+from pgfmd.observables.contact_line import staircase
+from pgfmd.observables.labelling import Labels, label_patches
+from pgfmd.observables.observable import OBSERVABLES, Observable
+from pgfmd.observables.patch_table import patch_table
+from pgfmd.observables.rough_surface import Correlations, RoughSurface, correlate, indicator
+from pgfmd.observables.schema import FIELDS, TABLE, Groups
 from pgfmd.options.section import build
 from pgfmd.options.text import guess
 from pgfmd.physics.problem import ContactProblem
@@ -28,12 +35,15 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import xarray
 
+TYPICAL = 1.9  # see `Contact.likely_pressure_error`: the median over 825 solutions; largest 3.4
+
 
 @dataclass(repr=False)
 class Contact(ContactSolution):
     """A solved contact: fields (nx_local, ny), numbers that are the same on all ranks, and what is measured on it.
 
-    Nothing is measured before it is asked for.  A measurement sets up the transforms of the grid, and frees them.
+    Nothing is measured before it is asked for; each measurement is collective on first use.  A contact that does not
+    share its surface with others (`of`) sets up the transforms of the grid for a measurement, and frees them.
 
     >>> import numpy as np, pgfmd
     >>> wave = np.cos(2 * np.pi * np.arange(64) / 64)
@@ -47,6 +57,17 @@ class Contact(ContactSolution):
 
     problem: ContactProblem = field(kw_only=True)
     displacement: float = field(kw_only=True)
+    shared: RoughSurface | None = field(default=None, kw_only=True)
+    _kept: dict[str, np.ndarray] = field(default_factory=dict, init=False)
+    _labels: dict[int, Labels] = field(default_factory=dict, init=False)  # by connectivity
+    _lines: dict[int, tuple[np.ndarray, np.ndarray] | None] = field(default_factory=dict, init=False)
+
+    @classmethod
+    def of(cls, surface: RoughSurface, solution: ContactSolution, displacement: float = math.nan) -> Contact:
+        """A solved contact of a surface on which several are measured."""
+        given = {each.name: getattr(solution, each.name) for each in dataclasses.fields(ContactSolution)}
+        problem = surface.problem.at(solution.mean_pressure)
+        return Contact(**given, problem=problem, displacement=displacement, shared=surface)
 
     def __repr__(self) -> str:
         nx, ny = self.problem.grid.shape
@@ -66,18 +87,30 @@ class Contact(ContactSolution):
         return self.mean_pressure * math.prod(self.problem.grid.lengths)
 
     @cached_property
-    def _measured(self) -> tuple[dict[str, float], float]:
-        """The numbers, and the error of the area."""
-        observer = Observer(self.problem)
-        contact = observer.contact(self)
-        row = {"displacement": self.displacement} | observer.row(contact)
-        self.problem.grid.free()
-        return {name: row[name] for name in LOADS if name in row}, contact.area_error
-
-    @property
     def numbers(self) -> dict[str, float]:
         """The numbers that a run writes for each load, by their names in its table.  Collective on first use."""
-        return self._measured[0]
+        area = self.area
+        found = {
+            "mean_pressure": self.mean_pressure,
+            "contact_area": area.fraction,
+            "contact_area_corrected": area.corrected,
+            "contact_perimeter": area.perimeter / math.prod(self.grid.lengths),
+            "contact_line": float(self.line is not None),
+            "kappa": self.kappa,
+            "mean_gap": self.mean_gap,
+            "mean_plastic_depth": self.mean_plastic_depth,
+            "displacement": self.displacement,
+            "elastic_energy": self.elastic_energy,
+            "certified_error": self.certified_error,
+            "pressure_error": self.pressure_error,
+            "max_violation": self.max_violation,
+            "iterations": self.iterations,
+            "transforms": self.transforms,
+            "seconds": self.seconds,
+        }
+        if self.shared is None:
+            self.grid.free()
+        return found
 
     @property
     def contact_area(self) -> float:
@@ -94,7 +127,7 @@ class Contact(ContactSolution):
     @property
     def contact_area_error(self) -> float:
         """Error bar of `contact_area_corrected`, by the grid and by the solver.  Collective on first use."""
-        return self._measured[1]
+        return self.area_error if self.numbers else math.nan  # numbers first: they free the transforms
 
     def observables(self, *names: str, **options: Mapping[str, Any]) -> Groups:
         """Curves and tables, group → dataset → array, as `Results` gives those of a load; on rank 0.  Numbers that
@@ -103,10 +136,26 @@ class Contact(ContactSolution):
         names: observables, as a job lists them; options: further ones with their keys, `spectra={"bins": 10}`.  Raises
         InputError for an unknown observable or key.
         """
-        observer = Observer(self.problem, _asked(dict.fromkeys(names, {}) | options))
-        groups = observer.groups(observer.contact(self))
-        self.problem.grid.free()
+        surface = RoughSurface(self.problem, _asked(dict.fromkeys(names, {}) | options))
+        groups = Contact.of(surface, self, self.displacement).measure()
+        self.grid.free()
         return groups
+
+    def measure(self) -> dict[str, Mapping[str, np.ndarray]]:
+        """The groups of datasets of all observables that the surface is asked for, complete on rank 0; under "loads"
+        the numbers that they add to the table of loads, on all ranks.  Collective.
+        """
+        groups: dict[str, Mapping[str, np.ndarray]] = {}
+        columns: dict[str, np.ndarray] = {}
+        seconds = self.surface.seconds
+        for name, observable in self.surface.asked.items():
+            began = time.perf_counter()
+            measured = dict(observable.measure(self))
+            columns |= measured.pop(TABLE, {})
+            groups |= measured
+            seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - began
+        columns = self.grid.comm.bcast(columns)
+        return groups | ({TABLE: columns} if columns else {})
 
     def plot(self, axes: matplotlib.axes.Axes | None = None) -> matplotlib.axes.Axes:
         """Draw the surface in grey, and the pressure where it touches; x to the right, y upwards.  For one process.
@@ -140,6 +189,163 @@ class Contact(ContactSolution):
         about = {name: {"description": FIELDS[name].description} for name in fields}
         described = {name: (("x", "y"), values, about[name]) for name, values in fields.items()}
         return xarray.Dataset(described, {"x": x[:, 0], "y": y[0]}, self.numbers)
+
+    # What observables share, each computed at its first use.
+
+    @property
+    def grid(self) -> SlabGrid:
+        """The grid of the fields."""
+        return self.problem.grid
+
+    @cached_property
+    def surface(self) -> RoughSurface:
+        """What is measured on the surface; shared with other contacts of a run."""
+        return self.shared or RoughSurface(self.problem)
+
+    @cached_property
+    def contact_pressure(self) -> np.ndarray:
+        """The pressure of the points in contact (nx_local, ny), 0 elsewhere."""
+        return self.pressure_in_contact()
+
+    @cached_property
+    def area(self) -> Area:
+        """The contact area: that of the pixels in contact, and that inside the contact line."""
+        patches = self.surface.asked.get("patches")
+        if patches:  # the lines of the patches add up to the whole line, which then needs no pass
+            self.line_of_patches(patches.connectivity)
+        releases, roughness = self.problem.law.releases, self.surface.roughness
+        steps = staircase(self.grid.spacing, self.problem.solid, roughness) if releases else 0.0
+        return contact_area(self.grid, self.contact_pressure, self.line, self.problem.least_area, steps)
+
+    @property
+    def correction(self) -> str:
+        """How the corrected area is measured: "inside the line", "less the staircase", or "as counted"."""
+        if self.line is not None:
+            return "inside the line"
+        return "less the staircase" if self.problem.law.releases else "as counted"
+
+    @property
+    def area_error(self) -> float:
+        """Error of the corrected area, by the grid and the solver.  Collective."""
+        way = "staircase" if self.line is None else "line on a thin slab" if self.line.is_thin else "line"
+        shift = self.likely_pressure_error * math.sqrt(self.area.pixels)  # b the rms pressure in contact
+        if way == "line on a thin slab" and shift:
+            step = math.sqrt(self.grid.pixel_area)
+            rise = float(self.problem.solid.stiffness(np.array(math.pi / step))) * step * self.surface.rms_slope
+            shift = self.likely_pressure_error * math.sqrt(self.mean_square_pressure * self.grid.size) / rise
+        return self.area.error(way, self.surface.roughness, shift)
+
+    @cached_property
+    def likely_pressure_error(self) -> float:
+        """‖p − p*‖/‖p*‖, estimated by the solver or, where it gives none, from its certified error.
+
+        ‖p − p*‖² is at most the largest stiffness times ‖p − p*‖²_G ≤ 2B, B the certified energy error; the solver's
+        estimate is 1/TYPICAL of this bound.
+        """
+        estimate, energy = self.pressure_error, self.elastic_energy
+        if not math.isnan(estimate) or energy == 0:
+            return 0.0 if math.isnan(estimate) else estimate
+        highest = np.array(math.hypot(*(math.pi / step for step in self.grid.spacing)))
+        bound = 4 * energy * self.certified_error * float(self.problem.solid.stiffness(highest))
+        return math.sqrt(bound / self.mean_square_pressure) / TYPICAL
+
+    @cached_property
+    def mean_square_pressure(self) -> float:
+        """⟨p²⟩."""
+        return self.grid.reduction.dot(self.pressure, self.pressure) / self.grid.size
+
+    @cached_property
+    def line(self) -> ContactLine | None:
+        """The contact line, if there is one."""
+        return line_of(self.problem, self, self.surface.is_smooth)
+
+    @property
+    def kappa(self) -> float:
+        """f_c E' g_rms / p̄ (f_c: relative contact area, g_rms: rms slope); NaN at p̄ = 0."""
+        mean, modulus = self.mean_pressure, self.problem.solid.contact_modulus
+        return self.area.fraction * modulus * self.surface.rms_slope / mean if mean > 0 else math.nan
+
+    @cached_property
+    def stress(self) -> Correlations:
+        """Spectrum, and autocorrelation if one is asked for, of the pressure."""
+        return self.surface.correlate(source(self.pressure))
+
+    @cached_property
+    def indicator(self) -> Correlations:
+        """Spectrum, and autocorrelation if asked for, of the contact indicator: 1 in contact, 0 outside."""
+        return self.surface.correlate(indicator(self.contact_pressure, 0.0))
+
+    @cached_property
+    def cross_power(self) -> np.ndarray:
+        """Sums of Re h̃* σ̃ over the bins of wave numbers, from |σ̃ + α h̃|² = |σ̃|² + α²|h̃|² + 2α Re h̃* σ̃.  This
+        takes one forward transform and stores no spectrum.
+
+        α makes both fields equally large, so that the difference loses few digits.
+        """
+        stress, height = self.stress.power, self.surface.correlations.power
+        alpha = math.sqrt(stress[1:].sum()) / (math.sqrt(height[1:].sum()) or math.inf)
+        if alpha == 0:
+            return np.zeros_like(stress)
+        heights, pressure = self.surface.heights, self.pressure
+
+        def weighted_sum(first: int, stop: int, rows: np.ndarray) -> None:
+            np.multiply(heights[first:stop], alpha, out=rows)
+            rows += pressure[first:stop]
+
+        both = correlate(self.grid, weighted_sum, self.surface.modes).power
+        return (both - stress - alpha * (alpha * height)) / (2 * alpha)
+
+    def labels(self, connectivity: int) -> Labels:
+        """The contact patches for that connectivity (4 or 8); computed on the first call for it."""
+        if connectivity not in self._labels:
+            mask = self.contact_pressure > 0
+            self._labels[connectivity] = label_patches(
+                self.grid.comm, mask, self.grid.starts, connectivity, self.grid.domain.wraps
+            )
+        return self._labels[connectivity]
+
+    def line_of_patches(self, connectivity: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Area inside the line less that of the pixels, and length of the line, of each patch that this rank keeps;
+        None without a line.  Computed on the first call.
+        """
+        if connectivity not in self._lines:
+            self._lines[connectivity] = None if self.line is None else self.line.of_patches(self.labels(connectivity))
+        return self._lines[connectivity]
+
+    def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
+        """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.
+        """
+        line = None if pressure is None else self.line_of_patches(labels.connectivity)
+        table = patch_table(labels, self.grid.spacing, pressure, line, self.problem.law.highest)
+        if table is None:
+            return {}
+        columns = {name: column for name, column in vars(table).items() if column is not None}
+        return {"patch": np.arange(1, len(table.area) + 1), **columns}
+
+    def keep(self, name: str, values: np.ndarray) -> None:
+        """Keeps a field (nx_local, ny) that an observable has made, if it is to be written."""
+        if name in self.surface.fields:
+            self._kept[name] = values
+
+    def fields(self, names: tuple[str, ...], connectivity: int) -> dict[str, np.ndarray]:
+        """The fields (nx_local, ny) of this load, of those in `schema.FIELDS`, that `names` lists."""
+        fields = {}
+        for name in names:
+            if name in ("pressure", "gap", "plastic_depth"):
+                fields[name] = getattr(self, name)
+            elif name == "displacement":
+                position = self.gap + self.surface.heights
+                position -= self.plastic_depth
+                if self.grid.domain.wraps:
+                    position -= self.grid.reduction.sum(position) / self.grid.size
+                else:  # absolute: distant points are at rest
+                    position += self.approach - self.grid.reduction.max(self.surface.heights)
+                fields[name] = position
+            elif name == "labels":
+                fields[name] = self.labels(connectivity).label_field()
+            elif name in self._kept:
+                fields[name] = self._kept[name]
+        return fields
 
 
 @dataclass(repr=False)

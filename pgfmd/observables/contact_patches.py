@@ -13,7 +13,7 @@ from pgfmd.options.rules import choice
 from pgfmd.options.section import key
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 PATCH = ("patch",)
 SHAPES = {
@@ -50,6 +50,6 @@ class ContactPatches(Observable):
         """A mask and the runs of points in contact in each row."""
         return Cost(memory=2.0)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """The table on rank 0, empty elsewhere.  Collective."""
-        return {"patches": contact.patches(contact.labels(self.connectivity), contact.solution.pressure)}
+        return {"patches": contact.patches(contact.labels(self.connectivity), contact.pressure)}

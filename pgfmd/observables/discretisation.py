@@ -62,7 +62,7 @@ from pgfmd.solvers.options import Solver
 from pgfmd.solvers.solution import ContactSolution, Solve
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,14 +96,14 @@ class Discretisation(Observable):
         """A contact on a quarter of the points: up to 20 transforms and 60 bytes per point there."""
         return Cost(transforms=5.0, memory=15.0)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Solves the second contact, if there is one to compare with.  Collective."""
-        problem, solution, area, square = contact.problem, contact.solution, contact.area, contact.mean_square_pressure
+        problem, area, square = contact.problem, contact.area, contact.mean_square_pressure
         if contact.surface.is_smooth:
-            errors = grid_errors(problem, solution, contact.line, contact.solve)
+            errors = grid_errors(problem, contact, contact.line, contact.surface.solve)
         else:
-            errors = band_errors(problem.grid, solution, area, contact.surface.roughness, square)
-        others = solver_errors(problem, solution, area, contact.pressure_error, square)
+            errors = band_errors(problem.grid, contact, area, contact.surface.roughness, square)
+        others = solver_errors(problem, contact, area, contact.likely_pressure_error, square)
         both = {name: math.hypot(error, others[name]) for name, error in errors.items()}
         per_area = contact.kappa / (area.fraction or math.nan)
         found = {

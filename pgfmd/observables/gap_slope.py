@@ -14,7 +14,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +30,7 @@ class GapSlope(Observable):
         """One forward transform."""
         return Cost(transforms=0.5)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """One forward transform.  Collective."""
         from pgfmd.grid.callbacks import source
         from pgfmd.observables.rough_surface import squared
@@ -44,6 +44,6 @@ class GapSlope(Observable):
             power = squared(block)
             parts[first] = (float(weight[first:stop] @ (power @ along + across[first:stop] * power.sum(axis=1))),)
 
-        grid.read_spectrum(source(contact.solution.gap), add)
+        grid.read_spectrum(source(contact.gap), add)
         (total,) = grid.reduction.sums_of_blocks(parts, 1)
         return {"loads": {"gap_rms_slope": np.array(math.sqrt(total) / grid.size / unit)}}

@@ -22,7 +22,7 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 def _layout(unit: str, what: str) -> dict[str, Dataset]:
@@ -61,10 +61,10 @@ class Histogram(Observable):
         integer(1, 10**7), 200, "number of bins of pressure and of gap; logarithmic bins: a tenth of it per decade"
     )
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Two passes over each field, no transform.  Collective."""
-        groups = pressure_groups(contact.grid, contact.pressure, self.bins)
-        return groups | gap_groups(contact.grid, contact.solution.gap, self.bins)
+        groups = pressure_groups(contact.grid, contact.contact_pressure, self.bins)
+        return groups | gap_groups(contact.grid, contact.gap, self.bins)
 
 
 FAST = {"contract", "nsz"}

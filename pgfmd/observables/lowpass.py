@@ -25,7 +25,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.solution import Solve
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 
@@ -35,10 +35,6 @@ of that of an infinitely fine grid."""
 FEWEST_POINTS = 4
 """Where POINTS_PER_WAVE needs the full grid, it is still coarsened by 2 if at least so many points per wavelength
 remain; the area is then within 1 %."""
-LOWPASS_TOLERANCE = 1e-6
-"""Certified error of the contacts that are solved: their area is then within .1 % of the converged one, mostly within
-.03 %.  Measured on eight surfaces of 256² and 1024² points; with 1e-5 areas were up to .3 % too small, with 1e-4
-up to .9 %."""
 TRANSFORMS = 30
 """Work of one of these contacts, in transforms of the grid on which it is solved."""
 MEMORY = 60.0
@@ -80,16 +76,16 @@ class Lowpass(Observable):
         shares = [coarsening(cell, q) ** -2 for q in self.cutoffs(cell, highest) if is_lower(q, highest)]
         return Cost(transforms=TRANSFORMS * sum(shares), memory=8 + MEMORY * max(shares, default=0))
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Solves one contact for each q below the surface's own cut-off.  Collective."""
-        surface, solution = contact.surface, contact.solution
+        surface = contact.surface
         highest = highest_wave_number(surface.cell) if surface.cutoff is None else surface.cutoff
         cutoffs = self.cutoffs(surface.cell, highest)
         areas = np.empty((len(cutoffs), 2))
         areas[:] = contact.area.fraction, contact.area.corrected  # of the surface with all its modes
         lower = [index for index, q in enumerate(cutoffs) if is_lower(q, highest)]
         coarse = [(coarsening(surface.cell, cutoffs[index]), cutoffs[index]) for index in lower]
-        areas[lower] = lowpass_areas(contact.problem, coarse, contact.solve, solution.pressure)
+        areas[lower] = lowpass_areas(contact.problem, coarse, surface.solve, contact.pressure)
         return {"lowpass_area": {"q": cutoffs, "area": areas[:, 0], "area_corrected": areas[:, 1]}}
 
 

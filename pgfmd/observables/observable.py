@@ -1,14 +1,13 @@
 """`Observable`: base class of the observables (options, datasets, cost, measurement).
 
-Each observable is one file of this folder and one line of `table`.  `pgfmd check` and serial tools import these files
-without MPI and without compiled loops.  Therefore `measure` imports whatever needs them.
+Each observable is one file of this folder and one line of `observable_kinds`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,10 +19,7 @@ from pgfmd.observables.binning import wave_number_bins
 from pgfmd.observables.schema import Dataset, GroupLayout, Groups
 from pgfmd.options.rules import choice, flag, integer
 from pgfmd.options.section import Section, key
-
-if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
-    from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.problem import ContactProblem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +54,13 @@ class Observable(Section):
     def check_contact(self, problem: ContactProblem) -> None:
         """Raises InputError if it cannot be measured on contacts of this surface, solid and law.  Collective."""
 
-    def measure(self, contact: MeasuredContact) -> Groups:
-        """The results, complete on rank 0.  Collective."""
+    def measure(self, contact: Any) -> Groups:
+        """The groups of datasets and columns that it measures on a `Contact`, complete on rank 0.  Collective."""
         raise NotImplementedError
+
+
+OBSERVABLES: dict[str, type[Observable]] = {}
+"""Every observable by name, in the order in which they are measured; `observable_kinds` fills it."""
 
 
 def layout_of(observables: Iterable[Observable | type[Observable]]) -> GroupLayout:

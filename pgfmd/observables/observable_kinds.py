@@ -9,31 +9,29 @@ from pgfmd.observables.discretisation import Discretisation
 from pgfmd.observables.gap_slope import GapSlope
 from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.lowpass import Lowpass
-from pgfmd.observables.observable import Observable, layout_of
+from pgfmd.observables.observable import OBSERVABLES, layout_of
 from pgfmd.observables.percolation import Percolation
 from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Acf, GapSpectrum, Spectra
 from pgfmd.observables.stiffness import Stiffness
 
-OBSERVABLES: dict[str, type[Observable]] = {
-    kind.name: kind
-    for kind in (
-        Histogram,
-        PressureSkewness,
-        Spectra,
-        Acf,
-        GapSpectrum,
-        GapSlope,
-        ContactPatches,
-        Bearing,
-        Lowpass,
-        Discretisation,
-        Stiffness,
-        Percolation,
-        Adhesion,
-    )
-}
+KINDS = (
+    Histogram,
+    PressureSkewness,
+    Spectra,
+    Acf,
+    GapSpectrum,
+    GapSlope,
+    ContactPatches,
+    Bearing,
+    Lowpass,
+    Discretisation,
+    Stiffness,
+    Percolation,
+    Adhesion,
+)
+OBSERVABLES.update({kind.name: kind for kind in KINDS})
 
 LAYOUT: GroupLayout = layout_of(OBSERVABLES.values())
 """Every group that a load may have in observables.h5, and all columns that observables add to the table of loads."""

@@ -13,7 +13,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,11 +51,11 @@ class Percolation(Observable):
         """Some ten labellings, each of the time of a fraction of a transform; fields of labels and shifts."""
         return Cost(transforms=4.0, memory=50.0)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Labels the contact and the gap.  Collective."""
         from pgfmd.observables.bottleneck import bottlenecks, percolates
 
-        found = bottlenecks(contact.grid, contact.solution.gap, contact.pressure <= 0)
+        found = bottlenecks(contact.grid, contact.gap, contact.contact_pressure <= 0)
         touching = percolates(contact.labels(8))
         numbers: dict[str, float] = {}
         at: dict[str, np.ndarray] = {"labellings": np.array(found[0].labellings)}

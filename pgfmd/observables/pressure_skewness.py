@@ -12,7 +12,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 NARROWEST = 1e-12  # standard deviation over mean below which differences from the mean (rounded to 1e-16) say nothing
 
@@ -25,9 +25,9 @@ class PressureSkewness(Observable):
     where = "output.pressure_skewness"
     layout = {"loads": {"pressure_skewness": Dataset("1", "skewness of the pressure over the contact")}}
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Two passes over the pressure.  Collective."""
-        grid, pressure, points = contact.grid, contact.pressure, contact.area.pixels
+        grid, pressure, points = contact.grid, contact.contact_pressure, contact.area.pixels
         mean = grid.reduction.sum(pressure) / points if points else math.nan
 
         def central(first: int, stop: int) -> tuple[float, float]:

@@ -18,7 +18,7 @@ from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Spectra(Spectrum):
         """A forward transform each for the pressure, the contact, and both heights and pressure."""
         return Cost(transforms=1.5)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Shares its transforms with the autocorrelations.  Collective."""
         modes = contact.surface.modes
         power = {"stress": contact.stress.power, "contact": contact.indicator.power}
@@ -70,11 +70,11 @@ class GapSpectrum(Spectrum):
         """One forward transform."""
         return Cost(transforms=0.5)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """One forward transform.  Collective."""
         surface = contact.surface
         modes = surface.rings(self.edges(surface.cell, surface.cutoff))
-        found = correlate(surface.grid, source(contact.solution.gap), modes)
+        found = correlate(surface.grid, source(contact.gap), modes)
         return {"gap_spectrum": modes.means(found.power, "q")}
 
 
@@ -110,7 +110,7 @@ class Acf(Observable):
         """A transform each for the pressure and the contact."""
         return Cost(transforms=2.0)
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Shares its transforms with the spectra.  Collective."""
         found = {"stress": contact.stress, "contact": contact.indicator, "height": contact.surface.correlations}
         groups: dict = {}

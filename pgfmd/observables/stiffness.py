@@ -18,7 +18,7 @@ from pgfmd.options.section import key
 from pgfmd.physics.problem import ContactProblem
 
 if TYPE_CHECKING:
-    from pgfmd.observables.measured_contact import MeasuredContact
+    from pgfmd.observables.contact import Contact
 
 UNIT, CONDUCTANCE = "{pressure}/({length})", "conductivity/({length})"
 
@@ -68,20 +68,22 @@ class Stiffness(Observable):
         if self.conductivities and not math.isinf(getattr(problem.solid, "thickness", 0.0)):
             raise InputError("output.stiffness.conductivities: a conductance follows from the stiffness of half-spaces")
 
-    def measure(self, contact: MeasuredContact) -> Groups:
+    def measure(self, contact: Contact) -> Groups:
         """Solves for the response at fixed contact.  Collective."""
         from pgfmd.observables.discretisation import on_half_grid
         from pgfmd.solvers.fixed_contact import increment
 
         problem, grid = contact.problem, contact.grid
-        found = increment(problem, contact.solution.pressure, self.width)
+        found = increment(problem, contact.pressure, self.width)
         contact.keep("current_density", found.pressure)
         value, error = (found.lower + found.upper) / 2, (found.upper - found.lower) / 2
         if math.isinf(value):
             error = 0.0
         if self.half_grid:
             other = on_half_grid(
-                problem, contact.solve, lambda coarse, solution: increment(coarse, solution.pressure, self.width).lower
+                problem,
+                contact.surface.solve,
+                lambda coarse, solution: increment(coarse, solution.pressure, self.width).lower,
             )
             error += abs(value - (math.nan if other is None else other))
         bulk, modulus = problem.solid.mean_stiffness(), problem.solid.contact_modulus

@@ -40,8 +40,9 @@ from scipy.special import erfinv
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable_kinds import OBSERVABLES
-from pgfmd.observables.observer import Observer
+from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
@@ -73,10 +74,10 @@ def solved(case: Case, points: int, bars: bool = False) -> dict[str, float]:
     if any(case.place):
         heights = np.ascontiguousarray(np.fft.ifft2(fourier_shift(np.fft.fft2(heights), case.place)).real)
     problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), HardWall(), case.load)
-    observer = Observer(problem, [OBSERVABLES["discretisation"]()] if bars else [], 2 * math.pi * across)
-    contact = observer.contact(solve_hard_wall(problem, TOLERANCE))
-    found = observer.groups(contact).get("discretisation", {})
-    return observer.row(contact) | {name: float(value) for name, value in found.items()}
+    surface = RoughSurface(problem, [OBSERVABLES["discretisation"]()] if bars else [], 2 * math.pi * across)
+    contact = Contact.of(surface, solve_hard_wall(problem, TOLERANCE))
+    found = contact.measure().get("discretisation", {})
+    return contact.numbers | {name: float(value) for name, value in found.items()}
 
 
 def cases() -> Iterator[tuple[float, float, float]]:
@@ -169,13 +170,11 @@ def _drawn(seed: int, number: int) -> dict[str, float | str]:
     options = {"thickness": thickness, "base": base or None, "poisson": poisson}
     contact = pgfmd.solve(heights, load, tolerance=tolerance, **options)
     finer = pgfmd.solve(heights, load, tolerance=TIGHT, refine=FINER, **options)
-    observer = Observer(contact.problem)
-    measured = observer.contact(contact)
     bars = contact.observables("discretisation")["discretisation"]
-    found = measured.area
+    found = contact.area
     row: dict[str, float | str] = dict(zip(DRAWN + MEASURED, (
         number, n, lambda_s, hurst, area, tolerance, base, thickness, poisson, contact.numbers["contact_line"],
-        measured.surface.roughness, found.pixels, found.edges, contact.pressure_error,
+        contact.surface.roughness, found.pixels, found.edges, contact.pressure_error,
     ), strict=True))  # fmt: skip
     numbers, true = (
         each.numbers | {"mean_square_pressure": float(np.mean(each.pressure**2))} for each in (contact, finer)

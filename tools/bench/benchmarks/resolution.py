@@ -32,7 +32,8 @@ def _solve(refinement: int) -> tuple:
     from mpi4py import MPI
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.observables.observer import Observer
+    from pgfmd.observables.contact import Contact
+    from pgfmd.observables.rough_surface import RoughSurface
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
@@ -47,7 +48,7 @@ def _solve(refinement: int) -> tuple:
     solid = Homogeneous(contact_modulus=CONTACT_MODULUS)
     problem = ContactProblem(grid, heights, solid, HardWall(), PRESSURE)
     solution = solve_hard_wall(problem, 1e-9)
-    area = Observer(problem).contact(solution).area
+    area = Contact.of(RoughSurface(problem), solution).area
     second = float(np.mean(solution.pressure**2)) / PRESSURE**2
     gap = solution.mean_gap / float(np.std(heights))
     return refinement, n, area.fraction, area.corrected, gap, second, solution.elastic_energy
