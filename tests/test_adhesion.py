@@ -16,6 +16,7 @@ from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact, Hold
 from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.options import Load
+from pgfmd.theory import adhesion
 
 MORSE = "0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))"
 LAWS = {
@@ -236,3 +237,17 @@ def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_pat
     with pytest.raises(pgfmd.InputError, match=message) as caught:
         pgfmd.run(job | change, tmp_path / "out")
     assert "\n" not in str(caught.value)
+
+
+def test_theories_of_a_sphere():
+    """Pull-off forces over πwR: JKR 3/2, DMT 2, Maugis (doi:10.1016/0021-9797(92)90285-T), who ends in JKR."""
+    a = np.geomspace(1e-3, 4, 20000)
+    assert adhesion.jkr(a, 2.0, 3.0, 1.5).force.min() == pytest.approx(-1.5 * math.pi * 6.0, rel=1e-6)
+    assert adhesion.dmt(a, 2.0, 3.0, 1.5).force[0] == pytest.approx(-2 * math.pi * 6.0, rel=1e-6)
+    for mu, expected in ((0.1, 1.942), (0.5, 1.695), (2.0, 1.528)):
+        found = adhesion.maugis(a, adhesion.CONSTANT * mu, 1.0, 1.0, 1.0)
+        assert -found.force.min() / math.pi == pytest.approx(expected, abs=1e-3)
+    sharp, limit = adhesion.maugis(a, 50.0, 1.0, 1.0, 1.0), adhesion.jkr(a, 1.0, 1.0, 1.0)
+    np.testing.assert_allclose(sharp.force, limit.force, atol=0.1)
+    np.testing.assert_allclose(sharp.approach, limit.approach, atol=0.05)
+    assert adhesion.transition(0.5, 1.0, 78.125, 1.0) == pytest.approx(19.53125 ** (1 / 3))

@@ -28,6 +28,7 @@ NEEDS: dict[str, tuple[Callable[[Load], bool], str]] = {
     "area": (lambda load: load.area > 0, "a contact area above zero"),
     "partial contact": (lambda load: 0 < load.area < 1, "a contact area between zero and one"),
     "load": (lambda load: load.mean_pressure > 0, "a load above zero"),
+    "attraction": (lambda load: "energy_drop" in load.results.loads, "a wall that attracts"),
     "exponential wall": (lambda load: load.law == "exponential", 'wall.kind = "exponential"'),
     "roughness": (lambda load: load.rms_slope > 0, "a surface that is not flat"),
     "self-affine": (lambda load: load.hurst is not None, 'surface.kind = "self-affine"'),

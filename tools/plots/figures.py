@@ -35,6 +35,7 @@ FIGURES = (
     "resolution",
     "energy_by_scale",
     "correlation_decay",
+    "force_approach",
 )
 
 
