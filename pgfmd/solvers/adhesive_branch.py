@@ -17,7 +17,9 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.options.text import show
 from pgfmd.physics.laws.adhesive import AdhesiveWall, AttractiveWall, Dugdale
+from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.adhesive import AdhesiveContact, AdhesiveState, Hold
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
@@ -26,6 +28,7 @@ LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the la
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
+ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 SHARPER = 1e-5  # of the tolerance, where a state could not be certified
 COLD, FOLLOWED, PROBED = range(3)
 log = logging.getLogger("pgfmd")
@@ -118,6 +121,9 @@ class Branch:
         contact = self.contact
         gap = hold.gap if self.name != "pressure" else contact.summit
         start = contact.undeformed(max(gap, contact.law.least + 1e-3))
+        if self.name == "pressure" and hold.load > 0:  # else the approach would take many steps of some ranges
+            wall = self.problem.with_law(HardWall()).at(hold.load * contact.pressure)
+            start = solve_hard_wall(wall, ROUGH).gap / contact.length + contact.law.least
         law, factors = self.problem.law, PROBE if self.load.branch == "probe" else (1.0,)
         for factor in factors:
             if factor == 1.0:
