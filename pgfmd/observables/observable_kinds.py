@@ -8,6 +8,7 @@ from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
 from pgfmd.observables.gap_slope import GapSlope
 from pgfmd.observables.histogram import Histogram
+from pgfmd.observables.leakage import Leakage
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import OBSERVABLES, layout_of
 from pgfmd.observables.percolation import Percolation
@@ -29,6 +30,7 @@ KINDS = (
     Discretisation,
     Stiffness,
     Percolation,
+    Leakage,
     Adhesion,
 )
 OBSERVABLES.update({kind.name: kind for kind in KINDS})

@@ -25,6 +25,7 @@ class Percolation(Observable):
     name = "percolation"
     needs_period = "paths wind around the cell"
     where = "output.percolation"
+    needs_period = "paths wind around the cell"
     layout = {
         TABLE: {
             **{

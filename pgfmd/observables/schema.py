@@ -75,4 +75,6 @@ FIELDS = {
     "displacement": Dataset("{length}", "displacement of the solid's surface"),
     "labels": Dataset("1", "number of the contact patch, counted from 1; 0: no contact"),
     "current_density": Dataset("1", "current through the contact over its mean, at fixed contact (stiffness)"),
+    "flux_x": Dataset("{length}^3", "x component of the flow, × 12 viscosity/mean gradient, balanced (leakage)"),
+    "flux_y": Dataset("{length}^3", "y component of that flow"),
 }

@@ -1,0 +1,114 @@
+"""Leakage: how much of a viscous fluid flows through the gap, with bounds from both sides."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import TABLE, Dataset, Groups
+from pgfmd.options.rules import choice, flag, number
+from pgfmd.options.section import key
+
+if TYPE_CHECKING:
+    from pgfmd.observables.contact import Contact
+    from pgfmd.observables.network import Flow
+    from pgfmd.physics.problem import ContactProblem
+    from pgfmd.solvers.solution import ContactSolution
+
+log = logging.getLogger("pgfmd")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leakage(Observable):
+    """Reynolds flow, ∇·(g³∇P) = 0, through the gap g under a mean pressure gradient along x and along y.
+
+    The conductivity K is 12 × viscosity × the flow per width over that gradient, a length cubed: g³ between parallel
+    plates.  Over the cube of the mean gap it is the pressure flow factor of Patir and Cheng (1978,
+    doi:10.1115/1.3453103).  Faces between points have the harmonic mean of g³.  The bounds hold for this grid; the
+    error of second order in the spacing follows from a half grid.
+    """
+
+    name = "leakage"
+    where = "output.leakage"
+    fields = ("flux_x", "flux_y")
+    needs_period = "the mean gradient acts across the cell"
+    layout = {
+        TABLE: {
+            f"{name}_{axis}{error}": Dataset(unit, f"{'error of the ' if error else ''}{what} along {axis}")
+            for axis in "xy"
+            for name, unit, what in (
+                ("leakage", "{length}^3", "conductivity of the gap, 12 × viscosity × flow per width over gradient"),
+                ("flow_factor", "1", "pressure flow factor, the conductivity over the cube of the mean gap"),
+            )
+            for error in ("", "_error")
+        },
+        "leakage": {
+            name: Dataset(unit, about, ("axis",) if name != "axis" else ())
+            for name, unit, about in (
+                ("axis", "1", "direction of the mean gradient: 0 along x, 1 along y"),
+                ("lower", "{length}^3", "bound of the conductivity from below, on this grid"),
+                ("upper", "{length}^3", "bound from above"),
+                ("iterations", "1", "of the solver"),
+            )
+        },
+    }
+
+    direction: str = key(choice("both", "x", "y"), "both", "of the mean gradient; fields are those of the first")
+    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative")
+    half_grid: bool = key(
+        flag(), False, "extrapolate from a grid with half the points each way; the change is the pixel's error"
+    )
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """Setting up and some seven iterations of the multigrid in each direction; the faces and vectors of all
+        levels.
+        """
+        directions = 2 if self.direction == "both" else 1
+        return Cost(transforms=60.0 * directions * (1 + 0.25 * self.half_grid) + 5.0 * self.half_grid, memory=190.0)
+
+    def axes(self) -> tuple[int, ...]:
+        """0 for x, 1 for y."""
+        return {"both": (0, 1), "x": (0,), "y": (1,)}[self.direction]
+
+    def measure(self, contact: Contact) -> Groups:
+        """Solves for the flow.  Collective."""
+        from pgfmd.observables.discretisation import on_half_grid
+        from pgfmd.observables.network import flow_through
+
+        contact.grid.free()
+        wanted = any(field in contact.surface.fields for field in self.fields)
+        problem, mean_gap = contact.problem, contact.mean_gap or math.nan
+
+        def flow(problem: ContactProblem, solution: ContactSolution, axis: int, keep: bool = False) -> Flow:
+            open_ = solution.pressure_in_contact() <= 0
+            return flow_through(problem.grid, solution.gap, open_, (axis, self.width, keep))
+
+        def coarse_flows(coarse: ContactProblem, solution: ContactSolution) -> list[float]:
+            return [sum(flow(coarse, solution, axis)[:2]) / 2 for axis in self.axes()]
+
+        columns: dict[str, float] = {}
+        rows = []
+        halves = on_half_grid(problem, contact.surface.solve, coarse_flows) if self.half_grid else None
+        for place, axis in enumerate(self.axes()):
+            found = flow(problem, contact, axis, wanted and place == 0)
+            if found.fluxes is not None:
+                for name, field in zip(self.fields, found.fluxes, strict=True):
+                    contact.keep(name, field)
+            value, error = (found.lower + found.upper) / 2, (found.upper - found.lower) / 2
+            if self.half_grid:
+                change = (value - halves[place]) / 3 if halves else math.nan
+                value, error = value + change, error + abs(change)
+            if found.upper == 0 and contact.grid.comm.rank == 0:
+                log.info("leakage: no path through the gap percolates along %s: the flow factor is 0", "xy"[axis])
+            for name, unit in (("leakage", 1.0), ("flow_factor", mean_gap**3)):
+                columns |= {f"{name}_{'xy'[axis]}": value / unit, f"{name}_{'xy'[axis]}_error": error / unit}
+            rows.append((axis, found.lower, found.upper, found.iterations))
+        bounds = dict(zip(self.layout["leakage"], map(np.array, zip(*rows, strict=True)), strict=True))
+        return {TABLE: {name: np.array(number) for name, number in columns.items()}, "leakage": bounds}

@@ -1,0 +1,148 @@
+"""Flow through the gap: exact profiles, duality, bounds against a direct solution, balance, runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from job_texts import rough_job
+from scipy import sparse
+
+import pgfmd
+from pgfmd.application import job
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables import network
+from pgfmd.observables.network import Network, flow_through
+
+pytestmark = pytest.mark.mpi
+
+
+def flow(comm, gap, axis, width=1e-12, lengths=None):
+    """The flow through a whole gap (nx, ny), open where it is positive."""
+    grid = SlabGrid(comm, gap.shape, lengths)
+    return flow_through(grid, gap[grid.rows].copy(), gap[grid.rows] > 0, (axis, width, True))
+
+
+def whole(comm, field):
+    """A field put together from its slabs."""
+    return np.concatenate(comm.allgather(field))
+
+
+def direct(mask, down, right, axis):
+    """K of a network by dense least squares."""
+    number = np.full(mask.shape, -1)
+    number[mask] = np.arange(mask.sum())
+    faces = []
+    for step, weights in ((0, down), (1, right)):
+        ends = number, np.roll(number, -1, axis=step)
+        last = np.arange(mask.shape[step]) == mask.shape[step] - 1
+        border = np.broadcast_to(last[:, None] if step == 0 else last, mask.shape) & (step == axis)
+        there = (ends[0] >= 0) & (ends[1] >= 0) & (weights > 0)
+        faces += zip(ends[0][there], ends[1][there], weights[there], border[there], strict=True)
+    i, j, weight, across = np.array(faces).T
+    place = np.arange(len(weight))
+    difference = sparse.csr_array(
+        (np.r_[-np.ones_like(weight), np.ones_like(weight)], (np.r_[place, place], np.r_[i, j].astype(int))),
+        shape=(len(weight), mask.sum()),
+    ).toarray()
+    root = np.sqrt(weight)[:, None]
+    u = np.linalg.lstsq(root * difference, -root[:, 0] * across, rcond=1e-13)[0]
+    return np.sum(weight * (difference @ u + across) ** 2)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_plates_and_profiles(comm, axis):
+    """Between plates K = g³; with g a function of the place along the flow K is the harmonic mean of g³, across it the
+    mean, on oblong pixels too; to 1e-10.
+    """
+    profile = 1 + 0.6 * np.cos(2 * np.pi * np.arange(18) / 18)
+    along = np.repeat(profile[:, None], 14, axis=1)
+    expected = {"plates": 0.5**3, "series": 1 / np.mean(profile**-3.0), "parallel": np.mean(profile**3)}
+    gaps = {"plates": np.full((18, 14), 0.5), "series": along, "parallel": along.T}
+    for name, gap in gaps.items():
+        gap = gap if axis == 0 else gap.T
+        found = flow(comm, np.ascontiguousarray(gap), axis, lengths=(7.0, 31.0))
+        assert [found.lower, found.upper] == pytest.approx([expected[name]] * 2, rel=1e-10)
+
+
+def test_duality(comm):
+    """K along x of a network times K along y of the dual one, whose faces have 1/T, is 1 (Keller 1964)."""
+    rng = np.random.default_rng(5)
+    down, right = np.exp(rng.normal(size=(2, 17, 12)) * 2)
+    down *= np.roll(down[:, ::-1], 1, axis=1)  # mirrored, so that a gradient along x drives no flow along y
+    right *= right[:, ::-1].take(np.arange(-1, 11), axis=1).take(np.arange(1, 13) % 12, axis=1)
+    grid = SlabGrid(comm, (17, 12))
+    # the face of the dual point (i, j) to the next column crosses the face of (i, j + 1) to the next row
+    dual_right, dual_down = 1 / np.roll(down, -1, 1), 1 / np.roll(right, -1, 0)
+    mask = np.ones(grid.local_shape, bool)
+    one, other = (
+        Network(grid, mask, *(face[grid.rows].copy() for face in faces)).solve(axis, 1e-12)
+        for faces, axis in (((down, right), 0), ((dual_down, dual_right), 1))
+    )
+    assert one.upper * other.upper == pytest.approx(1, rel=1e-10)
+
+
+@pytest.mark.parametrize("coarsest", [4, 400])
+def test_bounds_enclose_a_direct_solution(comm, monkeypatch, coarsest):
+    """On networks with holes and contrasts to 1e6, the bounds enclose the direct solution and are as near as asked; the
+    flux is balanced in each point, and the same through any cut.  1e-9: rounding of the direct solution.
+    """
+    monkeypatch.setattr(network, "COARSEST", coarsest)
+    rng = np.random.default_rng(9)
+    for case in range(12):
+        shape, axis, width = tuple(rng.integers(4, 20, 2)), case % 2, 10.0 ** -rng.integers(1, 10)
+        mask = rng.random(shape) < rng.uniform(0.75, 1)
+        down, right = np.exp(rng.normal(size=(2, *shape)) * rng.uniform(0, 3))
+        exact, grid = direct(mask, down, right, axis), SlabGrid(comm, shape)
+        found = Network(grid, *(field[grid.rows].copy() for field in (mask, down, right))).solve(axis, width, True)
+        slack = 1e-9 * exact + 1e-20
+        assert found.lower - slack <= exact <= found.upper + slack
+        assert found.upper - found.lower <= width * found.upper + slack
+        along_x, along_y = (whole(comm, field) for field in found.fluxes)
+        balance = along_x - np.roll(along_x, 1, 0) + along_y - np.roll(along_y, 1, 1)
+        cuts = along_x.sum(axis=1) if axis == 0 else along_y.sum(axis=0)
+        rounding = 2e-15 * max(down.max(), right.max())  # of T u
+        assert abs(balance).max() <= rounding
+        assert cuts == pytest.approx(np.full(shape[axis], cuts.mean()), rel=1e-10, abs=len(cuts) * rounding)
+
+
+def test_contrast(comm):
+    """A channel of g³ = 1e-24 through plates of 1 in series carries what its narrowest face lets through."""
+    gap = np.ones((16, 8))
+    gap[5] = 0
+    gap[5, 3] = 1e-8
+    face = 2e-24 / (1 + 1e-24)
+    found = flow(comm, gap, 0, 1e-6)
+    assert found.upper / (16 / 8) == pytest.approx(face / 2, rel=1e-6)
+
+
+def test_closed_gap(comm):
+    """Without a path along the axis nothing flows, and no solver runs."""
+    gap = np.ones((12, 12))
+    gap[4] = 0
+    assert flow(comm, gap, 0)[:2] == (0.0, 0.0) and flow(comm, gap, 1).upper == pytest.approx(11 / 12, rel=1e-10)
+
+
+def test_in_a_run(comm, shared_tmp_path):
+    """A run writes flow factors with error bars and the flux, whose mean along x is the conductivity to the width."""
+    output = {"observables": ["leakage"], "fields": ["flux_x", "gap"], "leakage": {"half_grid": True, "width": 1e-6}}
+    text = rough_job([48, 40], {"lambda_s": 16.0}, load={"pressure": [0.005]}, output=output)
+    simulate(job.parse(text), comm, shared_tmp_path / "out")
+    results = Results(shared_tmp_path / "out")
+    numbers, bounds = results[0].numbers, results[0]["leakage"]
+    assert numbers["flow_factor_x"] == pytest.approx(numbers["leakage_x"] / numbers["mean_gap"] ** 3, rel=1e-12)
+    assert abs(bounds["upper"] - [numbers["leakage_x"], numbers["leakage_y"]]).max() <= 1.01 * max(
+        numbers["leakage_x_error"], numbers["leakage_y_error"]
+    )
+    flux = results.field("flux_x", 0)
+    assert flux.mean() == pytest.approx(bounds["upper"][0], rel=1e-3)
+    assert not flux[results.field("gap", 0) == 0].any()
+
+
+def test_one_direction():
+    """What is not asked for is not solved."""
+    x = np.arange(32)
+    contact = pgfmd.solve(np.cos(2 * np.pi * x / 32)[:, None] + np.cos(2 * np.pi * x / 32), 0.01)
+    found = contact.observables(leakage={"direction": "y"})
+    assert set(found["loads"]) == {"leakage_y", "leakage_y_error", "flow_factor_y", "flow_factor_y_error"}
