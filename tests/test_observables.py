@@ -500,6 +500,17 @@ def test_cross_spectra_in_any_units(comm):
     np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-4 * np.abs(found[0]).max())
 
 
+def test_pressure_in_full_contact(comm):
+    """Where every point touches, the spectrum of the pressure is that of full contact in each bin, mode by mode."""
+    grid = SlabGrid(comm, (24, 15), (24.0, 30.0))
+    heights = self_affine(grid, 0.5, 4, 0.01, 1)
+    problem = ContactProblem(grid, heights, elastic(1.0, thickness=3.0), HardWall(), 1.0)
+    surface = RoughSurface(problem, asked(["spectra"]))
+    groups = comm.bcast(Contact.of(surface, solve_hard_wall(problem, 1e-12)).measure())
+    stress, full = (groups[f"{name}_spectrum"]["value"] for name in ("stress", "full_contact"))
+    np.testing.assert_allclose(stress, full, rtol=1e-9, atol=1e-9 * full.max())
+
+
 def test_no_patch_has_a_negative_area(comm):
     """Lines around single pixels close to other patches enclosed less than nothing: such patches have the area and the
     perimeter of their pixels, which are more than the lines give.

@@ -264,6 +264,7 @@ class RoughSurface:
         self.edges = (self.asked.get("spectra") or Spectrum()).edges(self.cell, cutoff)
         acf = self.asked.get("acf")
         self.lags = lag_rings(self.grid, acf.edges(self.cell)) if acf else None
+        self.full_contact = np.zeros(0)  # Σ |K h̃|² in each bin, K the stiffness, where spectra are asked for
         self._slopes, self._correlations = self._measure(
             self.grid.domain.wraps and bool(self.asked.keys() & {"spectra", "acf"})
         )
@@ -297,7 +298,8 @@ class RoughSurface:
         """√Σ q²|h̃|², √(Σ q⁴|h̃|² / Σ q²|h̃|²) and the share of Σ q²|h̃|² beyond RESOLVED; and in the same pass the
         correlations, if they will be needed.  Collective.
         """
-        parts, grid = dict[int, tuple[float, float, float]](), self.grid
+        parts, full, grid = dict[int, tuple[float, float, float]](), dict[int, np.ndarray](), self.grid
+        stiffened = grid.domain.wraps and "spectra" in self.asked
         unit = min(grid.spacing)  # of lengths here, so that no power of q overflows
         along, across = (unit * grid.qx[0]) ** 2, (unit * grid.qy[:, 0]) ** 2
         weight = grid.hermitian_weight[:, 0].copy()
@@ -310,6 +312,9 @@ class RoughSurface:
             second, inner = (sums[:, i + 1] + square * sums[:, i] for i in (0, 3))
             fourth = sums[:, 2] + square * (2 * sums[:, 1] + square * sums[:, 0])
             parts[first] = w @ second, w @ fourth, w @ (inner_y[first:stop] * inner)
+            if stiffened:
+                stiffness = self.problem.solid.stiffness(np.sqrt(grid.q_squared(first, stop)))
+                full[first] = self.modes.sums(power * stiffness * stiffness, first, stop)
 
         correlations = None
         if correlated:
@@ -317,6 +322,8 @@ class RoughSurface:
         else:
             fill = source(self.heights) if grid.domain.wraps else self._windowed()
             grid.read_spectrum(fill, lambda block, *place: watch(squared(block), *place))
+        if stiffened:
+            self.full_contact = self.modes.total(full) / float(grid.size) ** 2
         totals = grid.reduction.sums_of_blocks(parts, 3)
         second, fourth = np.sqrt(totals[:2] / grid.modes / grid.size)
         if second == 0:

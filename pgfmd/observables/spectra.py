@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class Spectra(Spectrum):
     """Mean of |f̃(q)|² over the modes in each bin of |q|, for the pressure, the contact (1 in contact, 0 outside) and
-    the heights, and of Re h̃* σ̃.
+    the heights, of the pressure were the contact full, and of Re h̃* σ̃.
 
     With open boundaries the field counts as 0 outside, on a torus of twice the points each way; of the heights, which
     do not vanish at the border, there is no spectrum.
@@ -38,6 +38,7 @@ class Spectra(Spectrum):
         "stress_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure"),
         "contact_spectrum": spectrum_layout("1", "|Θ̃|² of the contact"),
         "height_spectrum": spectrum_layout("{length}^2", "|h̃|² of the heights"),
+        "full_contact_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure were the contact full"),
         "cross_spectrum": spectrum_layout("{pressure}*{length}", "Re h̃* σ̃ of heights and pressure"),
     }
 
@@ -48,9 +49,11 @@ class Spectra(Spectrum):
     def measure(self, contact: Contact) -> Groups:
         """Shares its transforms with the autocorrelations.  Collective."""
         modes = contact.surface.modes
+        surface = contact.surface
         power = {"stress": contact.stress.power, "contact": contact.indicator.power}
         if contact.grid.domain.wraps:
-            power |= {"height": contact.surface.correlations.power, "cross": contact.cross_power}
+            power |= {"height": surface.correlations.power, "full_contact": surface.full_contact}
+            power |= {"cross": contact.cross_power}
         return {f"{name}_spectrum": modes.means(sums, "q") for name, sums in power.items()}
 
 

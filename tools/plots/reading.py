@@ -243,8 +243,10 @@ class Load:
     def full_contact(self) -> np.ndarray:
         """(stiffness |h̃|)², the stress spectrum in full contact, per bin of `spectrum`: (m,).
 
-        Mode by mode if the heights are kept, else with the mean q of each bin.
+        Mode by mode as the run kept it, or from its heights; else with the mean q of each bin.
         """
+        if "full_contact_spectrum" in self.kept:
+            return self.groups["full_contact_spectrum"]["value"]
         if "height" in self.fields:
             return self.weighted_spectrum("height", lambda q: self.stiffness(q) ** 2)[1]
         q, power, _ = self.spectrum("height")
