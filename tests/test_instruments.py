@@ -85,6 +85,15 @@ def test_all_that_disagrees_is_named_at_once():
         assert all(each in str(caught.value) for each in (*common, *words))
 
 
+def test_a_job_in_another_unit_is_not_told_to_relabel_its_lengths():
+    """Lengths in metres, and a file in micrometres: the unit of the job is what is missing."""
+    pytest.importorskip("SurfaceTopography", reason="tools/setup.sh test")
+    wrong = asked(SDF, "[grid]\nlength = [12.8e-6, 11.52e-6]")
+    with pytest.raises(InputError, match=r'or length_unit = "m" under \[output\], if the lengths of the job are in it'):
+        wrong.surface.check_inputs(wrong.grid, wrong.output.length_unit)
+    asked(SDF, '[grid]\nlength = [12.8e-6, 11.52e-6]\n[output]\nlength_unit = "m"')
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("suffix", ["gz", "zip"])
 @pytest.mark.parametrize("inner", ["a.npy", "a.h5", "a.txt"])

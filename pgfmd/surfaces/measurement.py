@@ -113,6 +113,7 @@ class Measurement:
             faults.append(
                 f"measures {sides[0]:.9g} x {sides[1]:.9g}{given}{mirrored}, the cell is "
                 f"{lengths[0]:.9g} x {lengths[1]:.9g}: write length = [{sides[0]:.9g}, {sides[1]:.9g}] under [grid]"
+                + _unit_of_job(sides, lengths, converted.unit)
             )
         if faults:
             raise InputError("; it ".join(faults) + "; or leave out what the file says")
@@ -137,6 +138,14 @@ class Measurement:
         size = f"{self.lengths[0]:.6g} x {self.lengths[1]:.6g}, " if self.lengths else ""
         axis = "y" if self.transposed else "x"
         return f"{self.format}, {nx} x {ny} points, first axis {axis}, {size}{printable(unit)}"
+
+
+def _unit_of_job(sides: list[float], lengths: tuple[float, float], unit: str | None) -> str:
+    """Advice where the job's lengths are those of the file in another unit, which the job does not say."""
+    for other in UNITS if unit in UNITS else ():
+        if np.allclose(np.multiply(sides, conversion(unit or other, other)), lengths, rtol=CELL_DIGITS, atol=0):
+            return f' (or length_unit = "{other}" under [output], if the lengths of the job are in it)'
+    return ""
 
 
 def holes_in_words(holes: int, size: int, rule: str) -> str:
