@@ -17,13 +17,13 @@ ROUGH = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1,
 FIELDS = ["height", "pressure", "gap", "displacement"]
 
 
-def solved(folder, unit="µm", fields=FIELDS, wall=None, pressure=(0.1, 0.3)):
+def solved(folder, unit="µm", fields=FIELDS, wall=None, boundary="periodic"):
     """A result folder."""
     job = {
-        "grid": {"n": [24, 16], "length": [12.0, 4.0]},
+        "grid": {"n": [24, 16], "length": [12.0, 4.0], "boundary": boundary},
         "surface": ROUGH,
         "solid": {"contact_modulus": 4.0},
-        "load": {"pressure": pressure},
+        "load": {"pressure": [0.1, 0.3]},
         "output": {"fields": fields, "length_unit": unit, "pressure_unit": "MPa"},
     }
     return pgfmd.run(job | ({"wall": wall} if wall else {}), folder, overwrite=True)
@@ -40,13 +40,15 @@ def read(path):
 WALLS = [None, {"kind": "hardness", "hardness": 1.0}, {"kind": "exponential", "zeta": 0.05}]
 
 
+@pytest.mark.parametrize("boundary", ["periodic", "open"])
 @pytest.mark.parametrize("wall", WALLS, ids=["hard", "hardness", "exponential"])
-def test_fields_obey_the_equation_of_the_layout(tmp_path, wall):
+def test_fields_obey_the_equation_of_the_layout(tmp_path, wall, boundary):
     """gap = displacement − (heights − ⟨heights⟩) − mean_displacement, less the plastic depth; the displacement is the
-    run's own field, whose mean is 0; pressures are over the modulus; contacting points add up to the area: to rounding.
+    run's own field, of mean 0 or, on a patch, absolute; pressures are over the modulus; contacting points add up to the
+    area: to rounding.
     """
     plastic = wall is not None and wall["kind"] == "hardness"
-    results = solved(tmp_path / "out", wall=wall, fields=FIELDS + ["plastic_depth"] * plastic)
+    results = solved(tmp_path / "out", wall=wall, fields=FIELDS + ["plastic_depth"] * plastic, boundary=boundary)
     paths = export(results, tmp_path / "files")
     assert [path.name for path in paths] == ["load_0000.nc", "load_0001.nc"]
     for load, path in zip(results, paths, strict=True):
@@ -60,14 +62,17 @@ def test_fields_obey_the_equation_of_the_layout(tmp_path, wall):
         assert held["contacting_points"].mean() == pytest.approx(load.numbers["contact_area"], rel=1e-14)
         assert about["total_contact_area"] == load.numbers["contact_area"]
         assert about["mean_pressure"] == pytest.approx(held["pressure"].mean(), rel=1e-12)
-        assert ("hardness" in about) == plastic and about["type"] == b"periodic"
+        assert ("hardness" in about) == plastic
+        assert about["type"] == {"periodic": b"periodic", "open": b"nonperiodic"}[boundary]
 
 
 def test_units_sizes_and_periodicity(tmp_path):
     """In each variable, in letters of ASCII; a job without a unit gives none."""
     for unit, said in (("µm", b"um"), ("length", None)):
-        held, about, top = read(export(solved(tmp_path / "out", unit), tmp_path / "files")[0])
-        assert [about[axis]["length"] for axis in "xy"] == [12.0, 4.0] and about["x"]["periodic"] == 1
+        boundary = "open" if said else "periodic"
+        held, about, top = read(export(solved(tmp_path / "out", unit, boundary=boundary), tmp_path / "files")[0])
+        assert [about[axis]["length"] for axis in "xy"] == [12.0, 4.0]
+        assert [about[axis]["periodic"] for axis in "xy"] == 2 * [boundary == "periodic"]
         assert [about[name].get("unit") for name in ("x", "y", "heights", "gap", "displacement")] == 5 * [said]
         assert about["pressure"]["unit"] == b"E*" and top["pressure_unit"] == b"MPa"
         assert np.array_equal(held["x"], 0.5 * np.arange(24)) and np.array_equal(held["y"], 0.25 * np.arange(16))

@@ -208,16 +208,17 @@ def test_a_new_job_on_a_file(tmp_path, monkeypatch, capsys):
     heights = np.random.default_rng(1).normal(size=(32, 12))
     for name, values, keys in (
         ("noise.npy", heights, {"detrend"}),
-        ("cubic.npy", np.linspace(-1, 1, 32)[:, None] ** 3 + 0 * heights, {"detrend", "periodic"}),
+        ("cubic.npy", np.linspace(-1, 1, 32)[:, None] ** 3 + 0 * heights, {"detrend", "boundary"}),
         ("holes.npy", np.where(heights > 0, heights, np.nan), {"detrend", "missing"}),
     ):
         np.save(name, values)
         assert main(["new", "--heights", name]) == 0
         text = capsys.readouterr().out
-        assert tomllib.loads(text)["surface"].keys() - {"kind", "path"} == keys
+        assert tomllib.loads(text)["surface"].keys() - {"kind", "path"} == keys - {"boundary"}
+        assert tomllib.loads(text).get("grid", {}).get("boundary") == ("open" if "boundary" in keys else None)
         (tmp_path / "job.toml").write_text(text)
         found = job.load(tmp_path / "job.toml")
-        assert found.grid.n == tuple((2 if "periodic" in keys else 1) * n for n in (32, 12))
+        assert found.grid.n == (32, 12)
     assert pgfmd.run(tmp_path / "job.toml")[0].numbers["contact_area"] == pytest.approx(0.05, abs=0.01)
     assert main(["new", "--heights", "none.npy"]) == 2
 

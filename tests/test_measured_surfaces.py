@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pgfmd.errors import InputError
+from pgfmd.grid.domain import OPEN
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.surfaces import readers
 from pgfmd.surfaces.file import FromFile
@@ -154,4 +155,11 @@ def test_edges_that_do_not_match(comm, shared_tmp_path, caplog, monkeypatch, sur
     said = [record.getMessage() for record in caplog.records if "opposite edges differ" in record.getMessage()]
     assert len(said) == (bool(edges) if comm.rank == 0 else 0)
     assert all((f"across {name} by" in line) == (name in edges) for name in "xy" for line in said)
-    assert all('periodic = "mirror"' in line for line in said)
+    assert all('periodic = "mirror"' in line and 'boundary = "open"' in line for line in said)
+    if "periodic" not in options:
+        caplog.clear()
+        heights = FromFile(path=str(path), **options).heights(SlabGrid(comm, (n, n), domain=OPEN), None)
+        assert "opposite edges" not in caplog.text and heights.shape[1] == n
+    else:
+        with pytest.raises(InputError, match='boundary = "open" under .* has no cell to close'):
+            FromFile(path=str(path), **options).heights(SlabGrid(comm, (2 * n, 2 * n), domain=OPEN), None)

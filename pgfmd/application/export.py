@@ -68,8 +68,11 @@ def _contents(load: LoadResults, job: Job) -> tuple[dict[str, tuple[np.ndarray, 
         displacement = gap + heights - load.field("plastic_depth")
     else:
         displacement = gap + heights
-    position = displacement.mean()  # in a periodic cell the mean displacement of the surface is 0, whatever the solid
-    displacement -= position
+    if job.grid.domain.wraps:
+        shift = -displacement.mean()  # the mean displacement of the surface is 0, whatever the solid
+    else:
+        shift = load.numbers["displacement"] - heights.max()  # absolute: distant points are at rest
+    displacement += shift
     contact = pressure > job.wall.contact_above(float(pressure.mean()), float(np.mean(pressure**2)))
     numbers, modulus, length = load.numbers, job.solid.contact_modulus, job.output.length_unit
     fields = {
@@ -81,9 +84,9 @@ def _contents(load: LoadResults, job: Job) -> tuple[dict[str, tuple[np.ndarray, 
     attributes = {
         "mean_pressure": numbers["mean_pressure"] / modulus,
         "total_contact_area": numbers["contact_area"],
-        "mean_displacement": heights.mean() - position,
+        "mean_displacement": heights.mean() + shift,
         "mean_gap": numbers["mean_gap"],
-        "type": "periodic",
+        "type": "periodic" if job.grid.domain.wraps else "nonperiodic",
         "length_unit": length,
         "contact_modulus": modulus,
         "pressure_unit": job.output.pressure_unit,
@@ -98,7 +101,7 @@ def _write(path: Path, results: Results, fields: Mapping[str, tuple], attributes
     """One NetCDF file, written beside its place, then renamed."""
     from scipy.io import netcdf_file
 
-    unit = results.job["output"]["length_unit"]
+    unit, boundary = results.job["output"]["length_unit"], results.job["grid"].get("boundary", "periodic")
     beside = path.with_name(f".{path.name}.new")
     with netcdf_file(beside, "w", mmap=False, version=2) as file:
         for name, value in {"software": "pgfmd", **attributes}.items():
@@ -107,7 +110,7 @@ def _write(path: Path, results: Results, fields: Mapping[str, tuple], attributes
             file.createDimension(axis, count)
             points = file.createVariable(axis, "f8", (axis,))
             points[:] = np.arange(count) * (length / count)
-            points.length, points.periodic = np.float64(length), 1
+            points.length, points.periodic = np.float64(length), int(boundary == "periodic")
             if unit != NO_UNIT:
                 points.unit = _attribute(unit)
         held = {"heights": (results.field("height").astype(np.float64), unit, "heights of the surface"), **fields}

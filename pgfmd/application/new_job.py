@@ -27,6 +27,7 @@ def job_on_file(path: str) -> str:
     extent = surface.extent()
     cell = Cell(n=extent.n, length=extent.lengths)
     said = surface.check_inputs(cell, None)
+    grid_table = ""
     keys = [('detrend = "plane"', "the tilt of the specimen is taken out")]
     try:
         FromFile(path=path).check_inputs(cell, None)
@@ -39,7 +40,8 @@ def job_on_file(path: str) -> str:
             fill_missing(grid, heights)
             subtract_trend(grid, heights, ORDERS["plane"], 1)
             if jumps(grid, heights):
-                keys.append(('periodic = "mirror"', "opposite edges do not match: mirror images close the cell"))
+                about = "opposite edges do not match; or close the cell: periodic under [surface]"
+                grid_table = f'\n[grid]\nboundary = "open"              # {about}\n'
     if extent.lengths is None:
         keys.append(("", "the file says no size: give length or spacing under [grid], else the spacing is 1"))
     lines = [f"{key:<31}# {about}" for key, about in keys]
@@ -51,7 +53,7 @@ def job_on_file(path: str) -> str:
 kind = "file"
 path = {as_toml_value(path)}
 {chr(10).join(lines)}
-
+{grid_table}
 [solid]
 contact_modulus = 1.0          # E/(1 − ν²), in your unit of pressure; 1.0: pressures are in units of it
 

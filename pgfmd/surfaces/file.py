@@ -27,8 +27,8 @@ log = logging.getLogger("pgfmd")
 ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
 CLIFF = 5.0  # jump between opposite edges over the rms step between neighbours above which the user is warned
 WAYS_OUT = (
-    'the cell is periodic, so a cliff is pressed there; close it by detrend, or periodic = "mirror" or "taper", under '
-    "[surface]"
+    'the cell is periodic, so a cliff is pressed there; write boundary = "open" under [grid] for a patch of a larger '
+    'surface, or close the cell by periodic = "mirror" or "taper", detrend, under [surface]'
 )
 SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 CHECKED = 2**21  # heights that are read at once to be checked
@@ -39,7 +39,7 @@ MARGIN = 0.1  # part of a side that a taper changes at each edge
 class FromFile(Surface):
     """The heights in a file.
 
-    The heights are made periodic in one of three ways.  "as-is": they are unchanged, with a cliff wherever opposite
+    A periodic cell is closed in one of three ways.  "as-is": the heights are unchanged, with a cliff wherever opposite
     edges differ.  "mirror": the cell has twice the size and holds the heights and their mirror images; they are
     continuous and none is changed.  "taper": over the outer tenth at each edge they are blended into their mean.
     """
@@ -86,6 +86,8 @@ class FromFile(Surface):
         return 2 if self.periodic == "mirror" else 1
 
     def check_in(self, cell: Cell) -> None:
+        if self.periodic != "as-is" and not cell.domain.wraps:
+            raise wrong(self, "periodic", f'boundary = "{cell.boundary}" under [grid] has no cell to close')
         if self.periodic == "mirror" and any(count % 2 for count in cell.n):
             allowed = f"doubles the file, the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
             raise wrong(self, "periodic", allowed)
@@ -107,7 +109,7 @@ class FromFile(Surface):
         from pgfmd.parallel.collectives import raise_together  # needs MPI
         from pgfmd.surfaces.heights_file import fill_holes, read_heights
 
-        self.check_in(Cell(n=grid.shape, length=grid.lengths))
+        self.check_in(Cell(n=grid.shape, length=grid.lengths, boundary=grid.domain.name))
         heights, said = read_heights(grid, self.source, self.first_axis == "y", self._copies, length_unit)
         with raise_together(grid.comm), named(self.source[0]):
             self._check_measured(heights, grid.rows.start)
@@ -213,8 +215,8 @@ def _orthogonal(fold: np.ndarray, order: int) -> list[np.ndarray]:
 
 
 def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
-    """Log a warning if opposite edges of the cell do not match.  Collective."""
-    cliffs = jumps(grid, heights)
+    """Log a warning if opposite edges of a periodic cell do not match.  Collective."""
+    cliffs = jumps(grid, heights) if grid.domain.wraps else []
     if cliffs and grid.comm.rank == 0:
         log.warning("surface: opposite edges differ %s: %s", ", and ".join(cliffs), WAYS_OUT)
 

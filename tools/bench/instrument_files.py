@@ -172,8 +172,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--boundary", default="periodic", help="periodic or open")
     parser.add_argument("--pictures", action="store_true", help="draw the overview of each run, and look for the unit")
     options = parser.parse_args(arguments)
-    logging.getLogger("pgfmd").setLevel(logging.ERROR)
-    warnings.simplefilter("ignore")
     print("| file | points | size | beside path, modulus, load | heights | export | contact area | |")
     print("|---|---|---|---|---|---|---|---|")
     rows = []
@@ -189,4 +187,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    logging.getLogger("pgfmd").setLevel(logging.ERROR)
+    warnings.simplefilter("ignore")
     raise SystemExit(main())
