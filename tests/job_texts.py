@@ -8,7 +8,7 @@ from pgfmd.application.job import tables_as_toml
 
 SOLID = "[solid]\ncontact_modulus = 1\n"
 EVERY_OBSERVABLE = (
-    "histogram spectra acf gap_spectrum patches bearing lowpass discretisation stiffness percolation leakage"
+    "histogram spectra acf gap_spectrum patches bearing lowpass discretisation stiffness percolation leakage subsurface"
 ).split()
 
 

@@ -16,6 +16,7 @@ from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Acf, GapSpectrum, Spectra
 from pgfmd.observables.stiffness import Stiffness
+from pgfmd.observables.subsurface import Subsurface
 
 KINDS = (
     Histogram,
@@ -31,6 +32,7 @@ KINDS = (
     Stiffness,
     Percolation,
     Leakage,
+    Subsurface,
     Adhesion,
 )
 OBSERVABLES.update({kind.name: kind for kind in KINDS})

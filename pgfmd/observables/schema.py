@@ -77,4 +77,5 @@ FIELDS = {
     "current_density": Dataset("1", "current through the contact over its mean, at fixed contact (stiffness)"),
     "flux_x": Dataset("{length}^3", "x component of the flow, × 12 viscosity/mean gradient, balanced (leakage)"),
     "flux_y": Dataset("{length}^3", "y component of that flow"),
+    "von_mises": Dataset("{pressure}", "von Mises stress at the depth where it is largest (subsurface)"),
 }

@@ -1,0 +1,92 @@
+"""Stress below the surface: closed forms of a sinusoidal pressure and of Hertz's contact."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from job_texts import rough_job
+from solids import elastic
+
+import pgfmd
+from pgfmd.application import job
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
+from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.contact import Contact
+from pgfmd.observables.rough_surface import RoughSurface
+from pgfmd.observables.subsurface import Subsurface
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.solvers.solution import Certificate, ContactSolution
+
+
+def profile(comm, pressure, poisson, depths):
+    """What is measured below a whole pressure (nx, ny)."""
+    grid = SlabGrid(comm, pressure.shape)
+    local = pressure[grid.rows].copy()
+    problem = ContactProblem(grid, np.zeros(local.shape), elastic(1.0, poisson=poisson), HardWall())
+    surface = RoughSurface(problem, [Subsurface(depths=depths)])
+    solution = ContactSolution(local, local * 0, pressure.mean(), 0.0, 0.0, Certificate(0.0), 0.0, 0, 0.0, 0.0)
+    return Contact.of(surface, solution).measure()["subsurface"]
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("along", [0, 1])
+def test_wave(comm, along):
+    """Under p = 1 + cos qx the solid is in plane strain: Airy's closed form at each depth, to 1e-10."""
+    n, nu, depths = 32, 0.3, (0.0, 1.5, 4.0)
+    x = np.arange(n)
+    q = 2 * math.pi * 3 / n
+    wave = np.repeat(1 + np.cos(q * x)[:, None], 18, axis=1)
+    found = profile(comm, np.ascontiguousarray(wave if along == 0 else wave.T), nu, depths)
+    for z, largest in zip(depths, found["von_mises_max"], strict=True):
+        decay = math.exp(-q * z)
+        zz = -1 - (1 + q * z) * decay * np.cos(q * x)
+        xx = -nu / (1 - nu) - (1 - q * z) * decay * np.cos(q * x)
+        yy = -nu / (1 - nu) - 2 * nu * decay * np.cos(q * x)
+        xz = q * z * decay * np.sin(q * x)
+        mises = np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * xz**2)
+        assert largest == pytest.approx(mises.max(), rel=1e-10)
+    rms = found["von_mises_rms"][-1]
+    assert rms == pytest.approx(math.sqrt(np.mean(mises**2)), rel=1e-10)
+
+
+def test_hertz():
+    """Below a sphere, ν = .3, von Mises' stress is largest at .481 a: .620 p₀ (Johnson 1985), within .5 %.
+
+    The cell is 16 a wide, so that images and the mean add little; its mean is part of the tolerance.
+    """
+    n, a = 256, 16.0
+    x = np.arange(n) - n / 2
+    p = np.sqrt(np.maximum(1 - (x[:, None] ** 2 + x**2) / a**2, 0))
+    grid = SlabGrid(pgfmd.parallel.mpi.world(), (n, n))
+    found = profile(grid.comm, p, 0.3, tuple(a * np.array([0.40, 0.48, 0.56])))
+    fit = np.polyfit(found["depth"], found["von_mises_max"], 2)
+    at = -fit[1] / (2 * fit[0])
+    assert np.polyval(fit, at) == pytest.approx(0.620, rel=5e-3)
+    assert at == pytest.approx(0.481 * a, rel=0.01)  # the summit is flat: .5 % of its value is 4 % of its depth
+    assert abs(found["row"] - n / 2).max() <= 1 and abs(found["column"] - n / 2).max() <= 1
+
+
+@pytest.mark.mpi
+def test_in_a_run(comm, shared_tmp_path):
+    """A run writes the profile at its own depths, and the slice of the depth where the stress is largest."""
+    output = {"observables": ["subsurface"], "fields": ["von_mises"]}
+    simulate(job.parse(rough_job(32, load={"pressure": [0.02]}, output=output)), comm, shared_tmp_path / "out")
+    results = Results(shared_tmp_path / "out")
+    found = results[0]["subsurface"]
+    assert len(found["depth"]) == 12 and results[0].numbers["von_mises_max"] >= found["von_mises_max"].max()
+    assert results.field("von_mises", 0).max() == pytest.approx(found["von_mises_max"].max(), rel=1e-12)
+
+
+def test_refused(comm):
+    """Without Poisson's ratio, or in a slab, it is refused by name."""
+    grid = SlabGrid(comm, (8, 8))
+    flat = np.zeros(grid.local_shape)
+    for solid, why in ((Homogeneous(contact_modulus=1.0), "Poisson"), (elastic(1.0, 3.0), "half-space only")):
+        with pytest.raises(InputError, match=why):
+            RoughSurface(ContactProblem(grid, flat, solid, HardWall()), [Subsurface()])
