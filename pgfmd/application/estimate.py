@@ -13,7 +13,7 @@ from pgfmd.grid.holders import largest_shares
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted
 from pgfmd.parallel.mpi import shared_memory
-from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
 from pgfmd.solvers.cost import cost as solver_cost
 
@@ -29,7 +29,7 @@ START = 1.0  # seconds until a run has read its job, on 1 and 2 ranks of the sam
 PER_LOAD = 0.03  # seconds that a load takes however small its grid: solved .003, measured .024, written .003
 BESIDES = 2.0, 1.0  # transforms' time in which a contact's area and line are measured, in which heights are made
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
-THIN = 0.3  # thickness over the cell below which contacts on a free base take up to hundreds of transforms
+THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² and 1024², else by
 # several solutions (2.2 … 2.8).
@@ -65,6 +65,8 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
     contacts = loads * (SOLUTIONS_WORK if in_several_solutions(job) else SEARCH_WORK[job.load.control])
     solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
+    if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
+        solving *= THIN_WORK
     measuring = BESIDES[0] + sum(cost.transforms for cost in measuring_costs(job))
     work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
@@ -199,9 +201,6 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
         "files": readable(found.files),
         "time": f"about {duration(found.seconds)} on {counted(ranks, 'core')}",
     }
-    solid = job.solid
-    if isinstance(solid, Homogeneous) and solid.base == "free" and solid.thickness < THIN * max(job.grid.lengths):
-        lines["time"] = f"not known: on a free base, a slab thinner than {THIN:g} of the cell may take very long"
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pgfmd.grid.cell import Cell
     from pgfmd.grid.slab_grid import SlabGrid
 
+SOFT = 0.3  # `Solid.softest` of a solid below which contacts need sets of their own kind (`solvers.active_set.thin`)
 POISSON = number(above=-1, below=0.5)
 MODULI = ("lame_lambda", "lame_mu", "young", "poisson", "contact_modulus")
 
@@ -145,6 +146,13 @@ class Solid(Section):
             return 1 / stiffness
         (a, b), q = (side / 2 for side in period), 2 * math.pi / max(period)
         return float(self.compliance(np.array(q))) * q / math.pi * 2 * (a * math.asinh(b / a) + b * math.asinh(a / b))
+
+    def softest(self, lengths: tuple[float, float], spacing: tuple[float, float]) -> float:
+        """Least stiffness to a wave of a cell over that of the half-space that answers short waves alike.  Below `SOFT`
+        the solid is thin: a free slab of .2 of the cell, a layer of .1 on a base five times as soft.
+        """
+        q = np.geomspace(2 * math.pi / max(lengths), math.pi / min(spacing), 64)
+        return float(np.min(self.stiffness(q) / self.half_space_stiffness(q)))
 
     def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
         """That of a half-space which answers short waves alike."""

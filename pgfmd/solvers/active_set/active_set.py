@@ -130,7 +130,7 @@ class Relaxation:
             square = system.square + self.hidden
             estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
-                tolerance = self.goal(estimate, tolerance)
+                tolerance = self.goal(estimate, tolerance, WORST if self.imposed is None else MOVED)
             if self.imposed is not None and self.exact:
                 tolerance = min(tolerance, max(self.imposed.needed(self.measured(state)), LEAST))
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
@@ -180,12 +180,13 @@ class Relaxation:
             changes = min(changes, (estimate / before) ** CUT_POWER)
         return last if last >= WITHIN * changes else changes
 
-    def goal(self, estimate: float, tolerance: float) -> float:
+    @classmethod
+    def goal(cls, estimate: float, tolerance: float, worst: float = WORST) -> float:
         """Tolerance for a coarse grid: a part of the estimated error of its start, since interpolation to the next grid
         will make such an error again; at least `FINEST` and a quarter of the tolerance.
         """
-        part = self.coarse_part * (LOOSER if estimate > ROUGH else 1)
-        return max(part * min(estimate, WORST if self.imposed is None else MOVED), tolerance / 4, FINEST)
+        part = cls.coarse_part * (LOOSER if estimate > ROUGH else 1)
+        return max(part * min(estimate, worst), tolerance / 4, FINEST)
 
     def linearise(self, state: State, precision: Precision) -> ConjugateGradients:
         """Computes the response to a feasible state.  Returns the system for the unknowns it chooses.  Collective."""

@@ -19,6 +19,7 @@ from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
 from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
@@ -95,7 +96,7 @@ class ActiveSetIteration(NestedIteration[State]):
         if (full := _full_contact(problem)) is not None:
             return full
         state = _new_state(problem)
-        state.pressure[...] = problem.mean_pressure
+        state.pressure[...], state.gap[...] = problem.mean_pressure, 0.0
         return self.relax(problem, state, exact)
 
     def prolong(self, coarse: Coarse, found: State, problem: ContactProblem) -> tuple[State, bool]:
@@ -145,7 +146,8 @@ class ActiveSetIteration(NestedIteration[State]):
         """
         given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
         by_gaps = given and problem.law.highest == np.inf and state.between > most
-        solver: Relaxation = GapSteps(problem, exact) if by_gaps else PressureSteps(problem, exact)
+        steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
+        solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
         while True:
             try:
                 state = solver.relax(state, self.tolerance, self.watch(problem))
