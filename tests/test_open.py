@@ -1,6 +1,7 @@
 """Open boundaries: a patch of an infinite surface, against exact solutions, brute force and its own certificate."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from mpi4py import MPI
 from solids import elastic
 
 import pgfmd
+from pgfmd.application.job import load
 from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.domain import OPEN
@@ -294,3 +296,27 @@ def test_what_open_boundaries_do_not_have_is_refused_by_name():
             solved(heights, 1.0, **options)
     with pytest.raises(InputError, match="mpi4py-fft"):
         SlabGrid(MPI.COMM_SELF, (8, 8), transform="mpi4py-fft", domain=OPEN)
+
+
+def test_a_job_with_a_force(tmp_path):
+    """`jobs/sphere.toml` on fewer points: the force is that asked for, and the approach Hertz's a²/R to 1 %.
+    """
+    job = Path(__file__).parents[1] / "jobs" / "sphere.toml"
+    results = pgfmd.run(load(str(job), ["grid.n=48"]), tmp_path / "out")
+    row = results[0].numbers
+    assert abs(row["mean_pressure"] / 0.0013333333333333335 - 1) < 1e-12 and row["target"] == 0.0013333333333333335
+    assert abs(row["displacement"] / 0.01 - 1) < 0.01
+    assert results.field("pressure", 0).max() > 0
+
+
+def test_bodies_of_the_table():
+    """Cone and punch as their keys say: round and square ends, tilt, rounded border."""
+    grid = {"n": 32, "boundary": "open"}
+    r = np.hypot(np.arange(32)[:, None] - 16, np.arange(32) - 16)
+    assert np.allclose(pgfmd.surface({"grid": grid, "surface": {"kind": "cone", "slope": 0.2}}), -0.2 * r)
+    end = pgfmd.surface({"grid": grid, "surface": {"kind": "punch", "radius": 8.0, "tilt": [0.1, 0.0]}})
+    flat = 0.1 * (np.arange(32)[:, None] - 16.0)
+    assert np.allclose(end, flat - 1e3 * (r > 8))
+    rounded = {"kind": "punch", "radius": 8.0, "shape": "square", "edge": 4.0}
+    beyond = np.maximum(np.maximum(np.abs(np.arange(32) - 16)[:, None], np.abs(np.arange(32) - 16)) - 8.0, 0)
+    assert np.allclose(pgfmd.surface({"grid": grid, "surface": rounded}), -(beyond**2) / 8)

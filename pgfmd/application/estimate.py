@@ -35,6 +35,8 @@ LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # several solutions (2.2 … 2.8).
 SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.7, "mean_gap": 1.3, "displacement": 1.3}
 SOLUTIONS_WORK = 2.4
+OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
+TABLE_BYTES = 12.0  # per quarter of the torus' modes: their compliance in double and in single precision
 SEARCH_BYTES = 5.0  # per point, of several solutions: the pressure that starts one, in single precision, and a mask
 
 
@@ -63,11 +65,13 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-    contacts = loads * (SOLUTIONS_WORK if in_several_solutions(job) else SEARCH_WORK[job.load.control])
+    contacts = loads * (SOLUTIONS_WORK if in_several_solutions(job) else SEARCH_WORK[job.imposed.control])
     solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
     if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
         solving *= THIN_WORK
     measuring = BESIDES[0] + sum(cost.transforms for cost in measuring_costs(job))
+    if not job.cell.domain.wraps:
+        solving, measuring = OPEN_WORK * solving, 3 * measuring
     work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
     gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
     rank, node = _memory(job, ranks, min(here, ranks), gathered)
@@ -141,13 +145,17 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     """
     costs = solving_costs(job, slabs) + measuring_costs(job)
     kept = FIELD_BYTES + SEARCH_BYTES * in_several_solutions(job) + PLASTIC_BYTES * (job.wall.highest < math.inf)
-    return kept + WORKSPACE[job.solver.transform] + max(cost.memory for cost in costs)
+    torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
+    workspace = WORKSPACE[job.solver.transform] * torus[1] / job.cell.n[1]
+    if not job.cell.domain.wraps:
+        workspace += TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
+    return kept + workspace + max(cost.memory for cost in costs)
 
 
 def in_several_solutions(job: Job) -> bool:
     """Whether a load is searched by solutions at one mean pressure after another."""
     by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
-    return job.load.control != "pressure" and not by_level
+    return job.imposed.control != "pressure" and not by_level
 
 
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
@@ -170,11 +178,11 @@ def contact_areas(job: Job) -> list[float]:
     """The relative contact area of each load: the prescribed one; else that of Persson's theory times 1 + `AREA_EXCESS`
     (1 − area); where neither is known, the area that costs most.
     """
-    targets = job.load.targets
-    if job.load.control == "contact_area":
+    targets = job.imposed.targets
+    if job.imposed.control == "contact_area":
         return list(targets)
     slope = job.surface.known_slope()
-    if job.load.control != "pressure" or not slope:
+    if job.imposed.control != "pressure" or not slope:
         return [GAPS_FROM]
     full = job.solid.contact_modulus * slope / math.sqrt(2)
     areas = [math.erf(target / full) for target in targets]
@@ -210,6 +218,7 @@ def shortage(job: Job, ranks: int, here: int) -> str:
     """
     groups = rank_groups(job, ranks)
     points = math.prod(job.cell.n) * here / ranks * groups
+    points *= 1 if job.cell.domain.wraps else 2
     need = WORKSPACE["blocked"] * points * (here > 1 and ranks > groups and job.solver.transform == "blocked")
     folder, free = shared_memory()
     return "" if need <= free else (

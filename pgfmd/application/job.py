@@ -147,7 +147,7 @@ class Job:
     def __post_init__(self) -> None:
         self.surface.check_in(self.grid)
         self.solver.check_law(self.wall)
-        self.load.check_law(self.wall)
+        self.imposed.check_law(self.wall)
         if not self.wall.convex:
             self._of_attraction()
         for observable in self.output.asked:
@@ -167,6 +167,11 @@ class Job:
     def __reduce__(self) -> tuple:  # to other ranks, which need the plugins before the objects that are made of them
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return _job, (values.pop("plugins"), pickle.dumps(values))
+
+    @property
+    def imposed(self) -> Load:
+        """What is imposed, forces as mean pressures."""
+        return self.load.in_pressure(self.grid.lengths)
 
     @property
     def cell(self) -> Cell:

@@ -22,7 +22,7 @@ def doubts(job: Job) -> list[str]:
 
     Raises InputError for a target, and for a surface, that a run would refuse before its first solution.
     """
-    if job.load.control == "pressure" or not job.wall.convex:
+    if job.imposed.control == "pressure" or not job.wall.convex:
         return []  # any surface takes it
     seeds = job.surface.seeds
     surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
@@ -30,7 +30,7 @@ def doubts(job: Job) -> list[str]:
         return [f"whether each {job.load.control} can be reached is tested up to {LARGEST} points only"]
     found: dict[str, None] = {}
     for seed, surface in zip(seeds or (0,), surfaces, strict=True):
-        grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths)
+        grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths, domain=job.cell.domain)
         heights = refined_heights(surface, job.grid, grid, job.output.length_unit)
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         control = LoadControl(job.load, problem).control

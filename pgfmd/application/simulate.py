@@ -109,8 +109,9 @@ def simulate(
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
         surface = RoughSurface(problem, job.output.asked, cutoff, fields=job.output.fields)
-        control = load_control(job.load, problem, job.solver.tolerance)
-        impossible = _impossible(control, job.load.targets, alone)
+        imposed = job.imposed
+        control = load_control(imposed, problem, job.solver.tolerance)
+        impossible = _impossible(control, imposed.targets, alone)
         first = of_first_load(job)
         checkpoints = Checkpoints(comm, writer.fields_folder, grid.shape, grid.rows, first, job.run.io_hints)
         with phases("write"):
@@ -132,14 +133,14 @@ def simulate(
         else:
             control.solver = partial(solve, job, steps)
         for index in [index for index in pending if index not in impossible]:
-            target = job.load.targets[index]
+            target = imposed.targets[index]
             try:
                 progress.begin(f"load {index + 1}/{count}")
                 with phases("solve"), steps.of_load(index):
                     start = None if isinstance(control, Branch) and control.last else checkpoints.load(index)
                     interruptions.load_begins(resumed=start is not None)
                     if isinstance(control, Branch):
-                        control.resume(start, job.load.targets[index - 1])
+                        control.resume(start, imposed.targets[index - 1])
                     else:
                         control.resume(start)
                     solution = control.solution(target)
@@ -153,8 +154,9 @@ def simulate(
                 continue
             with phases("observe"):
                 contact = Contact.of(surface, solution, control.displacement(solution))
-                row = {"target": target} | contact.numbers
+                row = {"target": job.load.targets[index]} | contact.numbers
                 groups = contact.measure()
+                _warn_at_border(job, grid, solution)
                 row |= {name: float(value) for name, value in groups.pop(TABLE, {}).items()}
             with phases("write"):
                 writer.write_load(index, row, groups, contact.fields(job.output.fields, job.output.connectivity))
@@ -191,6 +193,20 @@ def _impossible(control: LoadControl | Branch, targets: Sequence[float], alone: 
     if found and (alone or len(found) == len(targets)):
         raise next(iter(found.values()))
     return found
+
+
+def _warn_at_border(job: Job, grid: SlabGrid, solution: ContactSolution) -> None:
+    """Log a warning if pressure reaches the border of a patch that was cut out of a larger surface.  Collective."""
+    if grid.domain.wraps or not job.surface.cut_out:
+        return
+    rows = [row - grid.rows.start for row in (0, grid.shape[0] - 1) if grid.rows.start <= row < grid.rows.stop]
+    edges = [*(solution.pressure[row] for row in rows), solution.pressure[:, 0], solution.pressure[:, -1]]
+    count = int(grid.reduction.sum(sum(np.count_nonzero(edge > solution.threshold) for edge in edges)))
+    if count and grid.comm.rank == 0:
+        log.warning(
+            "%s at the border of the patch touch: what lies beyond it would take a part of their load; near the border "
+            "pressures are too high", counted(count, "point"),
+        )  # fmt: skip
 
 
 def of_first_load(job: Job) -> str:

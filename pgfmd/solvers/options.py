@@ -71,7 +71,7 @@ class Solver(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class Load(Section):
-    """What is imposed, one solution per entry, in the order given: exactly one of the four lists."""
+    """What is imposed, one solution per entry, in the order given: exactly one of the five lists."""
 
     where: ClassVar[str] = "load"
     shown: ClassVar[tuple[str, ...]] = ("pressure",)
@@ -87,6 +87,9 @@ class Load(Section):
         about="approach of the solid's far side (half-space: of its mean plane) from where the flat solid touches the "
         "highest point",
         unit="length",
+    )
+    force: tuple[float, ...] | None = key(
+        many(number(), least=1), about="total force: mean pressure times the area of the cell", unit="pressure*length^2"
     )
     cycle: bool = key(flag(), False, "the list is followed by itself backwards: loading, then unloading")
     branch: str = key(
@@ -158,10 +161,16 @@ class Load(Section):
         """The values imposed."""
         return getattr(self, self.control)
 
+    def in_pressure(self, lengths: tuple[float, float]) -> Load:
+        """The same on a cell of these sides, with mean pressures in place of forces."""
+        if self.force is None:
+            return self
+        return replace(self, force=None, pressure=tuple(force / (lengths[0] * lengths[1]) for force in self.force))
+
     def imposing(self, targets: tuple[float, ...]) -> Load:
         """The same with other values imposed."""
         values: dict[str, Any] = {self.control: targets}
         return replace(self, **values)
 
 
-CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement")
+CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement", "force")

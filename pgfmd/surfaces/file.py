@@ -45,6 +45,7 @@ class FromFile(Surface):
     """
 
     kind = "file"
+    cut_out = True
     path: str = path_key(
         ".npy, HDF5 (file.h5:dataset), text, .csv, .tif, or what SurfaceTopography reads (file:channel), also as .gz "
         "or .zip (file.zip:name); relative to the job's folder",
@@ -91,6 +92,8 @@ class FromFile(Surface):
         if self.periodic == "mirror" and any(count % 2 for count in cell.n):
             allowed = f"doubles the file, the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
             raise wrong(self, "periodic", allowed)
+        if self.periodic != "as-is" and not cell.domain.wraps:
+            raise wrong(self, "periodic", 'must be "as-is" with boundary = "open": no edges have to match')
 
     def extent(self, length_unit: str | None = None) -> Extent:
         with opened(*self.source) as found:

@@ -1,4 +1,4 @@
-"""One parabolic asperity, for Hertz contact."""
+"""Single bodies about the centre of the patch: paraboloid (Hertz), cone (Sneddon), flat punch."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.options.rules import POSITIVE
+from pgfmd.options.rules import POSITIVE, choice, number, pair
 from pgfmd.options.section import key
 from pgfmd.surfaces.surface import Surface, coordinates
 
@@ -26,7 +26,47 @@ class Paraboloid(Surface):
         return paraboloid(grid, self.radius)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Cone(Surface):
+    """−slope · r about the centre of the cell."""
+
+    kind = "cone"
+    slope: float = key(POSITIVE, about="of the flank", unit="1", needed=True, example=0.1)
+
+    def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
+        x, y = _from_centre(grid)
+        return -self.slope * np.hypot(x, y)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Punch(Surface):
+    """A flat end about the centre of the cell, 0 high if not tilted, which falls by −d²/(2 edge) beyond its rounded
+    border at the distance d, or by `depth` at once.
+    """
+
+    kind = "punch"
+    shape: str = key(choice("round", "square"), "round", "of its end")
+    radius: float = key(POSITIVE, about="of a round end, half the side of a square one", unit="length", needed=True,
+                        example=100.0)  # fmt: skip
+    depth: float = key(POSITIVE, 1e3, "of what lies around, below the end", unit="length")
+    edge: float = key(number(low=0), 0.0, "radius of the rounded border; 0: sharp", unit="length")
+    tilt: tuple[float, float] = key(pair(number()), (0.0, 0.0), "slopes of the end along x and y", unit="1")
+
+    def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
+        x, y = _from_centre(grid)
+        r = np.hypot(x, y) if self.shape == "round" else np.maximum(np.abs(x), np.abs(y))
+        beyond = np.maximum(r - self.radius, 0.0)
+        fall = np.minimum(beyond**2 / (2 * self.edge), self.depth) if self.edge else self.depth * (beyond > 0)
+        return self.tilt[0] * x + self.tilt[1] * y - fall
+
+
 def paraboloid(grid: SlabGrid, radius: float) -> np.ndarray:
     """−r²/2R about the centre of the cell, r the distance to it."""
+    x, y = _from_centre(grid)
+    return -(x**2 + y**2) / (2 * radius)
+
+
+def _from_centre(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Positions x (nx_local, 1) and y (1, ny) counted from the centre of the cell."""
     x, y = coordinates(grid)
-    return -((x - grid.lengths[0] / 2) ** 2 + (y - grid.lengths[1] / 2) ** 2) / (2 * radius)
+    return x - grid.lengths[0] / 2, y - grid.lengths[1] / 2

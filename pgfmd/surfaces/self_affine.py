@@ -32,6 +32,7 @@ class SelfAffine(Surface):
     """
 
     kind = "self-affine"
+    cut_out = True
     centred = True
     hurst: float = key(number(low=0, high=1), None, "H of C ∝ q^(−2(1+H))", unit="1", needed=True, example=0.8)
     lambda_s: float = key(

@@ -29,6 +29,7 @@ class FromSpectrum(Surface):
     """
 
     kind = "spectrum"
+    cut_out = True
     centred = True
     path: str = path_key(
         "text of two columns, or .npy (m, 2): q (radians per length), increasing, and C (length⁴), all > 0",

@@ -45,6 +45,7 @@ class Surface(Section):
 
     where = "surface"
     centred = False  # whether the mean height is 0
+    cut_out = False  # whether, on a patch with open boundaries, the surface goes on beyond
 
     def known_slope(self) -> float | None:
         """√⟨|∇h|²⟩ if the options tell it, for estimates before the run."""

@@ -2,7 +2,7 @@
 
 from pgfmd.options.section import Kinds
 from pgfmd.surfaces.file import FromFile
-from pgfmd.surfaces.paraboloid import Paraboloid
+from pgfmd.surfaces.paraboloid import Cone, Paraboloid, Punch
 from pgfmd.surfaces.self_affine import SelfAffine
 from pgfmd.surfaces.sinusoid import Sinusoid
 from pgfmd.surfaces.spectrum import FromSpectrum
@@ -14,6 +14,8 @@ SURFACES = Kinds(
         FromFile,
         Sinusoid,
         Paraboloid,
+        Cone,
+        Punch,
         FromSpectrum,
     ),
 )

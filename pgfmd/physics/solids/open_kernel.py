@@ -87,7 +87,12 @@ def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndar
     becomes 0.
     """
     real = np.dtype(dtype)
-    number, held = real.type(factor), table.astype(real, copy=False)
+    number, held = real.type(factor), table
+    if real != table.dtype:  # kept, as compliance and stiffness use it
+        name = "single", id(table)
+        if name not in grid.tables:
+            grid.tables[name] = table.astype(real)
+        held = grid.tables[name]
     has_mean = divide and grid.columns.start == 0
 
     def act(block: np.ndarray, first: int, stop: int) -> None:
