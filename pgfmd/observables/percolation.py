@@ -25,7 +25,6 @@ class Percolation(Observable):
     name = "percolation"
     needs_period = "paths wind around the cell"
     where = "output.percolation"
-    needs_period = "paths wind around the cell"
     layout = {
         TABLE: {
             **{
