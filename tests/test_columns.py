@@ -159,3 +159,16 @@ def test_columns_of_an_ensemble(comm, shared_tmp_path):
     with h5py.File(shared_tmp_path / "out" / "ensemble.h5") as file:
         assert file["loads/gap_rms_slope"][0] == mean["gap_rms_slope"][0]
         assert file["loads/gap_rms_slope"].attrs["units"] == "1"
+
+
+def test_means_say_over_how_many_seeds(comm, shared_tmp_path):
+    """A mean over fewer seeds than have solved the load says over how many, in the text and in the data frame."""
+    light = {"pressure": [3e-5, 0.02]}  # some seeds touch in one pixel: no skewness
+    job = JOB | {"surface": JOB["surface"] | {"seed": "1..6"}, "load": light}
+    ensemble = pgfmd.run(job, shared_tmp_path / "out", comm=comm)
+    finite = [int(sum(np.isfinite(run.loads["pressure_skewness"][load]) for run in ensemble.runs)) for load in (0, 1)]
+    assert 0 < finite[0] < 6 == finite[1]
+    frame = ensemble.mean()
+    assert frame["pressure_skewness_seeds"].tolist() == finite and "contact_area_seeds" not in frame
+    first, second = repr(ensemble).splitlines()[-2:]
+    assert first.count(f"({finite[0]})") == 1 and "(" not in second

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import pgfmd
 from pgfmd.application import job as config
+from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.observables import binning
 
@@ -273,22 +275,23 @@ def test_only_what_is_to_be_done_is_run(runs, tmp_path):
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
 GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
 GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale", "correlation_decay"}
-SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load"}  # all is touched there
+GENERAL |= {"contact_stiffness"}
+SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load", "contact_stiffness"}
 KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
     ("bare",): GENERAL - {"pressure_distribution", "bearing_area", "contact_patches"},
-    ("nothing",): {"area_load", "overview"},
+    ("nothing",): {"area_load", "overview", "contact_stiffness"},
     ("file",): GENERAL,
     ("sinusoid",): GENERAL,
     ("paraboloid",): GENERAL,
     ("soft1", "soft2"): SOFT_ONES,
     ("soft file",): SOFT_ONES,
     ("no patches",): GENERAL - {"autocorrelations", "correlation_decay", "bearing_area", "contact_patches"},
-    ("one load",): GENERAL,
+    ("one load",): GENERAL - {"contact_stiffness"},
     ("none to full",): GENERAL,
     ("areas",): GENERAL,
-    ("grid16", "grid32", "grid48"): GENERAL | {"resolution"},
+    ("grid16", "grid32", "grid48"): GENERAL - {"contact_stiffness"} | {"resolution"},
     ("kept", "file", "soft1", "nothing", "areas", "none to full"): GENERAL | {"field_theory"},
 }
 
@@ -576,3 +579,30 @@ def test_small_paper_measures_every_claim(tmp_path):
     assert {int(row["claim"]) for row in rows} == set(range(1, 28))
     again = subprocess.run(command, check=True, timeout=600, capture_output=True, text=True)
     assert " 0 of " in f" {again.stdout}"
+
+
+def test_stiffness_between_loads_lies_between_that_of_both(tmp_path):
+    """K(p̄₁) ≤ Δp̄/Δδ ≤ K(p̄₂), as the contact only grows with the load; bars are the errors that the run estimated."""
+    load, wanted = {"pressure": [0.004, 0.01, 0.02]}, {"observables": ["stiffness", "spectra", "discretisation"]}
+    rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.1}
+    job = {"grid": {"n": 64}, "surface": rough, "solid": {"contact_modulus": 1.0}, "load": load, "output": wanted}
+    pgfmd.run(job, tmp_path / "run")
+    sheet = figures.draw("contact_stiffness", [tmp_path / "run"])
+    rows = sheet._tables["means"][1]
+    fixed, between = ([row[3:5] for row in rows if row[1] == kind] for kind in ("fixed contact", "between loads"))
+    for (low, _), (secant, _), (high, _) in zip(fixed, between, fixed[1:], strict=False):
+        assert low < secant < high
+    assert len(between) == 2 and all(0 < error < 1e-2 * value for value, error in fixed)
+    errors = [row[4] for row in figures.draw("area_load", [tmp_path / "run"])._table if row[:2] == (1, "simulation")]
+    bars = [load.numbers["contact_area_corrected_error"] for load in Results(tmp_path / "run")]
+    np.testing.assert_allclose(errors, bars, rtol=1e-12)
+
+
+def test_a_curve_without_points_has_no_entry_in_the_legend():
+    """Nor has one whose points are all NaN."""
+    sheet = plotting.Sheet()
+    sheet.curve(0, [1.0, 2.0], [np.nan, np.nan], "nowhere")
+    sheet.curve(0, [], [], "nothing", error=[])
+    sheet.curve(0, [1.0, 2.0], [1.0, np.nan], "there")
+    assert sheet.panels[0].get_legend_handles_labels()[1] == ["there"]
+    plotting.plt.close(sheet.figure)

@@ -68,14 +68,18 @@ class Ensemble(Runs):
         return f"{self.directory}: {self.status}\n{table(self)}"
 
     def mean(self) -> pandas.DataFrame:
-        """Mean over the seeds and its standard error (NAME_error) of each number, load by load, and how many seeds."""
+        """Mean over the seeds and its standard error (NAME_error) of each number, load by load, and how many
+        seeds; NAME_seeds where only some of these gave a finite number.
+        """
         import pandas
 
         columns: dict[str, np.ndarray] = {}
-        means = mean_loads(self.runs)
+        means, seeds = mean_loads(self.runs), solved_runs(self.runs)
         for name, column in means.items():
             columns |= dict(column.named(name, means))
-        return pandas.DataFrame(columns | {"seeds": solved_runs(self.runs)}).rename_axis("load")
+            if fewer(column, seeds).any():
+                columns[f"{name}_seeds"] = column.count
+        return pandas.DataFrame(columns | {"seeds": seeds}).rename_axis("load")
 
     def load(self, index: int) -> dict[str, dict[str, np.ndarray]]:
         """Curves of one load averaged over the seeds, each with its standard error: group → dataset, dataset_error.
@@ -111,6 +115,11 @@ class Column:
         deviation = np.where(known, values, self._mean) - self._mean
         self._mean = self._mean + deviation / np.maximum(self._count, 1)
         self._squares = self._squares + deviation * (np.where(known, values, self._mean) - self._mean)
+
+    @property
+    def count(self) -> np.ndarray:
+        """Number of runs with a finite value."""
+        return self._count.astype(int)
 
     @property
     def error(self) -> np.ndarray:
@@ -273,12 +282,22 @@ def _put(group: h5py.Group, found: Mapping[str, Column]) -> None:
 
 
 def table(ensemble: Ensemble) -> str:
-    """The means of all numbers as aligned text, one row per load, with the number of seeds and standard errors."""
+    """The means of all numbers as aligned text, one row per load, with the number of seeds and standard errors.
+
+    A mean over fewer seeds has their number behind it, "(n)".
+    """
     means = mean_loads(ensemble.runs)
     means = {name: column for name, column in means.items() if not is_error(name, means)}
     if not means:
         return "no load was completed"
     units = {"seeds": ""} | {name: column.about["units"] for name, column in means.items()}
     values = {"seeds": solved_runs(ensemble.runs)} | {name: column.mean for name, column in means.items()}
-    errors = {"seeds": np.zeros(len(values["seeds"]))} | {name: column.error for name, column in means.items()}
-    return text_table(values, units, errors)
+    none = np.zeros(len(values["seeds"]), int)
+    errors = {"seeds": none} | {name: column.error for name, column in means.items()}
+    counts = {"seeds": none} | {name: fewer(column, values["seeds"]) for name, column in means.items()}
+    return text_table(values, units, errors, counts)
+
+
+def fewer(column: Column, seeds: np.ndarray) -> np.ndarray:
+    """How many seeds gave a finite number, where these are fewer than have solved the load; else 0."""
+    return np.where((column.count > 0) & (column.count < seeds), column.count, 0).astype(int)

@@ -283,12 +283,22 @@ def table(results: Results) -> str:
     return text_table(values, results.units, errors)
 
 
-def text_table(loads: Mapping[str, np.ndarray], units: Mapping[str, str], errors: Mapping[str, np.ndarray]) -> str:
-    """Columns as text: their names, units, and rows of "value ± error"; "value" where the error is 0 or not finite."""
+def text_table(
+    loads: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    errors: Mapping[str, np.ndarray],
+    counts: Mapping[str, np.ndarray] | None = None,
+) -> str:
+    """Columns as text: their names, units, and rows of "value ± error"; "value" where the error is 0 or not finite.
+
+    counts: of the samples of means, shown as "(n)" where it is not 0.
+    """
     columns = [["load", "", *map(str, range(len(next(iter(loads.values())))))]]
     for name, values in loads.items():
         texts = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
         bars = [f" ± {error:.1g}" if np.isfinite(error) and error > 0 else "" for error in errors[name]]
+        if counts is not None:
+            bars = [bar + f" ({count:d})" * bool(count) for bar, count in zip(bars, counts[name], strict=True)]
         columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)

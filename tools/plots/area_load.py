@@ -23,11 +23,11 @@ from pgfmd.theory.surface import SpectralMoments
 
 CAPTION = """(a) Relative contact area, corrected for the pixels, against the mean pressure. (b) Their ratio κ; open
 symbols: with the raw area. Full lines: the theories of Persson and of Bush, Gibson and Thomas (BGT) for this surface;
-dashed: their limits at low load. Bars: standard error over seeds."""
+dashed: their limits at low load. Bars: standard error over seeds; of one seed, the error that its run estimated."""
 NEEDS = ("area", "roughness")
 OPTIONS = {"--area": {"type": float, "nargs": "+", "help": "contact areas at which κ is reported (default 0.08)"}}
 
-MEANS = ("setting", "reduced_pressure", "area", "area_corrected", "kappa", "kappa_error", "seeds")
+MEANS = ("setting", "reduced_pressure", "area", "area_corrected", "area_error", "kappa", "kappa_error", "seeds")
 AREAS = {
     "raw": lambda load: load.area,
     "corrected": lambda load: load.corrected_area,
@@ -40,12 +40,12 @@ def draw(loads: list[Load], area: tuple[float, ...] = (0.08,)) -> Sheet:
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
         name = group.name
-        load, raw, corrected, kappa, error, seeds = columns(group)
+        load, raw, corrected, bar, kappa, error, seeds = columns(group)
         filled, bare = style(number), style(number, filled=False)
-        sheet.curve(0, load, corrected, name, ls="none", **filled)
+        sheet.curve(0, load, corrected, name, error=bar, ls="none", **filled)
         sheet.curve(1, corrected, kappa, name, error=error, ls="none", **filled)
         sheet.curve(1, raw, raw / load, f"{name}, raw", label=False, ls="none", **bare)
-        for row in zip(load, raw, corrected, kappa, error, seeds.astype(int), strict=True):
+        for row in zip(load, raw, corrected, bar, kappa, error, seeds.astype(int), strict=True):
             sheet.keep("means", MEANS, (name, *row))
         report(sheet, group, area, name)
     _draw_theory(sheet, loads)
@@ -62,17 +62,19 @@ def reduced(load: Load) -> float:
 
 
 def columns(group: Ensemble) -> tuple[np.ndarray, ...]:
-    """Means over the seeds at each load: p̄/(E'g), f_c raw and corrected, κ corrected and its standard error, number
-    of seeds.
+    """Means over the seeds at each load: p̄/(E'g), f_c raw and corrected, the error of this, κ corrected and its
+    error, number of seeds.  Errors: standard errors; of one seed those that its run estimated, 0 if it did not.
     """
     rows, targets = [], sorted({load.target for load in group})
     for target in targets:
         same = [load for load in group if load.target == target]
         kappas = [load.corrected_area / reduced(load) for load in same]
-        error = standard_error(kappas)
+        own = same[0].area_error if math.isfinite(same[0].area_error) else 0.0
+        errors = [standard_error([load.corrected_area for load in same]), standard_error(kappas)]
+        bar, error = (own, own / reduced(same[0])) if len(same) == 1 else map(float, errors)
         means = [np.mean([value(load) for load in same]) for value in
                  (reduced, lambda load: load.area, lambda load: load.corrected_area)]  # fmt: skip
-        rows.append((*means, np.mean(kappas), 0.0 if error is None else error, len(same)))
+        rows.append((*means, bar, np.mean(kappas), error, len(same)))
     return tuple(np.array(sorted(rows)).T)
 
 

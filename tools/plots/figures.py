@@ -36,6 +36,7 @@ FIGURES = (
     "energy_by_scale",
     "correlation_decay",
     "force_approach",
+    "contact_stiffness",
 )
 
 
@@ -58,12 +59,12 @@ def draw(figure: str, folders: Sequence[Path | str], targets: Sequence[float] = 
     drawn = module(figure)
     found, left_out = choosing.suitable(choosing.imposed(reading.loads(folders), targets), drawn.NEEDS, figure)
     sheet = drawn.draw(found, **options)
-    sheet.notes[:0] = left_out + [note for folder in folders if (note := _lacking(folder))]
+    sheet.notes[:0] = left_out + [note for folder in folders if (note := _seeds(folder))]
     return sheet
 
 
-def _lacking(folder: Path | str) -> str:
-    """How many seeds of an ensemble have solved each load, if not all have; else ""."""
+def _seeds(folder: Path | str) -> str:
+    """How many seeds of an ensemble the means are over, and of which loads there are fewer; "" for one surface."""
     from pgfmd.application import ensemble
 
     if not ensemble.is_ensemble(folder):
@@ -71,7 +72,9 @@ def _lacking(folder: Path | str) -> str:
     found = ensemble.Ensemble(folder)
     counts, asked = ensemble.solved_runs(found.runs).tolist(), len(found.seeds)
     listed = ", ".join(f"load {index}: {count}" for index, count in enumerate(counts) if count < asked)
-    return f"{folder}: not all of {asked} seeds have solved each load, which biases the means ({listed})" * bool(listed)
+    if not listed:
+        return f"{folder}: {asked} seeds"
+    return f"{folder}: not all of {asked} seeds have solved each load, which biases the means ({listed})"
 
 
 def listing() -> str:

@@ -67,6 +67,7 @@ def charts(loads: Sequence[Load], notes: list[str]) -> list[dict]:
     found = [_area_load(loads)] if len(loads) > 1 else []
     for draw, lacking in ((_distributions, "histogram"), (_spectra, "spectra")):
         chart = draw(some(loads, MOST_CURVES))
+        chart["curves"] = [curve for curve in chart["curves"] if curve["x"]]  # no entry of a legend without a curve
         found.append(chart)
         if not chart["curves"]:
             notes.append(f'{chart["title"]} is not shown: the run kept no observable "{lacking}"')
@@ -140,7 +141,6 @@ def _distributions(loads: Sequence[Load]) -> dict:
         x, y, smooth, theory = distribution(load)
         curves.append(_curve(x / std, y * std, "simulation", colour=BLUE, dots=True, load=load.index))
         curves.append(_curve(smooth / std, theory * std, "Persson's theory", colour=BLACK, load=load.index, alone=True))
-    curves = [curve for curve in curves if curve["x"]]
     label = "pressure over its standard deviation in full contact, σ / (E′ḡ/2)"
     return {"title": "Distribution of pressures, P(σ) E′ḡ/2", "xlabel": label, "ylog": True, "curves": curves}
 

@@ -168,10 +168,13 @@ class Sheet:
                                textcoords="offset points")  # fmt: skip
 
     def curve(self, panel: int, x, y, name: str | None = None, error=None, label: bool = True, **style):
-        """Draw and record one curve; `name` is its title in the CSV and, with `label`, its entry in the legend."""
+        """Draw and record one curve; `name` is its title in the CSV and, with `label`, its entry in the legend.
+
+        A curve without a finite point has no entry.
+        """
         axes = self.panels[panel]
         x, y = np.atleast_1d(x), np.atleast_1d(y)
-        shown = tex(name) if label and name else None
+        shown = tex(name) if label and name and np.any(np.isfinite(x) & np.isfinite(y)) else None
         self._titles[panel] += [shown] * bool(shown)
         if error is None:
             axes.plot(x, y, label=shown, **style)
