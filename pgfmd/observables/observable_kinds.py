@@ -11,6 +11,7 @@ from pgfmd.observables.histogram import Histogram
 from pgfmd.observables.leakage import Leakage
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import OBSERVABLES, layout_of
+from pgfmd.observables.partial_slip import PartialSlip
 from pgfmd.observables.percolation import Percolation
 from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
@@ -33,6 +34,7 @@ KINDS = (
     Percolation,
     Leakage,
     Subsurface,
+    PartialSlip,
     Adhesion,
 )
 OBSERVABLES.update({kind.name: kind for kind in KINDS})

@@ -78,4 +78,5 @@ FIELDS = {
     "flux_x": Dataset("{length}^3", "x component of the flow, × 12 viscosity/mean gradient, balanced (leakage)"),
     "flux_y": Dataset("{length}^3", "y component of that flow"),
     "von_mises": Dataset("{pressure}", "von Mises stress at the depth where it is largest (subsurface)"),
+    "traction": Dataset("{pressure}", "tangential traction along x (partial_slip)"),
 }

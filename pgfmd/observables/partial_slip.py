@@ -1,0 +1,150 @@
+"""Partial slip under a tangential load, by the difference of two normal contacts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
+from pgfmd.grid.cost import Cost
+from pgfmd.observables.observable import Observable
+from pgfmd.observables.schema import TABLE, Dataset, Groups
+from pgfmd.options.rules import POSITIVE, number
+from pgfmd.options.section import key
+from pgfmd.physics.problem import ContactProblem
+
+if TYPE_CHECKING:
+    from pgfmd.observables.contact import Contact
+    from pgfmd.solvers.solution import ContactSolution
+
+TOLERANCE = 1e-12  # of the second contact: the stick area of rough contacts then moves as one to 1e-6 of the shift
+MOST_TRIALS, ENOUGH = 12, 1e-6  # contacts until a shift is met, and its relative error
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartialSlip(Observable):
+    """Tractions under a tangential load Q along x at constant normal load P, with Coulomb's friction μ.
+
+    q = μ(p(P) − p(P*)), P* = P − Q/μ (Ciavarella 1998, J. Appl. Mech. 65, 998; Jäger 1998, doi:10.1007/s004190050179):
+    where p(P*) > 0 the bodies stick, in the rest of the contact they slip.  With κ = (2 − ν)/(2 − 2ν), the tangential
+    over the normal compliance, the shift is κμ times the approach from P* to P, and the stiffness K(P*)/κ.  For bodies
+    of like material this is exact at ν = 0; else slip is not quite parallel to q, and stick_violation is the rms
+    variation of the displacement over the stick area, by the kernel of tangential tractions, over the shift.  Between
+    −Q and Q the loop follows Masing's rule, and loses 4Qδ − 8∫δ dQ.
+    """
+
+    name = "partial_slip"
+    where = "output.partial_slip"
+    fields = ("traction",)
+    attraction = False
+    needs_period = "from the modes of the cell"
+    layout = {
+        TABLE: {
+            "tangential_traction": Dataset("{pressure}", "mean tangential traction, Q over the area of the cell"),
+            "stick_area": Dataset("1", "relative area of the points that stick"),
+            "slip_area": Dataset("1", "relative area of the points in contact that slip"),
+            "tangential_shift": Dataset("{length}", "tangential displacement of the bodies"),
+            "tangential_stiffness": Dataset("{pressure}/({length})", "d(traction)/d(shift) at the end of the load"),
+            "cycle_loss": Dataset("{pressure}*{length}", "energy lost in a cycle of −Q … Q, per area of the cell"),
+            "stick_violation": Dataset("1", "rms variation of the displacement over the stick area, over the shift"),
+        }
+    }
+
+    friction: float | None = key(POSITIVE, about="μ; needed", unit="1", example=0.3)
+    load_share: float = key(number(above=0, below=1), 0.5, "Q/(μP), if no shift is given")
+    shift: float | None = key(POSITIVE, about="tangential displacement, instead of load_share", unit="length")
+
+    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
+        """A second contact, its stiffness, and two convolutions; or some contacts until a shift is met."""
+        return Cost(transforms=16.0 if self.shift is None else 60.0, memory=90.0)
+
+    def check_contact(self, problem: ContactProblem) -> None:
+        """Raises InputError without friction or Poisson's ratio, for other walls than a hard one, for no half-space."""
+        if self.friction is None:
+            raise InputError("output.partial_slip.friction is missing: the coefficient of friction")
+        if problem.law.kind != "hard":
+            raise InputError(f"output.partial_slip: of a hard wall, not {problem.law.kind}")
+        if problem.solid.poisson is None:
+            raise InputError("output.partial_slip: the kernel depends on Poisson's ratio: give solid.poisson")
+        if not math.isinf(getattr(problem.solid, "thickness", 0.0)):
+            raise InputError("output.partial_slip: of half-spaces, not of a slab or a layered solid")
+
+    def measure(self, contact: Contact) -> Groups:
+        """Solves the contact at the lower load.  Collective."""
+        from pgfmd.solvers.fixed_contact import increment
+        from pgfmd.solvers.options import Solver
+
+        problem, grid, mu = contact.problem, contact.grid, float(self.friction or 0.0)
+        nu, mean, gap = float(problem.solid.poisson or 0.0), contact.mean_pressure, contact.mean_gap
+        kappa = (2 - nu) / (2 - 2 * nu)
+
+        def solve(load: float) -> tuple[ContactSolution, float] | None:
+            options, other = Solver(method=problem.law.methods[0], tolerance=TOLERANCE), problem.at(load)
+            copy = other.on(grid, problem.heights.copy())  # the solver may overwrite it
+            found = contact.surface.solve(copy, start=None, options=options)
+            if found is None:
+                return None
+            bounds = increment(other, found.pressure, 1e-3)
+            return found, (bounds.lower + bounds.upper) / 2
+
+        load, target = (1 - self.load_share) * mean, math.nan
+        for _ in range(MOST_TRIALS if self.shift is not None else 1):
+            if (solved := solve(load)) is None:  # the log says why
+                return {TABLE: {name: np.array(math.nan) for name in self.layout[TABLE]}}
+            found, stiffness = solved
+            if self.shift is not None:
+                target = gap + self.shift / (kappa * mu)
+                if abs(found.mean_gap - target) <= ENOUGH * self.shift / (kappa * mu):
+                    break
+                load = min(max(load + stiffness * (found.mean_gap - target), load / 4), (load + mean) / 2)
+        else:
+            if self.shift is not None:
+                raise InputError(f"output.partial_slip.shift = {self.shift:g}: all of the contact slips before that")
+        total, lower = mu * (mean - found.mean_pressure), found.mean_pressure
+        shift = kappa * mu * (found.mean_gap - gap)
+        # ∫ approach dp̄ from the lower load to the upper one follows from the energies: dE_el = −p̄ dḡ
+        work = found.elastic_energy - contact.elastic_energy + found.mean_gap * lower - gap * mean
+        loss = 4 * total * shift - 8 * kappa * mu * (-gap * total - mu * work)
+        traction = mu * (contact.pressure - found.pressure)
+        stick = found.pressure > 0
+        contact.keep("traction", traction)
+        counts = grid.reduction.sums(*(float(np.count_nonzero(each)) for each in (stick, contact.pressure > 0)))
+        columns = {
+            "tangential_traction": total,
+            "stick_area": counts[0] / grid.size,
+            "slip_area": (counts[1] - counts[0]) / grid.size,
+            "tangential_shift": shift,
+            "tangential_stiffness": stiffness / kappa,
+            "cycle_loss": loss,
+            "stick_violation": self._variation(problem, traction, stick) / shift,
+        }
+        return {TABLE: {name: np.array(value) for name, value in columns.items()}}
+
+    @staticmethod
+    def _variation(problem: ContactProblem, traction: np.ndarray, stick: np.ndarray) -> float:
+        """Rms variation of the relative displacement over the stick area: of traction along x a mode q moves the
+        surfaces by 2/(E'(1 − ν)q) (1 − ν q_x²/q²) along x and −2ν q_x q_y/(E'(1 − ν)q³) along y.  Collective.
+        """
+        from pgfmd.grid.callbacks import sink, source
+
+        grid, nu = problem.grid, float(problem.solid.poisson or 0.0)
+        scale = 2 / (problem.solid.contact_modulus * (1 - nu) * grid.size)
+        displacement, variance = grid.new_field(), 0.0
+        for along in (True, False):
+
+            def act(block: np.ndarray, first: int, stop: int, along: bool = along) -> None:
+                square, qx, qy = grid.q_squared(first, stop), grid.qx, grid.qy[first:stop]
+                safe = np.where(square > 0, square, 1.0)
+                share = 1 - nu * qx**2 / safe if along else -nu * qx * qy / safe
+                block *= np.where(square > 0, scale * share / np.sqrt(safe), 0.0)
+
+            grid.convolve(source(traction), act, sink(displacement))
+            values = displacement[stick]
+            total, count = grid.reduction.sums(float(values.sum()), len(values))
+            centred = values - total / count
+            variance += grid.reduction.dot(centred, centred) / count
+        return math.sqrt(variance)
