@@ -22,7 +22,7 @@ from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 
-pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
+pytestmark = pytest.mark.mpi
 
 TOLERANCE = 1e-10
 
