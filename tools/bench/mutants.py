@@ -72,19 +72,28 @@ def tests_of(data: coverage.CoverageData, path: Path, line: int) -> list[str]:
     return [file for file in files if (ROOT / file).exists()]
 
 
-def verdict(folder: Path, files: list[str]) -> str:
-    """How the tests end in the copy: "killed", on how many ranks, or "survived"."""
+def run(folder: Path, ranks: int, words: list[str]) -> str | None:
+    """The first test that fails in a folder, on one rank or several; None if all pass."""
     environment = os.environ | {"PYTHONPATH": str(folder), "MPLBACKEND": "Agg", "PGFMD_CACHE": str(folder / "cache")}
-    pytest = [sys.executable, "-m", "mpi4py", "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *files]
-    on_two = [str(folder / "tests" / "mpirun.sh"), "2", sys.executable, *pytest[3:], "-m", "mpi"]
-    for ranks, command in ((1, pytest), (2, on_two)):
-        try:
-            done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT)
-        except subprocess.TimeoutExpired:
-            return f"killed, a hang on {ranks}"
-        if done.returncode not in (0, 5):
-            failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-            return f"killed on {ranks} by {failed[0] if failed else 'an error'}"
+    pytest = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *words]
+    command = [str(folder / "tests" / "mpirun.sh"), str(ranks), sys.executable, *pytest, "-m", "mpi"]
+    if ranks == 1:
+        command = [sys.executable, *pytest]
+    try:
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        return "a hang"
+    failed = re.findall(r"^(?:FAILED|ERROR) (\S.*?)(?: - .*)?$", done.stdout, re.MULTILINE)
+    return None if done.returncode in (0, 5) else failed[0] if failed else "an error"
+
+
+def verdict(folder: Path, root: Path, files: list[str], ignored: list[str]) -> str:
+    """How the tests end in the copy; `ignored` gets those that fail without a change, too."""
+    for ranks in (1, 2):
+        while failed := run(folder, ranks, [*files, *ignored]):
+            if "::" not in failed or run(root, ranks, [failed]) is None:
+                return f"killed on {ranks} by {failed}"
+            ignored.append(f"--deselect={failed}")
     return "survived"
 
 
@@ -103,7 +112,7 @@ def main() -> int:
         lines = set(data.lines(str(path)) or ())
         nodes = sites(ast.parse(path.read_text()))
         drawn += [(path, number) for number, node in enumerate(nodes) if node.lineno in lines]
-    killed = 0
+    killed, ignored = 0, []
     for path, number in chance.sample(drawn, options.count):
         tree = ast.parse(path.read_text())
         node = sites(tree)[number]
@@ -115,7 +124,7 @@ def main() -> int:
             shutil.copytree(options.root, copy, ignore=shutil.ignore_patterns(".git", ".venv", "results", ".coverage*"))
             where = path.relative_to(options.root)
             (copy / where).write_text(ast.unparse(tree))
-            said = verdict(copy, files) if files else "survived: no test runs it"
+            said = verdict(copy, options.root, files, ignored) if files else "survived: no test runs it"
         killed += said.startswith("killed")
         print(json.dumps([f"{where}:{node.lineno}", change, before[:100], said], ensure_ascii=False), flush=True)
     print(f"{killed} of {options.count} killed")
