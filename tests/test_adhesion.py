@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pgfmd
+from pgfmd.grid.domain import OPEN, PERIODIC
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.laws.adhesive import AdhesiveWall, Dugdale, Potential
@@ -32,9 +33,9 @@ def rough(n=32):
     return pgfmd.surface({"grid": {"n": n}, "surface": ROUGH})
 
 
-def branch(heights, law, load, tolerance=1e-10, comm=ALONE, solid=None):
-    shape = comm.allreduce(len(heights)), heights.shape[1]
-    problem = ContactProblem(SlabGrid(comm, shape), heights, solid or Homogeneous(contact_modulus=1.0), law)
+def branch(heights, law, load, tolerance=1e-10, comm=ALONE, domain=PERIODIC):
+    grid = SlabGrid(comm, (comm.allreduce(len(heights)), heights.shape[1]), domain=domain)
+    problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), law)
     return Branch(load, problem, tolerance)
 
 
@@ -136,6 +137,35 @@ def test_loading_and_unloading_lose_energy_in_jumps():
     assert found[-1].mean_pressure == pytest.approx(found[0].mean_pressure, rel=1e-6)
 
 
+@pytest.mark.parametrize(("transition", "expected"), [(1.0, 1.6642), (2.0, 1.5746)])
+def test_pull_off_of_a_sphere_on_a_patch(transition, expected):
+    """With open boundaries, to .3 % on 64² points: process zones of 9 and 3 pixels, √(2Rρ) of 13 and 12."""
+    work, radius, n = 0.5, 20.0 + 20.0 * transition, 64
+    length = (radius * work**2) ** (1 / 3) / transition
+    x = np.arange(n) - n / 2 + 0.5
+    load = Load(displacement=tuple(np.arange(0.5, -2.6, -0.25)))
+    law = AdhesiveWall(work=work, range=length)
+    run = branch(-np.add.outer(x**2, x**2) / (2 * radius), law, load, 1e-8, domain=OPEN)
+    force = np.array([-run.solution(d).mean_pressure * n * n for d in run.load.targets]) / (math.pi * work * radius)
+    top = int(np.argmax(force))
+    a, b, c = force[top - 1 : top + 2]
+    assert b - (a - c) ** 2 / (8 * (a - 2 * b + c)) == pytest.approx(expected, rel=0.003)
+
+
+@pytest.mark.parametrize("pressure", [0.0, 0.02])
+def test_a_force_on_a_patch(pressure):
+    """At the displacement that an imposed force gives, the force is that; energies and gaps agree."""
+    heights, law = rough(32), LAWS["adhesive"]
+    pressed = branch(heights, law, Load(pressure=(pressure,)), 1e-12, domain=OPEN).solution(pressure)
+    moved = branch(heights, law, Load(displacement=(pressed.approach,)), 1e-12, domain=OPEN)
+    moved.resume(pressed.gap, pressed.approach)
+    again = moved.solution(pressed.approach)
+    assert pressed.mean_pressure == pytest.approx(pressure, abs=1e-12)
+    assert again.mean_pressure == pytest.approx(pressure, abs=1e-6)
+    np.testing.assert_allclose(again.gap, pressed.gap, atol=1e-4)
+    assert again.elastic_energy == pytest.approx(pressed.elastic_energy, rel=1e-5)
+
+
 @pytest.mark.parametrize(("transition", "expected"), [(0.5, 1.7780), (1.0, 1.6642), (2.0, 1.5746)])
 def test_pull_off_of_a_sphere(transition, expected):
     """Largest tension over πwR, against an axisymmetric solution; images in the cell count for .3 %."""
@@ -191,12 +221,14 @@ def test_pull_off_by_a_constant_traction(transition, maugis):
 
 
 @pytest.mark.mpi
-def test_ranks_find_the_same_branch(comm):
+@pytest.mark.parametrize("domain", [PERIODIC, OPEN], ids=str)
+def test_ranks_find_the_same_branch(comm, domain):
     """A cycle of three loads on slabs equals that of one process to 1e-9."""
     heights, law = rough(32), LAWS["adhesive"]
     rows = SlabGrid(comm, heights.shape).rows
-    load = Load(mean_gap=(3.0, 1.5), cycle=True)
-    alone, shared = branch(heights, law, load, 1e-12), branch(heights[rows], law, load, 1e-12, comm)
+    load = Load(mean_gap=(3.0, 1.5), cycle=True) if domain.wraps else Load(displacement=(-1.0, 0.0), cycle=True)
+    alone = branch(heights, law, load, 1e-12, domain=domain)
+    shared = branch(heights[rows], law, load, 1e-12, comm, domain)
     for target in load.targets:
         one, many = alone.solution(target), shared.solution(target)
         np.testing.assert_allclose(many.gap, one.gap[rows], atol=1e-7)

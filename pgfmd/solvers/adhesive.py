@@ -24,8 +24,10 @@ import numpy as np
 from pgfmd.errors import SolverError
 from pgfmd.grid.callbacks import ColumnAction, sink
 from pgfmd.grid.kernels import jit, u
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.adhesive import AttractiveWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.nondimensional import mean_compliance
 
 RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
 MOST_STEPS, MOST_INNER, HALVINGS, CAREFUL = 1000, 200, 12, 40
@@ -97,29 +99,71 @@ class AdhesiveState:
 
 
 class AdhesiveContact:
-    """The energy of one surface and its minimisation.  Collective to make."""
+    """The energy of one surface and its minimisation.  Collective to make.
+
+    With open boundaries the unknowns are the gaps on the whole torus of the transforms, where the stiffness is the
+    inverse of the compliance: beyond the patch the rigid surface lies so deep that it neither touches nor attracts.
+    The mean mode then has a stiffness, as that of a slab on a base (`spring`).
+
+    grid: of the unknowns;  patch: of the surface;  share: points of the patch over those of the torus
+    """
 
     def __init__(self, problem: ContactProblem) -> None:
         assert isinstance(problem.law, AttractiveWall)
-        self.grid, self.law, self.problem = problem.grid, problem.law, problem
+        self.patch, self.law, self.problem = problem.grid, problem.law, problem
         self.length, self.pressure = self.law.units
-        grid, reduce = self.grid, self.grid.reduction
+        patch, reduce = self.patch, self.patch.reduction
         self.top = reduce.max(problem.heights)
         below = (problem.heights - self.top) / self.length
+        solid = problem.solid.in_units(self.length, self.pressure)
+        self.grid, self.spring = patch, solid.mean_stiffness()
+        if not patch.domain.wraps:
+            self.grid = SlabGrid(patch.comm, patch.torus, patch.period, patch.asked_threads)
+            below = self._padded(below, 2 * reduce.min(below) - self.law.farthest)
+            modes = solid.modes(patch)  # collective
+            self.spring = 1 / reduce.min(modes[0, 0] if patch.columns.start == 0 else math.inf)
+        grid, self.share = self.grid, patch.size / self.grid.size
         self.summit = -reduce.sum(below) / grid.size  # highest above the mean height
         self.heights = below + self.summit
-        solid = problem.solid.in_units(self.length, self.pressure)
-        self.spring = solid.mean_stiffness()  # of the mean mode
         scale = 1 / grid.size
-        self.stiffness = {real: solid.apply_stiffness(grid, real, scale) for real in (np.float32, np.float64)}
-        self.compliance = solid.apply_compliance(grid, np.float32, scale)
-        modes = np.sqrt(grid.q_squared())
-        compliance = grid.hermitian_weight * solid.compliance(modes)
-        self.local = reduce.sum(compliance) / grid.size  # G(0): of one point
-        self.softest = reduce.max(compliance)
-        self.stiffest_wave = float(solid.stiffness(np.array(2 * math.pi / max(grid.lengths))))
+        self.stiffness = {real: solid.apply_stiffness(patch, real, scale) for real in (np.float32, np.float64)}
+        self.compliance = solid.apply_compliance(patch, np.float32, scale)
+        self.local = mean_compliance(patch, solid)  # of one point
+        self.softest = float(solid.compliance(np.array(2 * math.pi / max(grid.lengths))))  # to the longest wave
         self.image, self.search = grid.new_field(np.float32), grid.new_field(np.float32)
         self.free = np.empty(grid.local_shape, np.bool_)
+
+    def _padded(self, field: np.ndarray, value: float) -> np.ndarray:
+        """A field of the patch (nx_local, ny) on the torus, with that value beyond.  Collective."""
+        (nx, ny), rows = self.patch.shape, self.grid.rows
+        found = np.full(self.grid.local_shape, value)
+        first, stop = min(rows.start, nx), min(rows.stop, nx)
+        found[: stop - first, :ny] = self.patch.fetch(field, first, stop)
+        return found
+
+    def unpadded(self, field: np.ndarray) -> np.ndarray:
+        """The part of a field on the torus that lies on the patch (nx_local, ny).  Collective."""
+        if self.grid is self.patch:
+            return field
+        rows = self.grid.fetch(field, self.patch.rows.start, self.patch.rows.stop)
+        return np.ascontiguousarray(rows[:, : self.patch.shape[1]])
+
+    def around(self, gap: np.ndarray) -> np.ndarray:
+        """A gap of the patch (nx_local, ny), and the gap beyond it that balances the forces there.  Collective."""
+        if self.grid is self.patch:
+            return gap
+        inside = np.isfinite(self._padded(gap, math.nan))
+        found = np.where(inside, self._padded(gap, 0.0), self.law.farthest - self.heights)
+        found -= np.where(inside, 0.0, self.grid.reduction.max(np.where(inside, -np.inf, found)) - self.law.farthest)
+        hold, none = Hold("displacement", self.summit, spring=self.spring), self.grid.new_field(np.float32)
+        none[...] = 0
+        for _ in range(3):  # as conjugate gradients are in single precision
+            state = self.state(found)
+            self.residual(state, hold)
+            self.free[...] = ~inside
+            start = np.where(inside, 0.0, -state.stress - hold.force(state.mean)).astype(np.float32)
+            found += self.conjugate_gradients(start, none, hold, lambda _: 1e-4)[0]
+        return found
 
     def bands(self, work: Callable[[slice], tuple[float, ...]]) -> np.ndarray:
         """The sums of what `work` returns for bands of rows.  Collective."""

@@ -60,14 +60,16 @@ class Branch:
         """What a target holds, in units of the law."""
         contact = self.contact
         if self.name == "pressure":
-            return Hold(self.name, load=target / contact.pressure, spring=0.0)
+            return Hold(self.name, load=target / contact.pressure * contact.share, spring=0.0)
         if self.name == "mean_gap":
             return Hold(self.name, target / contact.length)
         gap = contact.summit - target / contact.length
         return Hold(self.name, gap, spring=contact.spring or math.inf)
 
     def check_targets(self, targets: Iterable[float]) -> None:
-        """Raises InputError for a target at which the whole surface touches."""
+        """Raises InputError for a target at which the whole surface touches, and for mean gaps of a patch."""
+        if self.name == "mean_gap" and not self.grid.domain.wraps:
+            raise InputError('load.mean_gap: not imposed with grid.boundary = "open" under walls that attract')
         for target in targets:
             hold = self.hold(target)
             if hold.fixed and not hold.gap > self.contact.law.least:
@@ -75,17 +77,17 @@ class Branch:
 
     def displacement(self, found: ContactSolution) -> float:
         """Approach of the far side from where the undeformed solid touches the highest point."""
-        spring = self.problem.solid.mean_stiffness()
+        spring = self.problem.solid.mean_stiffness() if self.grid.domain.wraps else 0.0
         return found.approach + (found.mean_pressure / spring if spring > 0 else 0.0)
 
     def resume(self, gap: np.ndarray | None, target: float = math.nan) -> None:
         """The next target continues from this gap (nx_local, ny), that of an earlier target.  Collective."""
         if gap is not None:
-            self.last = target, self.contact.state(gap / self.contact.length)
+            self.last = target, self.contact.state(self.contact.around(gap / self.contact.length))
 
     def solution(self, target: float) -> ContactSolution:
         """The contact at that target, on the branch of the last one.  Collective.  Raises SolverError."""
-        began, transforms = time.perf_counter(), self.grid.transforms
+        began, transforms = time.perf_counter(), self.contact.grid.transforms
         hold, way = self.hold(target), FOLLOWED
         jump, drop = (math.nan,) * 4, 0.0
         if self.last is None or self.load.branch != "follow":
@@ -106,8 +108,9 @@ class Branch:
                 drop += max(self._drop(before, (target, state)), 0.0)
         self.before = (self.last[0], self.last[1].gap) if self.last and math.isnan(jump[0]) else None
         self.last = target, state
+        lost = drop * self.contact.length * self.contact.pressure / self.contact.share
         return self._solution(state, hold, {
-            **dict(zip(JUMP, jump, strict=True)), "energy_drop": drop * self.contact.length * self.contact.pressure,
+            **dict(zip(JUMP, jump, strict=True)), "energy_drop": lost,
             "branch": way, "newton_steps": state.iterations, "trials_refused": state.refused,
             "inner_applications": state.inner,
         }, (began, transforms))  # fmt: skip
@@ -122,8 +125,8 @@ class Branch:
         gap = hold.gap if self.name != "pressure" else contact.summit
         start = contact.undeformed(max(gap, contact.law.least + 1e-3))
         if self.name == "pressure" and hold.load > 0:  # else the approach would take many steps of some ranges
-            wall = self.problem.with_law(HardWall()).at(hold.load * contact.pressure)
-            start = solve_hard_wall(wall, ROUGH).gap / contact.length + contact.law.least
+            wall = self.problem.with_law(HardWall()).at(hold.load * contact.pressure / contact.share)
+            start = contact.around(solve_hard_wall(wall, ROUGH).gap / contact.length + contact.law.least)
         law, factors = self.problem.law, PROBE if self.load.branch == "probe" else (1.0,)
         for factor in factors:
             if factor == 1.0:
@@ -180,7 +183,7 @@ class Branch:
         return old.energy + at.energy(old.mean) + work - new.energy - to.energy(new.mean)
 
     def _pressure(self, state: AdhesiveState) -> float:
-        return -state.pull * self.contact.pressure
+        return -state.pull * self.contact.pressure / self.contact.share
 
     def _tell(self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState]) -> None:
         if self.grid.comm.rank == 0:
@@ -195,40 +198,45 @@ class Branch:
         self, state: AdhesiveState, hold: Hold, details: dict[str, float], begun: tuple[float, float]
     ) -> ContactSolution:
         """The contact in units of the job.  Collective."""
-        contact, law, grid = self.contact, self.contact.law, self.grid
+        contact, law = self.contact, self.contact.law
         floor, bound, distance = contact.certified(state, hold)
         if floor <= 0 or bound > 2 * self.tolerance * state.elastic:  # within a smaller distance, ν may be larger
             state = contact.minimise(state.gap, hold, self.tolerance * SHARPER, self._see)
             floor, bound, distance = contact.certified(state, hold)
-        scale = contact.length * contact.pressure
+        scale, size = contact.length * contact.pressure / contact.share, self.grid.size
         pressure = np.where(state.gap > law.least, -law.traction(state.gap), state.stress - state.pull)
-        pressure *= contact.pressure
+        if contact.spring and not self.grid.domain.wraps:  # the mean of the displacement is elastic
+            state = dataclasses.replace(state, elastic=state.elastic + state.pull**2 / (2 * contact.spring))
+        pressure, gap = contact.unpadded(pressure) * contact.pressure, contact.unpadded(state.gap)
         kind = "global" if hold.fixed and self._convex() else "local"
         certificate: Certificate | str = "the least curvature of the energy is not known to be positive"
         if floor > 0:
             error = bound / (2 * state.elastic) if state.elastic else 0.0
             certificate = Certificate(error, kind, "proved" if kind == "global" else "estimated", self.name)
-        tension = grid.reduction.sum(np.minimum(pressure, 0.0)) / grid.size
+        total, tension, pulled = self.grid.reduction.sums(
+            float(gap.sum()), float(np.minimum(pressure, 0.0).sum()),
+            float(np.count_nonzero((pressure < 0) & (gap <= law.least))),
+        ) / size  # fmt: skip
         known = details | {
             "energy": state.energy * scale, "residual": state.residual * contact.pressure, "least_curvature": floor,
             "gap_bound": distance * contact.length if floor > 0 else math.inf, "tensile_pressure": tension,
-            "tensile_area": grid.reduction.sum(np.count_nonzero((pressure < 0) & (state.gap <= law.least))) / grid.size,
-            "bound": 0.0 if floor <= 0 else 2.0 if kind == "global" else 1.0,
+            "tensile_area": pulled, "bound": 0.0 if floor <= 0 else 2.0 if kind == "global" else 1.0,
         }  # fmt: skip
-        mean_gap = state.mean * contact.length
+        moved = 0.0 if self.grid.domain.wraps else -state.pull / contact.spring  # of the mean of the torus
+        gap *= contact.length
         return ContactSolution(
             pressure=pressure,
-            gap=state.gap * contact.length,
+            gap=gap,
             mean_pressure=self._pressure(state),
-            mean_gap=mean_gap,
+            mean_gap=float(total) * contact.length,
             elastic_energy=state.elastic * scale,
             certificate=certificate,
             max_violation=0.0,
             iterations=state.iterations,
-            transforms=grid.transforms - begun[1],
+            transforms=contact.grid.transforms - begun[1],
             seconds=time.perf_counter() - begun[0],
             threshold=-math.inf if law.least == 0 else 0.0,
-            approach=contact.summit * contact.length - mean_gap,
+            approach=(contact.summit - state.mean + moved) * contact.length,
             details=known,
         )
 
@@ -236,7 +244,7 @@ class Branch:
         """Whether the energy is convex at a mean gap: the solid's curves more, even that of the longest wave."""
         contact = self.contact
         steepest = float(np.max(-contact.law.curvature(np.linspace(contact.law.least, contact.law.least + 40, 20001))))
-        return steepest < contact.stiffest_wave and not (isinstance(contact.law, Dugdale) and contact.law.edge == 0)
+        return steepest < 1 / contact.softest and not (isinstance(contact.law, Dugdale) and contact.law.edge == 0)
 
 
 def resolved(problem: ContactProblem, law: AttractiveWall) -> None:

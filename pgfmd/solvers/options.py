@@ -61,7 +61,6 @@ class Solver(Section):
         method = law.methods[0] if self.method == "auto" else self.method
         for reason in (
             solid.no_border and f"solid.kind = {show(solid.kind)}: {solid.no_border}",
-            "" if law.convex else f"wall.kind = {show(law.kind)}: its branches are followed in periodic cells only",
             method == "gfmd" and f'wall.kind = {show(law.kind)} by "gfmd": dynamics move the surface outside too',
             self.transform == "mpi4py-fft" and 'solver.transform = "mpi4py-fft": it does not pad; take "blocked"',
         ):

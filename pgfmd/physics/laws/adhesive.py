@@ -27,11 +27,14 @@ NODES = 20001  # of the spline through a formula, which is the law
 
 @dataclass(frozen=True, kw_only=True)
 class AttractiveWall(ContactLaw):
-    """What laws that attract have in common.  least: the smallest gap over ρ, where the wall is hard."""
+    """What laws that attract have in common.  least: the smallest gap over ρ, where the wall is hard.
+    farthest: gap over ρ beyond which it is not felt.
+    """
 
     methods: ClassVar[tuple[str, ...]] = ("adhesive",)
     convex: ClassVar[bool] = False
     least: ClassVar[float] = 0.0
+    farthest: ClassVar[float] = 60.0
 
     unresolved: bool = key(flag(), False, "solve also where the process zone ρ²E'/w is shorter than .8 pixels")
 
@@ -171,6 +174,11 @@ class Potential(AttractiveWall):
     def least(self) -> float:  # type: ignore[override]
         """The first of `gaps`."""
         return self.gaps[0] / self.units[0]
+
+    @property
+    def farthest(self) -> float:  # type: ignore[override]
+        """The second of `gaps`."""
+        return self.gaps[1] / self.units[0]
 
     def _at(self, gap: np.ndarray, derivative: int) -> np.ndarray:
         spline, (length, pressure) = _spline(self.pressure, self.gaps)[0], self.units
