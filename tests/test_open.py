@@ -19,6 +19,9 @@ from pgfmd.grid.transfer import Interpolation, restrict_locally
 from pgfmd.observables.labelling import label_patches
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids import open_kernel
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.physics.solids.layered import Layered
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
@@ -320,3 +323,46 @@ def test_bodies_of_the_table():
     rounded = {"kind": "punch", "radius": 8.0, "shape": "square", "edge": 4.0}
     beyond = np.maximum(np.maximum(np.abs(np.arange(32) - 16)[:, None], np.abs(np.arange(32) - 16)) - 8.0, 0)
     assert np.allclose(pgfmd.surface({"grid": grid, "surface": rounded}), -(beyond**2) / 8)
+
+
+@pytest.mark.parametrize("base", ["bonded", "sliding"])
+def test_slabs(base):
+    """A slab is the half-space if it is thick, and responds beyond some thicknesses to nothing if it is thin: a contact
+    in the middle of a patch is then that of a periodic cell, up to how waves beyond the grid's end on either torus.
+    Between them two ways to the symbol agree to 1e-8.
+    """
+    heights, force = rough(48), 8.0
+    options = {"force": force, "contact_modulus": MODULUS, "base": base, "poisson": 0.3, "tolerance": 1e-12}
+    thick = pgfmd.solve(heights, boundary="open", thickness=1e6, **options)
+    half = solved(heights, force, 1e-12)
+    assert np.abs(thick.pressure - half.pressure).max() < 1e-4 * half.pressure.max()
+    thin, cell = (pgfmd.solve(heights, boundary=name, thickness=1.5, **options) for name in ("open", "periodic"))
+    assert np.abs(thin.pressure - cell.pressure).max() < 1e-4 * thin.pressure.max()
+    if base == "bonded":  # on a sliding base the mean mode of a cell is uniaxial strain
+        assert abs(thin.displacement / cell.displacement - 1) < 1e-5
+    slab, grid = Homogeneous(contact_modulus=1.0, poisson=0.3, thickness=3.8, base=base), grid_of((96, 96))
+    tables = []
+    for thin_to in (1.0, 0.0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(open_kernel, "THIN", thin_to)
+            tables.append(open_kernel.layer_table(grid, slab))
+    assert np.abs(tables[0] - tables[1]).max() < 1e-8 * tables[0].max()
+
+
+@pytest.mark.parametrize("thickness", [0.7, 6.0])
+def test_layers(thickness):
+    """A layer of the base's own material is a half-space; a soft one between ends where both half-spaces are: far away
+    the response is that of the base, to 1 % at 10 thicknesses or more.
+    """
+    grid = grid_of((96, 64))
+    layer = {"contact_modulus": 1.0, "poisson": 0.3, "thickness": thickness, "base_poisson": 0.3}
+    same, soft = (Layered(base_modulus=modulus, **layer) for modulus in (1.0, 4.0))
+    table = open_kernel.half_space_table(grid)
+    assert np.abs(same.open_table(grid) / table - 1).max() < 1e-12
+    pressure, u = np.zeros(grid.shape), grid.new_field()
+    pressure[4, 4] = 1.0
+    grid.convolve(source(pressure), soft.apply_compliance(grid, np.float64, 1 / grid.modes), sink(u))
+    x, y = np.arange(96)[:, None] - 4, np.arange(64) - 4
+    far = (np.hypot(x, y) > 60) & (np.abs(x) > 8) & (np.abs(y) > 8)
+    assert np.abs(u * np.hypot(x, y) * math.pi * 4.0 - 1)[far].max() < 0.03
+    assert soft.open_table(grid).min() > 0

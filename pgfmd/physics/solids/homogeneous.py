@@ -59,7 +59,7 @@ class Homogeneous(Solid):
 
     @property
     def no_border(self) -> str:
-        return "a slab's kernel on a patch is not known" if math.isfinite(self.thickness) else ""
+        return "on a free base a slab has no approach of distant points" if self.base == "free" else ""
 
     def factor(self, q: np.ndarray) -> np.ndarray:
         if math.isinf(self.thickness):
@@ -83,11 +83,13 @@ class Homogeneous(Solid):
         return self.contact_modulus * uniaxial / self.thickness
 
     def open_table(self, grid: SlabGrid) -> np.ndarray:
-        from pgfmd.physics.solids.open_kernel import half_space_table, positive
+        from pgfmd.physics.solids.open_kernel import half_space_table, layer_table, positive
 
-        if "half-space" not in grid.tables:
-            grid.tables["half-space"] = positive(grid, half_space_table(grid))
-        return grid.tables["half-space"]
+        name = self.thickness, self.base, self.poisson if self.needs_poisson else None
+        if name not in grid.tables:
+            table = layer_table(grid, self) if math.isfinite(self.thickness) else half_space_table(grid)
+            grid.tables[name] = positive(grid, table)
+        return grid.tables[name]
 
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         if math.isfinite(self.thickness) or not grid.domain.wraps:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
 from pgfmd.physics.solids.homogeneous import layer_factor
 from pgfmd.physics.solids.solid import POISSON, Solid
+
+if TYPE_CHECKING:
+    from pgfmd.grid.slab_grid import SlabGrid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +31,17 @@ class Layered(Solid):
     thickness: float = key(POSITIVE, about="of the layer", unit="length", needed=True, example=10.0)
     base_modulus: float = key(POSITIVE, about="E' of the half-space", unit="pressure", needed=True, example=3.0)
     base_poisson: float = key(POISSON, about="ν of the half-space", unit="1", needed=True, example=0.3)
+
+    no_border = ""
+
+    def open_table(self, grid: SlabGrid) -> np.ndarray:
+        from pgfmd.physics.solids.open_kernel import layer_table, positive
+
+        ratio = f"{self.base_modulus / self.contact_modulus:.12g}"  # which units change in its last digit
+        name = self.thickness, ratio, self.poisson, self.base_poisson
+        if name not in grid.tables:
+            grid.tables[name] = positive(grid, layer_table(grid, self))
+        return grid.tables[name]
 
     def factor(self, q: np.ndarray) -> np.ndarray:
         poisson = np.array([self.poisson, self.base_poisson])

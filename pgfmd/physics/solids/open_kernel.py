@@ -7,11 +7,17 @@ that the modes of the grid resolve, as in a periodic cell; the long-ranged part 
 
 the first term 2/(√π α E') at q = 0, the summand 2α/√π at r = 0, and r the least distance on the torus.  The sum runs
 over the rows and columns of a quadrant, as Â is even in qx and in qy.
+
+A layer of thickness d adds (1/πE') ∫ (1/F(q) − 1) J0(qr) dq to the kernel, which is smooth over d.  If d is of the
+order of a spacing, only the part that erfc(q/2α) leaves is summed, the rest is a factor of modes.  On a rigid base
+kernels fall off exponentially over d: those of thin slabs need no sum at all.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +29,22 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import slab_starts
 
 CLOSE = 6.0  # α r from which erf is 1 in double precision
+THIN = 0.04  # thickness over half a side of the torus up to which images of a slab on a rigid base are below 1e-12
+RESOLVED = 1.5  # spacings of a thickness from which the grid resolves the kernel that it adds
+THICK = 25.0  # q d from which F is 1 to the last digit
+NODES = 600  # of the spline: its error is below 1e-9 of the values
+
+
+class Layer(Protocol):
+    """What of a solid counts here; see `Solid`."""
+
+    @property
+    def thickness(self) -> float: ...
+    @property
+    def contact_modulus(self) -> float: ...
+    def factor(self, q: np.ndarray) -> np.ndarray: ...
+    def compliance(self, q: np.ndarray) -> np.ndarray: ...
+    def mean_stiffness(self, periodic: bool = True) -> float: ...
 
 
 def half_space_table(grid: SlabGrid) -> np.ndarray:
@@ -35,6 +57,47 @@ def half_space_table(grid: SlabGrid) -> np.ndarray:
 
     near = np.divide(2 * erf(q / (2 * alpha)), q, out=np.full(q.shape, 2 / (math.sqrt(math.pi) * alpha)), where=q > 0)
     return far + near
+
+
+def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
+    """E' Â(q) of a slab on a rigid base or a layer on a half-space.  Collective."""
+    d, q, rigid = solid.thickness, np.sqrt(half_q_squared(grid)), solid.mean_stiffness(periodic=False)
+    if rigid > 0 and d <= THIN * min(grid.period) / 2:
+        table = solid.contact_modulus * solid.compliance(q)
+        table[q == 0] = solid.contact_modulus / rigid
+        return table
+    alpha = SPLIT / max(grid.spacing)
+    cut = not rigid and d < RESOLVED * max(grid.spacing)
+    x, y = _rows(grid) * grid.spacing[0], np.arange(grid.torus[1] // 2 + 1) * grid.spacing[1]
+    change = _change(solid, math.hypot(*grid.period) / 2, alpha if cut else math.inf)
+    table = half_space_table(grid)
+    table += cosine_transform(grid, change(np.hypot(x[:, None], y[None, :]))) * (grid.pixel_area / math.pi)
+    if cut:
+        from scipy.special import erf
+
+        waves = np.where(q > 0, q, 1e-9 / d)
+        table += (1 / solid.factor(waves) - 1) * 2 * erf(waves / (2 * alpha)) / waves
+    return table
+
+
+def _change(solid: Layer, furthest: float, alpha: float) -> Callable[[np.ndarray], np.ndarray]:
+    """∫ (1/F(q) − 1) erfc(q/2α) J0(qr) dq as a function of r up to `furthest`: a spline between values by Gauss's rule
+    on pieces that J0 crosses about once.
+    """
+    from scipy.interpolate import CubicSpline  # slow to import
+    from scipy.special import erfc, j0
+
+    d = solid.thickness
+    end = min(THICK / d, 12 * alpha)
+    pieces = max(50, int(end * furthest / math.pi) + 1)
+    points, weights = np.polynomial.legendre.leggauss(6)
+    q = ((np.arange(pieces)[:, None] + (points + 1) / 2) * (end / pieces)).ravel()
+    weight = np.tile(weights, pieces) * (end / pieces / 2) * (1 / solid.factor(q) - 1)
+    weight *= erfc(q / (2 * alpha)) if alpha < math.inf else 1.0
+    scale = d if alpha == math.inf else max(d, 1 / alpha)
+    places = np.linspace(0.0, math.asinh(furthest / scale), NODES)
+    spline = CubicSpline(places, [float(weight @ j0(q * r)) for r in scale * np.sinh(places)])
+    return lambda r: spline(np.arcsinh(r / scale))
 
 
 def _long_ranged(x: np.ndarray, y: np.ndarray, alpha: float) -> np.ndarray:

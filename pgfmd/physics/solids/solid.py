@@ -138,15 +138,6 @@ class Solid(Section):
         stiffness = self.stiffness(q)
         return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
 
-    def compliance_of_mean(self, period: tuple[float, float]) -> float:
-        """About the compliance of the mean mode on a domain with a border, whose torus has these sides: the integral of
-        the kernel over the torus, 1/(π E' r) with the E' of the longest wave; or 1/`mean_stiffness`.
-        """
-        if (stiffness := self.mean_stiffness(periodic=False)) > 0:
-            return 1 / stiffness
-        (a, b), q = (side / 2 for side in period), 2 * math.pi / max(period)
-        return float(self.compliance(np.array(q))) * q / math.pi * 2 * (a * math.asinh(b / a) + b * math.asinh(a / b))
-
     def softest(self, lengths: tuple[float, float], spacing: tuple[float, float]) -> float:
         """Least stiffness to a wave of a cell over that of the half-space that answers short waves alike.  Below `SOFT`
         the solid is thin: a free slab of .2 of the cell, a layer of .1 on a base five times as soft.

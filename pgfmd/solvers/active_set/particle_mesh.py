@@ -14,8 +14,6 @@ transforms.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, scaling, sink
@@ -37,21 +35,12 @@ Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """First node and weights (nx_local, 4) of each row; nodes, periodic, and weights (ny, 4) of each column."""
 
 
-Mean = Callable[[tuple[float, float]], float]
-"""An operator's factor on the mean mode of a torus with these sides."""
-
-
-def no_mean(period: tuple[float, float]) -> float:
-    """Of a periodic cell: the mean mode does not respond."""
-    return 0.0
-
-
 class MeshResponse:
     """S A Sᵀ v, nearly: S restricts to a set, A is the solid's compliance or stiffness; stencil: the near part."""
 
-    def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol, mean: Mean = no_mean) -> None:
+    def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol, mean: float = 0.0) -> None:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself; mean: that
-        for the mean mode.
+        for the mean mode, on rank 0.
         """
         self.grid, self._mean = grid, mean
         shape, lengths = (-(-grid.shape[0] // 2), -(-grid.shape[1] // 2)), grid.lengths
@@ -128,7 +117,7 @@ class MeshResponse:
         def part(_: int, first: int, stop: int) -> None:
             rest = response(np.sqrt(mesh.q_squared(first, stop)))
             if first == mesh.columns.start == 0:
-                rest[0, 0] = self._mean(mesh.period)
+                rest[0, 0] = self._mean
             rest -= cos_y[first:stop] @ across
             influence[first:stop] = rest * np.outer(spline_y[first:stop], spline_x * share)
 
@@ -202,7 +191,7 @@ class FullResponse:
 
 
 def inner_response(
-    grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction, mean: Mean = no_mean
+    grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction, mean: float = 0.0
 ) -> MeshResponse | FullResponse:
     """A `MeshResponse` on large grids of nearly square pixels, if the solid responds like a half-space to short waves;
     else a `FullResponse`: `action` multiplies modes by A.  Collective.

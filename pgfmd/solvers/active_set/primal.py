@@ -18,7 +18,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradients, Mean
 from pgfmd.solvers.active_set.feasible import Feasible
-from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response, no_mean
+from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import Unknowns
 
@@ -37,7 +37,7 @@ class PressureSteps(Relaxation):
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
-        mean = no_mean if grid.domain.wraps else solid.compliance_of_mean
+        mean = float(solid.modes(grid, 0, 1)[0, 0]) if grid.comm.rank == 0 else 0.0
         action = self.compliance[np.float32]
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, action, mean)
         self.feasible = Feasible(problem)
