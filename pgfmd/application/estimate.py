@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pgfmd.application.job import Job
 from pgfmd.application.memory import readable
+from pgfmd.application.results import size_in_words
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.cost import Cost
 from pgfmd.grid.holders import largest_shares
@@ -194,10 +195,9 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     unit = job.output.length_unit
     understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface, job.solid)}
     found, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
-    nx, ny = job.cell.shape
     loads = len(job.load.targets)
     lines = {
-        "grid": f"{nx} × {ny} points, cell {job.grid.lengths[0]:g} × {job.grid.lengths[1]:g}",
+        "grid": size_in_words(job.cell.shape, job.cell.lengths, unit, vars(job.grid)),
         "surface": ": ".join(filter(None, [job.surface.kind, understood["surface"]])),
         "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",

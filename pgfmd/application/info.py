@@ -22,7 +22,7 @@ from pgfmd.application.files import (
     read_sums,
     sha256,
 )
-from pgfmd.application.results import Results, Runs, table
+from pgfmd.application.results import Results, Runs, size_in_words, table
 from pgfmd.observables.schema import LOADS
 from pgfmd.options.text import assignments, counted
 
@@ -96,13 +96,13 @@ def as_json(results: Results) -> str:
 
 def summary(results: Results) -> str:
     """What was run, how, how far, and the table of loads."""
-    about, asked = results.provenance, results.provenance.get("loads_requested", 0)
+    about, asked, job = results.provenance, results.provenance.get("loads_requested", 0), results.job
     lines = {
         "folder": str(results.directory),
         "status": results.status + (f": {about['error']}" if results.status == "failed" else ""),
         "loads": f"{len(results)} of {asked} completed" if asked else f"{len(results)} completed",
-        "grid": f"{results.shape[0]} × {results.shape[1]} points, cell {results.lengths[0]:g} × {results.lengths[1]:g}",
-        "solid": assignments(results.job["solid"]),
+        "grid": size_in_words(results.shape, results.lengths, job["output"]["length_unit"], job["grid"]),
+        "solid": assignments(job["solid"]),
         "fields": ", ".join(results.fields() + (results.fields(-1) if len(results) else [])) or "none",
         **_origin(about),
         "finished": about.get("finished", "—"),

@@ -283,6 +283,13 @@ def table(results: Results) -> str:
     return text_table(values, results.units, errors)
 
 
+def size_in_words(shape: tuple[int, int], lengths: tuple[float, float], unit: str, grid: Mapping[str, Any]) -> str:
+    """Points and size of the cell, or of a patch, with the unit if the job has one; grid: the keys of [grid]."""
+    place = "patch" if grid.get("boundary") == "open" else "cell"
+    size = f"{shape[0]} × {shape[1]} points, {place} {lengths[0]:g} × {lengths[1]:g}"
+    return size if unit == "length" else f"{size} {unit}"
+
+
 def text_table(
     loads: Mapping[str, np.ndarray],
     units: Mapping[str, str],

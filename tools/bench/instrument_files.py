@@ -133,7 +133,8 @@ def _apart(found: np.ndarray, expected: np.ndarray) -> float:
     """The largest difference at points that were measured, over the range of their heights."""
     if found.shape != expected.shape:
         return np.inf
-    return float(np.nanmax(np.abs(found - expected)) / max(np.nanmax(np.abs(expected)), sys.float_info.min))
+    span = np.nanmax(expected) - np.nanmin(expected)
+    return float(np.nanmax(np.abs(found - expected)) / max(span, sys.float_info.min))
 
 
 def _first_dataset(path: Path) -> str | None:
