@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import string
 import subprocess
@@ -16,6 +17,8 @@ import pytest
 from pgfmd.application import job as config
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
+from pgfmd.options.reference import example, json_schema
+from pgfmd.surfaces.surface_kinds import SURFACES
 
 JOBS = Path(__file__).resolve().parent.parent / "jobs"
 ROUGH = """
@@ -38,6 +41,45 @@ TAIL = "[solid]\ncontact_modulus = 1\n[load]\npressure = 1\n"
 def test_every_job_of_the_repository_is_valid(path):
     """The examples that users copy obey the reference."""
     assert config.load(path).load.targets
+
+
+@pytest.fixture(scope="module")
+def schema():
+    """The JSON Schema of a job, as editors use it."""
+    validator = pytest.importorskip("jsonschema").Draft202012Validator
+    document = json.loads(json_schema(config.SECTIONS.values()))
+    validator.check_schema(document)
+    return validator(document)
+
+
+@pytest.mark.parametrize("text", [path.read_text() for path in sorted(JOBS.rglob("*.toml"))] + ["reference"])
+def test_schema_takes_what_is_valid(schema, text):
+    """The JSON Schema accepts every job of the repository, and the example of every kind, all keys written out."""
+    for kind in [choice.kind for choice in SURFACES.choices] if text == "reference" else []:
+        job = config.parse(example(config.SECTIONS.values(), kind))
+        assert not list(schema.iter_errors(tomllib.loads(config.as_toml(job)))), kind
+    assert text == "reference" or not list(schema.iter_errors(tomllib.loads(text)))
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["grid.m = 3", "grid.n = 0", "grid.n = 1.5", 'surface.kind = "flat"', "surface.hurst = true", 'load.pressure = "x"',
+     "solid.contact_modulus = -1", 'output.fields = ["heat"]', 'wall.kind = "hard"\nwall.zeta = 1.0', "extra.key = 1",
+     'output.histogram.bins = "many"'],
+)  # fmt: skip
+def test_schema_refuses_what_is_wrong(schema, line):
+    """What one key alone makes invalid is invalid for an editor as well as for a run."""
+    document = tomllib.loads(ROUGH)
+    for entry in line.split("\n"):
+        name, value = entry.split(" = ")
+        *tables, last = name.split(".")
+        table = document
+        for each in tables:
+            table = table.setdefault(each, {})
+        table[last] = tomllib.loads(f"value = {value}")["value"]
+    assert list(schema.iter_errors(document))
+    with pytest.raises(InputError):
+        config.parse(config.tables_as_toml(document))
 
 
 def test_values_and_defaults():

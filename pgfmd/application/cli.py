@@ -83,6 +83,7 @@ def _parser() -> argparse.ArgumentParser:
 
     new = commands.add_parser("new", help="print a commented job to start from", allow_abbrev=False)
     new.add_argument("kinds", nargs="*", metavar="KIND", help='of surface or wall; "all": every key of every kind')
+    new.add_argument("--schema", action="store_true", help="the JSON Schema of a job, for editors")
     new.add_argument("--heights", metavar="FILE", help="a job on this file of heights")
 
     run = commands.add_parser("run", help="run a job, under mpirun or as one process", allow_abbrev=False)
@@ -144,9 +145,11 @@ def _new(options: argparse.Namespace) -> str:
 
         return job_on_file(options.heights)
     from pgfmd.application.job import SECTIONS
-    from pgfmd.options.reference import example, reference
+    from pgfmd.options.reference import example, json_schema, reference
 
     tables = SECTIONS.values()
+    if options.schema:
+        return json_schema(tables)
     return reference(tables) if options.kinds == ["all"] else example(tables, *options.kinds)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import textwrap
 from collections.abc import Iterable
 
@@ -41,6 +42,42 @@ def example(tables: Tables, *kinds: str) -> str:
     return "\n".join([UNITS, *(block for table in tables for block in _blocks(_chosen(table, kinds)))])
 
 
+def json_schema(tables: Tables) -> str:
+    """The JSON Schema of a job, by which editors complete and check it (https://json-schema.org, draft 2020-12)."""
+    properties: dict[str, object] = {table.where: _schema(table) for table in tables}
+    properties["plugins"] = {"type": "array", "items": {"type": "string"}, "description": "Python files of your own"}
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "A job of pgfmd", "type": "object"}
+    return json.dumps(head | {"properties": properties, "additionalProperties": False}, ensure_ascii=False, indent=1)
+
+
+def _schema(table: type[Section] | Kinds) -> dict[str, object]:
+    if isinstance(table, Kinds):
+        return {"anyOf": [_of_kind(choice, table.default is None) for choice in table.choices]}
+    return _of_kind(table, False)
+
+
+def _of_kind(section: type[Section], named: bool) -> dict[str, object]:
+    """The schema of a section; named: the table must say its kind.  A file of heights may say what [grid] lacks."""
+    properties: dict[str, object] = {"kind": {"const": section.kind}} if section.kind else {}
+    for field in dataclasses.fields(section):
+        rule, about = field.metadata["rule"], f"{_in_brackets(field.metadata['unit'])}{field.metadata['about']}"
+        properties[field.name] = (
+            {**rule.schema, "description": f"{about} | {rule.allowed}"} if isinstance(rule, Rule) else _schema(rule)
+        )
+    needed = [field.name for field in dataclasses.fields(section) if field.metadata["needed"] and section.kind]
+    return {
+        "type": "object",
+        "description": _first_paragraph(section),
+        "properties": properties,
+        "required": needed + ["kind"] * named,
+        "additionalProperties": False,
+    }
+
+
+def _first_paragraph(section: type[Section]) -> str:
+    return " ".join((section.__doc__ or "").split("\n\n")[0].split())
+
+
 def _chosen(table: type[Section] | Kinds, kinds: tuple[str, ...]) -> type[Section]:
     if not isinstance(table, Kinds):
         return table
@@ -51,7 +88,7 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
     """Each section of a table as text, the tables inside it after it."""
     if isinstance(table, Kinds):
         return [block for choice in table.choices for block in _blocks(choice)]
-    lines = _commented(f"[{table.where}]", " ".join((table.__doc__ or "").split("\n\n")[0].split()))
+    lines = _commented(f"[{table.where}]", _first_paragraph(table))
     inner: list[str] = []
     if table.kind:
         lines.append(f"kind = {as_toml_value(table.kind)}")

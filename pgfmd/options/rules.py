@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,14 +13,24 @@ import numpy as np
 from pgfmd.options.text import show
 
 MOST_SEEDS = 10**6  # of an ensemble
+SEEDS = {
+    "anyOf": [
+        {"type": "integer", "minimum": 0},
+        {"type": "array", "items": {"type": "integer", "minimum": 0}, "minItems": 1, "uniqueItems": True},
+        {"type": "string", "pattern": r"^\s*\d+\s*\.\.\s*\d+\s*$"},
+    ]
+}
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Which values are allowed, in words, and their conversion, which raises ValueError for any other value."""
+    """Which values are allowed, in words and as JSON Schema, and their conversion, which raises ValueError for any
+    other value.
+    """
 
     allowed: str
     convert: Callable[[Any], Any]
+    schema: Mapping[str, Any] = field(default_factory=dict)
 
 
 def integer(low: int, high: int = 2**63 - 1) -> Rule:
@@ -31,7 +41,8 @@ def integer(low: int, high: int = 2**63 - 1) -> Rule:
             raise ValueError
         return int(value)
 
-    return Rule(f"a whole number ≥ {low}" if high == 2**63 - 1 else f"a whole number from {low} to {high}", convert)
+    words = f"a whole number ≥ {low}" if high == 2**63 - 1 else f"a whole number from {low} to {high}"
+    return Rule(words, convert, {"type": "integer", "minimum": low, "maximum": high})
 
 
 def seeds() -> Rule:
@@ -48,7 +59,7 @@ def seeds() -> Rule:
         return several.convert(value) if isinstance(value, (list, tuple, np.ndarray)) else one.convert(value)
 
     several_in_words = f'a list of them without repetition, or "first..last", at most {MOST_SEEDS} of them'
-    return Rule(f"a whole number ≥ 0, or for an ensemble {several_in_words}", convert)
+    return Rule(f"a whole number ≥ 0, or for an ensemble {several_in_words}", convert, SEEDS)
 
 
 def number(
@@ -76,7 +87,10 @@ def number(
 
     bounds = [f"> {above:g}"] * (above > -math.inf) + [f"≥ {low:g}"] * (low > -math.inf)
     bounds += [f"< {below:g}"] * (below < math.inf) + [f"≤ {high:g}"] * (high < math.inf)
-    return Rule(" ".join(["a number", " and ".join(bounds)]).strip() + (" (inf included)" if infinite else ""), convert)
+    limits = {"exclusiveMinimum": above, "minimum": low, "exclusiveMaximum": below, "maximum": high}
+    schema = {"type": "number"} | {name: limit for name, limit in limits.items() if math.isfinite(limit)}
+    words = " ".join(["a number", " and ".join(bounds)]).strip() + (" (inf included)" if infinite else "")
+    return Rule(words, convert, schema)
 
 
 POSITIVE = number(above=0)
@@ -91,7 +105,7 @@ def text() -> Rule:
         value.encode()  # UnicodeEncodeError, a ValueError, for bytes of a command line that are no UTF-8
         return value
 
-    return Rule("a text in UTF-8, not empty", convert)
+    return Rule("a text in UTF-8, not empty", convert, {"type": "string", "minLength": 1})
 
 
 def assignment() -> Rule:
@@ -102,7 +116,7 @@ def assignment() -> Rule:
             raise ValueError
         return value
 
-    return Rule('a text "name=value" without spaces', convert)
+    return Rule('a text "name=value" without spaces', convert, {"type": "string", "pattern": "^[^=]+="})
 
 
 def flag() -> Rule:
@@ -113,7 +127,7 @@ def flag() -> Rule:
             raise ValueError
         return bool(value)
 
-    return Rule("true or false", convert)
+    return Rule("true or false", convert, {"type": "boolean"})
 
 
 def choice(*allowed: Any) -> Rule:
@@ -125,7 +139,7 @@ def choice(*allowed: Any) -> Rule:
                 return candidate
         raise ValueError
 
-    return Rule("one of " + ", ".join(show(value) for value in allowed), convert)
+    return Rule("one of " + ", ".join(show(value) for value in allowed), convert, {"enum": list(allowed)})
 
 
 def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
@@ -138,7 +152,8 @@ def many(rule: Rule, *, least: int = 0, distinct: bool = False) -> Rule:
         return values
 
     kind = ["a list of them", "not empty" * bool(least), "without repetition" * distinct]
-    return Rule(f"{rule.allowed}; or {', '.join(filter(None, kind))}", convert)
+    items = {"type": "array", "items": rule.schema, "minItems": least, "uniqueItems": distinct}
+    return Rule(f"{rule.allowed}; or {', '.join(filter(None, kind))}", convert, {"anyOf": [rule.schema, items]})
 
 
 def pair(rule: Rule) -> Rule:
@@ -150,7 +165,8 @@ def pair(rule: Rule) -> Rule:
             raise ValueError
         return values if len(values) == 2 else values * 2
 
-    return Rule(f"{rule.allowed}, or two of them [x, y]", convert)
+    two = {"type": "array", "items": rule.schema, "minItems": 1, "maxItems": 2}
+    return Rule(f"{rule.allowed}, or two of them [x, y]", convert, {"anyOf": [rule.schema, two]})
 
 
 def interval() -> Rule:
@@ -163,7 +179,8 @@ def interval() -> Rule:
             raise ValueError
         return low, high
 
-    return Rule("a number and a larger one, [a, b]", convert)
+    ends = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+    return Rule("a number and a larger one, [a, b]", convert, ends)
 
 
 def _entries(value: Any) -> list:
