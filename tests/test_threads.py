@@ -5,8 +5,7 @@ import time
 
 import pytest
 
-from pgfmd.parallel.thread_pool import ThreadPool
-from pgfmd.parallel.threads import Threads
+from pgfmd.parallel.threads import ThreadPool, Threads
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

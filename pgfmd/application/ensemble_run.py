@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pgfmd.application import ensemble, machine, provenance, restart
-from pgfmd.application.estimate import estimate, rank_groups
+from pgfmd.application.estimate import rank_groups
 from pgfmd.application.files import (
     ENSEMBLE_FILE,
     OBSERVABLES_FILE,
@@ -51,8 +51,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     seeds = job.surface.seeds
     room = machine.room_per_rank(comm)
     groups = from_root(comm, rank_groups, job, comm.size, room)  # may read the surface's table
-    here = machine.ranks_per_node(comm)
-    memory = from_root(comm, estimate, job, comm.size, room, here).node / here
+    memory = machine.memory_per_rank(job, comm, room)
     machine.refuse_too_large(comm, memory)
     with _Folder(job, comm, path, mode) as folder:
         machine.report(comm, memory)

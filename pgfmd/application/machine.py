@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import platform
 from collections import Counter
 
 from pgfmd import __version__
 from pgfmd.application import hdf5_slabs
+from pgfmd.application.estimate import estimate
+from pgfmd.application.job import Job
 from pgfmd.application.memory import available_memory, largest_memory, readable
 from pgfmd.application.provenance import git_commit, versions
 from pgfmd.errors import InputError
 from pgfmd.options.text import counted
+from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
 
@@ -36,6 +40,12 @@ def room_per_rank(comm: MPI.Comm) -> float:
 def ranks_per_node(comm: MPI.Comm) -> int:
     """Ranks of the fullest node.  Collective."""
     return max(count for _, count, _ in _nodes(comm))
+
+
+def memory_per_rank(job: Job, comm: MPI.Comm, room: float = math.inf) -> float:
+    """Bytes that a job takes on the fullest node, over its ranks; `room` as of `estimate`.  Collective."""
+    here = ranks_per_node(comm)
+    return from_root(comm, estimate, job, comm.size, room, here).node / here  # may read the surface's table
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
