@@ -171,6 +171,8 @@ def solve(
             raise InputError('refine: must be 1 with boundary = "open": heights that do not wrap have no Fourier modes')
         solid = _solid(contact_modulus, thickness, base, poisson, solid)
         law = _law(wall, zeta)
+        if name == "force" and min(targets) < 0 <= law.lowest:
+            raise InputError(f"force = {show(force)}: must be a number ≥ 0 with wall.kind = {show(law.kind)}")
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
