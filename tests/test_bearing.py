@@ -8,7 +8,7 @@ from solids import elastic
 
 from pgfmd import theory
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.bearing import threshold_for_count
+from pgfmd.observables.bearing_area import threshold_for_count
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface
