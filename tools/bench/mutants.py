@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import coverage
@@ -41,7 +42,7 @@ def sites(tree: ast.Module) -> list[ast.AST]:
 
 
 def _change(node: ast.AST) -> str | None:
-    """What `mutate` would make of a node; None if nothing."""
+    """What `mutated` would make of a node; None if nothing."""
     if isinstance(node, ast.Compare):
         return type(SWAPS[type(node.ops[0])]()).__name__
     if isinstance(node, (ast.BinOp, ast.BoolOp)) and type(node.op) in SWAPS:
@@ -53,23 +54,33 @@ def _change(node: ast.AST) -> str | None:
     return None
 
 
-def mutate(node: ast.AST) -> None:
-    """Change a node in place."""
+def mutated(source: str, node: ast.AST) -> str:
+    """The source with that node changed, all else as it was."""
+    part = node.test if isinstance(node, (ast.If, ast.While, ast.IfExp)) else node
+    lines = source.encode().splitlines(keepends=True)
+    first = sum(map(len, lines[: part.lineno - 1])) + part.col_offset
+    last = sum(map(len, lines[: part.end_lineno - 1])) + part.end_col_offset
     if isinstance(node, ast.Compare):
         node.ops[0] = SWAPS[type(node.ops[0])]()
     elif isinstance(node, (ast.BinOp, ast.BoolOp)):
         node.op = SWAPS[type(node.op)]()
     else:
-        node.test = ast.UnaryOp(ast.Not(), node.test)
+        part = ast.UnaryOp(ast.Not(), part)
+    whole = source.encode()
+    return (whole[:first] + f"({ast.unparse(part)})".encode() + whole[last:]).decode()
 
 
 def tests_of(data: coverage.CoverageData, path: Path, line: int) -> list[str]:
     """Test files that run the line, those that run least of the file first."""
     by_line = data.contexts_by_lineno(str(path))
-    names = {name.split(".")[-2] for name in by_line.get(line, []) if "test_" in name}
+    names = _files(by_line.get(line, [])) or _files(name for found in by_line.values() for name in found)
     size = {name: sum(any(f".{name}." in f".{each}" for each in found) for found in by_line.values()) for name in names}
-    files = [f"tests/{name}.py" for name in sorted(names, key=lambda name: size[name])]
-    return [file for file in files if (ROOT / file).exists()]
+    return [f"tests/{name}.py" for name in sorted(names, key=lambda name: size[name])]
+
+
+def _files(contexts: Iterable[str]) -> set[str]:
+    """Modules of the tests that coverage names as contexts; not that of the documentation's site."""
+    return {name.split(".")[-2] for name in contexts if ".test_" in f".{name}"} - {"test_docs"}
 
 
 def run(folder: Path, ranks: int, words: list[str]) -> str | None:
@@ -118,12 +129,12 @@ def main() -> int:
         node = sites(tree)[number]
         change, before = _change(node), ast.unparse(node).splitlines()[0]
         files = tests_of(data, path, node.lineno)
-        mutate(node)
+        source = mutated(path.read_text(), node)
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder) / "checkout"
             shutil.copytree(options.root, copy, ignore=shutil.ignore_patterns(".git", ".venv", "results", ".coverage*"))
             where = path.relative_to(options.root)
-            (copy / where).write_text(ast.unparse(tree))
+            (copy / where).write_text(source)
             said = verdict(copy, options.root, files, ignored) if files else "survived: no test runs it"
         killed += said.startswith("killed")
         print(json.dumps([f"{where}:{node.lineno}", change, before[:100], said], ensure_ascii=False), flush=True)
