@@ -1,0 +1,188 @@
+#!/usr/bin/env python3
+"""Counts, bounds and errors of the observables that follow from a contact: stiffness, percolation, leakage, slip.
+
+    .venv/bin/python tools/bench/consequences.py OUTPUT.csv [PART …]
+
+Parts: stiffness, enclosed, percolation, leakage, exact; all if none is named.  One line per number: part, case, name,
+value.  Run on one thread; times are CPU time.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+import pgfmd
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.bottleneck import bottlenecks
+from pgfmd.observables.network import Network, flow_through
+from pgfmd.parallel.mpi import world
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.homogeneous import Homogeneous
+from pgfmd.solvers.fixed_contact import increment
+
+Row = tuple[str, str, float]
+
+
+def rough(n: int, shortest: float, hurst: float, seed: int = 1) -> np.ndarray:
+    """Self-affine heights (n, n) of rms slope 1, waves from n/2 down to `shortest` points."""
+    q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
+    size = np.where((q >= 2 / n) & (q <= 1 / shortest), np.maximum(q, 1 / n) ** (-1 - hurst), 0)
+    heights = np.fft.irfft2(size * np.exp(2j * np.pi * np.random.default_rng(seed).random(q.shape)), s=(n, n))
+    return heights / np.std(np.diff(heights, axis=0))
+
+
+def stiffness() -> Iterator[Row]:
+    """Transform pairs to a width."""
+    for n in (256, 1024, 2048):
+        for shortest in (16.0, 2.0):
+            heights = rough(n, shortest, 0.8)
+            for load in (0.003, 0.03, 0.1, 0.3, 0.8, 1.6):
+                began = time.process_time()
+                contact = pgfmd.solve(heights, load)
+                seconds, area = time.process_time() - began, np.mean(contact.pressure > 0)
+                for width in (1e-3, 1e-6):
+                    began = time.process_time()
+                    found = increment(contact.problem, contact.pressure, width)
+                    case = f"n={n} lambda_s={shortest:g} f_c={area:.3f} width={width:g}"
+                    yield case, "pairs", found.transforms
+                    yield case, "width", found.upper / found.lower - 1
+                    yield case, "time over contact", (time.process_time() - began) / seconds
+
+
+def enclosed() -> Iterator[Row]:
+    """How many of 500 small cases the bounds do not enclose; 1e-10 for the rounding of the direct solutions."""
+    rng, comm, misses = np.random.default_rng(0), world(), 0
+    for _ in range(500):
+        nx, ny = (int(n) for n in rng.integers(4, 17, 2))
+        pressure = rng.exponential(size=(nx, ny)) * (rng.random((nx, ny)) < rng.uniform(0.05, 0.95))
+        pressure[0, 0] = 1
+        q = 2 * np.pi * np.hypot(np.fft.fftfreq(nx)[:, None], np.fft.fftfreq(ny))
+        kernel = np.fft.ifft2(np.divide(2, q, out=np.zeros_like(q), where=q > 0)).real
+        i, j = np.nonzero(pressure)
+        matrix = np.ones((len(i) + 1, len(i) + 1))
+        matrix[:-1, :-1], matrix[-1, -1] = kernel[(i[:, None] - i) % nx, (j[:, None] - j) % ny], 0
+        exact = -1 / np.linalg.solve(matrix, np.r_[np.zeros(len(i)), nx * ny])[-1]
+        grid = SlabGrid(comm, (nx, ny))
+        problem = ContactProblem(grid, np.zeros((nx, ny)), Homogeneous(contact_modulus=1.0), HardWall(), 1.0)
+        found = increment(problem, pressure, 10.0 ** -rng.integers(1, 8))
+        misses += len(i) < nx * ny and not found.lower * (1 - 1e-10) <= exact <= found.upper * (1 + 1e-10)
+    yield "stiffness, 500 small cases", "not enclosed", misses
+    misses = 0
+    for _ in range(500):
+        shape, axis = tuple(int(n) for n in rng.integers(4, 30, 2)), int(rng.integers(2))
+        down, right = np.exp(rng.normal(size=(2, *shape)) * rng.uniform(0, 2))
+        network = Network(SlabGrid(comm, shape), np.ones(shape, bool), down, right)
+        found = network.solve(axis, 10.0 ** -rng.integers(1, 9))
+        number = np.arange(math.prod(shape)).reshape(shape)
+        ends = [(number.ravel(), np.roll(number, -1, way).ravel()) for way in (0, 1)]
+        across = [np.broadcast_to((np.arange(shape[way]) == shape[way] - 1).reshape((-1, 1) if way == 0 else (1, -1)),
+                                  shape).ravel() * (way == axis) for way in (0, 1)]  # fmt: skip
+        i, j = (np.concatenate([pair[side] for pair in ends]) for side in (0, 1))
+        weight, jump = np.r_[down.ravel(), right.ravel()], np.concatenate(across).astype(float)
+        place = np.arange(len(i))
+        step = sparse.csc_array((np.r_[-np.ones(len(i)), np.ones(len(i))], (np.r_[place, place], np.r_[i, j])))
+        matrix = sparse.csc_array(step.T @ (weight[:, None] * step.toarray()))
+        u = np.r_[0.0, splu(matrix[1:, 1:]).solve(-(step.T @ (weight * jump))[1:])]
+        exact = float(np.sum(weight * (step @ u + jump) ** 2))
+        misses += not found.lower * (1 - 1e-10) <= exact <= found.upper * (1 + 1e-10)
+    yield "leakage, 500 small networks", "not enclosed", misses
+
+
+def percolation() -> Iterator[Row]:
+    """Labellings of the exact constriction; area at which the gap closes along both axes."""
+    for n in (512, 1024, 2048, 4096):
+        heights = rough(n, 16.0, 0.8) if n < 4096 else None
+        # at 4096² a surface stands for the gap: what counts is the number of values
+        gap = rough(n, 16.0, 0.8) + 3 if heights is None else pgfmd.solve(heights, 0.1).gap
+        mask = gap > 0
+        began = time.process_time()
+        found = bottlenecks(SlabGrid(world(), (n, n)), gap, mask)
+        yield f"n={n}", "labellings, both axes", found[0].labellings
+        yield f"n={n}", "seconds", time.process_time() - began
+    areas = []
+    for seed in range(16):
+        heights, low, high = rough(512, 8.0, 0.8, 100 + seed), 0.1, 0.6
+        for _ in range(9):
+            load = (low + high) / 2
+            contact = pgfmd.solve(heights, load)
+            found = contact.observables("percolation")["loads"]
+            is_open = found["gap_percolates_x"] or found["gap_percolates_y"]
+            low, high = (load, high) if is_open else (low, load)
+        areas.append((contact.contact_area, contact.contact_area_corrected))
+    for name, values in zip(("raw", "corrected"), np.array(areas).T, strict=True):
+        yield "512², lambda_s=8, 16 surfaces", f"closing area, {name}", values.mean()
+        yield "512², lambda_s=8, 16 surfaces", f"its spread, {name}", values.std(ddof=1)
+
+
+def leakage() -> Iterator[Row]:
+    """Iterations to a width, and time and memory over those of the contact."""
+    grids = {n: SlabGrid(world(), (n, n)) for n in (512, 1024, 2048)}
+    for n, seeds in ((512, 3), (1024, 1), (2048, 1)):
+        for hurst, loads in ((0.8, (0.02, 0.1, 0.2, 0.25, 0.3)), (0.3, (0.02, 0.1, 0.2, 0.25))):
+            for seed in range(1, seeds + 1):
+                heights = rough(n, 8.0, hurst, seed)
+                for load in loads if n < 2048 else loads[1:4:2]:
+                    began = time.process_time()
+                    contact = pgfmd.solve(heights, load)
+                    seconds, area = time.process_time() - began, np.mean(contact.pressure > 0)
+                    for width in (1e-3, 1e-6, 1e-8) if n < 2048 else (1e-3,):
+                        began = time.process_time()
+                        found = flow_through(grids[n], contact.gap, contact.pressure <= 0, (0, width, False))
+                        case = f"n={n} H={hurst} seed={seed} f_c={area:.3f} width={width:g}"
+                        if found.upper > 0:
+                            yield case, "iterations", found.iterations
+                            yield case, "width", 1 - found.lower / found.upper
+                            yield case, "time over contact", (time.process_time() - began) / seconds
+
+
+def exact() -> Iterator[Row]:
+    """Cattaneo and Mindlin at a = 48 pixels; Hertz's von Mises stress."""
+    n, a = 1024, 48.0
+    x = np.arange(n) - n / 2 - 0.3
+    radius2, curvature = x[:, None] ** 2 + x**2, 8000.0
+    solid, load = Homogeneous(contact_modulus=1.0, poisson=0.0), 4 * a**3 / (3 * curvature) / n**2
+    sphere = pgfmd.solve(-radius2 / (2 * curvature), load, solid=solid, tolerance=1e-10)
+    for share in (0.25, 0.5, 0.75, 0.9):
+        low = pgfmd.solve(-radius2 / (2 * curvature), (1 - share) * load, solid=solid, tolerance=1e-12)
+        ratio = math.sqrt(low.contact_area_corrected / sphere.contact_area_corrected) / (1 - share) ** (1 / 3)
+        yield f"sphere, Q/muP={share}", "c/a over the exact one, less 1", ratio - 1
+        c = a * (1 - share) ** (1 / 3)
+        hertz = [each / math.pi / curvature * 2 * np.sqrt(np.maximum(1 - radius2 / each**2, 0)) for each in (a, c)]
+        expected, traction = hertz[0] - hertz[1], sphere.pressure - low.pressure
+        yield f"sphere, Q/muP={share}", "L2 error of the traction", float(
+            np.linalg.norm(traction - expected) / np.linalg.norm(expected)
+        )
+    body = pgfmd.solve(
+        -radius2 / (2 * curvature), load, solid=Homogeneous(contact_modulus=1.0, poisson=0.3), tolerance=1e-10
+    )
+    found = body.observables(subsurface={"depths": [0.4 * a, 0.48 * a, 0.56 * a]})["loads"]
+    yield "sphere, nu=.3", "largest von Mises stress over p0", found["von_mises_max"] * math.pi * curvature / (2 * a)
+    yield "sphere, nu=.3", "its depth over a", found["von_mises_depth"] / a
+
+
+PARTS = {part.__name__: part for part in (stiffness, enclosed, percolation, leakage, exact)}
+
+
+def main(path: str, *names: str) -> None:
+    """Writes the rows of the parts as they come."""
+    with Path(path).open("w", newline="") as file:
+        out = csv.writer(file)
+        out.writerow(("part", "case", "name", "value"))
+        for name in names or PARTS:
+            for case, what, value in PARTS[name]():
+                out.writerow((name, case, what, f"{float(value):.4g}"))
+                file.flush()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
