@@ -12,7 +12,7 @@ from solids import elastic
 import pgfmd
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.options import formula
+from pgfmd.options import expressions as formula
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.graph import tabulate

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from pgfmd.options import formula
+from pgfmd.options import expressions as formula
 from pgfmd.options.rules import POSITIVE, flag, interval, number
 from pgfmd.options.section import key, wrong
 from pgfmd.physics.laws.law import ContactLaw

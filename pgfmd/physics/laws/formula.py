@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.options import formula
+from pgfmd.options import expressions as formula
 from pgfmd.options.rules import interval
 from pgfmd.options.section import key, wrong
 from pgfmd.physics.laws.exponential import LAST
