@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgfmd.errors import SolverError
+from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.callbacks import ColumnAction, sink
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
@@ -32,6 +32,9 @@ from pgfmd.solvers.nondimensional import mean_compliance
 RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
 MOST_STEPS, MOST_INNER, HALVINGS, CAREFUL = 1000, 200, 12, 40
 SAME = 1e-14  # change of the energy, over the sum of its parts, that may be rounding
+FLOOR = 1e-3  # part of the law's energy that counts as elastic where there is less of that
+NOTHING = 1e-10  # energy per point, over w, that is none
+GONE = 1e-9  # energy of the law per point, over w, below which the surfaces have separated
 FORCING = 0.03, 0.4, 0.7  # least and largest accuracy of a direction, and that of the last over what is left to do
 LANCZOS = 20  # steps of `curvature`: right to 10 % in 10 of 12 states
 WAYS = 0.25, 0.5, 0.75, 1.0
@@ -96,6 +99,11 @@ class AdhesiveState:
     def energy(self) -> float:
         """Elastic energy and that of the law, per point, over w."""
         return self.elastic + self.law
+
+    @property
+    def scale(self) -> float:
+        """4 E_el of which errors are parts, or a little of the energy of the law where hardly anything is deformed."""
+        return 4 * max(self.elastic, 0.0) + FLOOR * abs(self.law) + NOTHING
 
 
 class AdhesiveContact:
@@ -302,7 +310,7 @@ class AdhesiveContact:
 
         def precondition() -> tuple[float, float]:
             square, total = self.apply(soften, residual, lambda r, s: masked(r, residual[s], free[s], z[s]))
-            return square, total * inverse
+            return max(square, 0.0), total * inverse
 
         square, mean = precondition()
         first, before, goal = square, math.inf, wanted(square / grid.size) ** 2 * square
@@ -331,7 +339,7 @@ class AdhesiveContact:
         """
         start = self.residual(state, hold)
         weight = self.weight(state.gap, 0.0, not careful)
-        scale = state.residual**2 / (min(state.curvature, 1.0) * (4 * state.elastic or 1.0))
+        scale = state.residual**2 / (min(state.curvature, 1.0) * state.scale)
 
         def wanted(first: float) -> float:
             error, (least, most, last) = first * scale, FORCING
@@ -375,8 +383,9 @@ class AdhesiveContact:
         state, radius, careful = self.state(gap), RADIUS, 0
         while state.iterations < MOST_STEPS:
             found, down = self.direction(state, hold, tolerance, careful > 0)
-            scale = 4 * state.elastic or 1.0
-            state.error = state.square / (min(state.curvature, 1.0) * scale)
+            state.error = state.square / (min(state.curvature, 1.0) * state.scale)
+            if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
+                raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
             if see is not None:
                 see(state)
             if (state.error <= tolerance and down is None) or state.residual == 0:
@@ -494,6 +503,8 @@ def least_ritz(steps: list[tuple[float, float]]) -> float:
     """The smallest eigenvalue of the tridiagonal matrix of conjugate gradients: an estimate, from above, of that of the
     preconditioned operator.
     """
+    if not steps:  # nothing is free
+        return 1.0
     from scipy.linalg import eigvalsh_tridiagonal
 
     lengths, ratios = np.array(steps).T

@@ -6,6 +6,7 @@ and the area leapt, the branch has ended between two targets: the place is bisec
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import math
@@ -14,7 +15,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pgfmd.errors import InputError
+from pgfmd.errors import InputError, SolverError
 from pgfmd.options.text import show
 from pgfmd.physics.laws.adhesive import AdhesiveWall, AttractiveWall, Dugdale
 from pgfmd.physics.laws.hard import HardWall
@@ -200,8 +201,9 @@ class Branch:
         """The contact in units of the job.  Collective."""
         contact, law = self.contact, self.contact.law
         floor, bound, distance = contact.certified(state, hold)
-        if floor <= 0 or bound > 2 * self.tolerance * state.elastic:  # within a smaller distance, ν may be larger
-            state = contact.minimise(state.gap, hold, self.tolerance * SHARPER, self._see)
+        if floor <= 0 or bound > self.tolerance * state.scale / 2:  # within a smaller distance, ν may be larger
+            with contextlib.suppress(SolverError):  # the same on all ranks
+                state = contact.minimise(state.gap, hold, self.tolerance * SHARPER, self._see)
             floor, bound, distance = contact.certified(state, hold)
         scale, size = contact.length * contact.pressure / contact.share, self.grid.size
         pressure = np.where(state.gap > law.least, -law.traction(state.gap), state.stress - state.pull)
