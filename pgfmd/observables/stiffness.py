@@ -59,7 +59,7 @@ class Stiffness(Observable):
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """Some rounds of conjugate gradients on the particle–mesh; a mask, the residual, x, and the mesh."""
-        return Cost(transforms=3.0 + 5.0 * self.half_grid, memory=24.0)
+        return Cost(transforms=4.0 + 5.0 * self.half_grid, memory=20.0)
 
     def check_contact(self, problem: ContactProblem) -> None:
         """Raises InputError for walls without a stiffness, and for a conductance of what is no half-space."""
