@@ -2,6 +2,10 @@
 
 Surfaces are self-affine, rms slope .1, E' = 1; the load is that of the wanted contact area by Persson's theory with the
 factor that `pgfmd check` takes.  A small contact is solved first: it loads libraries and compiled code.
+
+Methods beside "pgfmd" and the peers': "pgfmd area 0.005" imposes the area itself, to that tolerance; "pgfmd gap 0.5" a
+mean gap of .5 rms heights, to 1e-4; "pgfmd free 0.06" solves on a slab with a free base, .06 of the cell thick; "pgfmd
+layer 0.05" on a layer that is 1000 times as stiff as its base.
 """
 
 from __future__ import annotations
@@ -78,22 +82,39 @@ def solve(case: dict, comm, pressure: float) -> dict:
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
+    from pgfmd.physics.solids.layered import Layered
     from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.load_control import LoadControl
+    from pgfmd.solvers.options import Load
 
     n, before, errors = case["n"], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, []
     surface = {name: case[name] for name in ("lambda_s", "hurst", "seed")}
     surface |= {"kind": "self-affine", "rms_slope": RMS_SLOPE}
     heights = pgfmd.surface({"grid": {"n": n}, "surface": surface, "solid": {"contact_modulus": 1.0}}, comm)
     grid, last, began, cpu = SlabGrid(comm, (n, n), threads=1), Last(), time.perf_counter(), time.process_time()
-    if case["method"] == "pgfmd":
-        problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), HardWall(), pressure)
+    if case["method"].startswith("pgfmd"):
+        _, kind, value = (*case["method"].split(), "", "0")[:3]
+        solid, load = Homogeneous(contact_modulus=1.0), Load(pressure=(pressure,))
+        if kind == "free":
+            solid = Homogeneous(contact_modulus=1.0, thickness=float(value) * n, base="free", poisson=0.3)
+        elif kind == "layer":
+            layer = {"contact_modulus": 1.0, "poisson": 0.3, "thickness": float(value) * n}
+            solid = Layered(**layer, base_modulus=1e-3, base_poisson=0.3)
+        elif kind == "area":
+            load = Load(contact_area=(case["area"],), area_tolerance=float(value))
+        elif kind == "gap":
+            load = Load(mean_gap=(float(value) * math.sqrt(grid.reduction.dot(heights, heights)) / n,))
 
         def watch(level, state) -> None:
             errors.append(f"{state.error:.1e}" * (level is grid))
 
-        found = solve_hard_wall(problem, case["tolerance"], monitor=watch, overwrite_heights=True)
+        def solved(problem, start, tolerance):
+            return solve_hard_wall(problem, tolerance, start, watch, not kind)
+
+        control = LoadControl(load, ContactProblem(grid, heights, solid, HardWall()), case["tolerance"], solved)
+        found = control.solution(load.targets[0])
         last.pressure, last.row = found.pressure, {"transforms": found.transforms, "iterations": found.iterations}
-        last.row["certified_error"] = found.certified_error
+        last.row["certified_error"], pressure = found.certified_error, found.mean_pressure
     else:
         of = Case(n, case["hurst"], case["lambda_s"], 0.0)
         METHODS[case["method"]](of, heights, pressure * CONTACT_MODULUS, last, case["tolerance"], 1)
