@@ -72,6 +72,7 @@ def draw_theory(sheet: Sheet, load: Load, shown: np.ndarray, unit: float) -> Non
     mu = adhesion.transition(work, length, radius, modulus)
     factor = adhesion.EXPONENTIAL if wall["kind"] == "adhesive" else adhesion.CONSTANT
     cell = max(load.results.lengths)
+    images = 0.0 if load.job["grid"].get("boundary") == "open" else LATTICE_SUM_1
     a = np.geomspace(1e-3, 1, 400) * math.sqrt(radius * (abs(shown).max() + 4 * length) * 2)
     cases = {
         "JKR": (adhesion.jkr(a, work, radius, modulus), BLACK, "-"),
@@ -79,7 +80,7 @@ def draw_theory(sheet: Sheet, load: Load, shown: np.ndarray, unit: float) -> Non
         f"Maugis, λ = {factor * mu:.2g}": (adhesion.maugis(a, factor * mu, work, radius, modulus), BLACK, "--"),
     }
     for name, (curve, colour, line) in cases.items():
-        x = curve.approach + curve.force * LATTICE_SUM_1 / (math.pi * modulus * cell)
+        x = curve.approach + curve.force * images / (math.pi * modulus * cell)
         inside = (x >= shown.min()) & (x <= shown.max())
         sheet.curve(0, x[inside], curve.force[inside] / unit / cell**2, name, color=colour, ls=line, lw=0.8)
         sheet.curve(1, x[inside], math.pi * a[inside] ** 2 / cell**2, name, label=False, color=colour, ls=line, lw=0.8)
