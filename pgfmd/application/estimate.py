@@ -32,9 +32,9 @@ BESIDES = 2.0, 1.0  # transforms' time in which a contact's area and line are me
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
 THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
-# Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² and 1024², else by
+# Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
 # several solutions (2.2 … 2.8).
-SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.7, "mean_gap": 1.3, "displacement": 1.3}
+SEARCH_WORK = {"pressure": 1.0, "contact_area": 2.0, "mean_gap": 1.4, "displacement": 1.4}
 SOLUTIONS_WORK = 2.4
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 TABLE_BYTES = 12.0  # per quarter of the torus' modes: their compliance in double and in single precision
