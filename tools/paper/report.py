@@ -23,12 +23,11 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-import claims
-
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "plots"))
+import claims  # noqa: E402
 import figures  # noqa: E402
-from claims import Claim
-from plotting import Findings
+from claims import Claim  # noqa: E402
+from plotting import Findings  # noqa: E402
 
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
