@@ -118,11 +118,12 @@ class Loads:
         self.interruptions.load_done()
         self.interruptions.resumption = "--restart"
         self.progress.end()
+        correction, area, area_error = contact.correction, contact.area.corrected, contact.area_error  # collective
         if self.progress.active:
             log.info(
                 "%s  pressure %.6g  area %.5f (%s %.5f ± %.5f)  kappa %.4f  error %.1e  %.1f transforms  %.2f s%s",
-                self.progress.label, row["mean_pressure"], row["contact_area"], contact.correction,
-                contact.area.corrected, contact.area_error, row["kappa"], row["certified_error"], row["transforms"],
+                self.progress.label, row["mean_pressure"], row["contact_area"], correction,
+                area, area_error, row["kappa"], row["certified_error"], row["transforms"],
                 row["seconds"], self.progress.left(),
             )  # fmt: skip
 
