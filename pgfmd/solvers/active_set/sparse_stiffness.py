@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csc_matrix
 
 from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.kernels import jit
@@ -64,11 +63,9 @@ class SparseStiffness:
         values = np.zeros(columns.shape)
         if len(points):
             condition(ordered(mask), self.kernel, columns, values)
-        pointers = np.arange(len(points) + 1) * (NEAREST + 1)
         place = np.full(mask.size, -1)
         place[points] = np.arange(len(points))
-        self.factor = csc_matrix((values.ravel(), place[columns].ravel(), pointers), shape=(len(points),) * 2)
-        self.transposed = self.factor.T.tocsr()
+        self.rows, self.entries = place[columns], values  # of U, one column of it in each row here
 
     def apply(self, residual: np.ndarray, out: np.ndarray) -> None:
         """out = U Uᵀ residual on the points, 0 elsewhere; fields (nx_local, ny).  Collective."""
@@ -76,7 +73,8 @@ class SparseStiffness:
         if self.dense is not None:
             values = cho_solve(self.dense, values, check_finite=False)
         else:
-            values = self.factor @ (self.transposed @ values)
+            products = self.entries * np.einsum("ij,ij->i", self.entries, values[self.rows])[:, None]
+            values = np.bincount(self.rows.ravel(), products.ravel(), len(values))
         out[...] = 0
         out.ravel()[self.at] = values[self.own]
 
