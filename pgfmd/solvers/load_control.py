@@ -49,7 +49,7 @@ class LoadControl:
         self.control, self.name = CONTROLS[load.control](problem, load), load.control
         self.problem, self.grid, self.tolerance = problem, problem.grid, tolerance
         self.solver = solver or (lambda at, start, tolerance: solve_contact(at, Solver(tolerance=tolerance), start))
-        self._previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution of a search
+        self._previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution
         self._resumed: np.ndarray | None = None
         self._totals = np.zeros(3)
 
@@ -74,9 +74,10 @@ class LoadControl:
         not met to its tolerance.
         """
         self.control.check_target(target)
-        self._totals, self._previous = np.zeros(3), None
+        self._totals = np.zeros(3)
         if self.name == "pressure":
             found = self._solved(target, self.tolerance, target)
+            self._previous = found.mean_pressure, found.pressure
         elif self.control.met_without_load(target):
             found = self._separated(target)
         else:
