@@ -108,7 +108,7 @@ def test_files_are_plain_hdf5(comm, shared_tmp_path):
         assert file["height"].attrs["units"] == "µm"
         assert file["height"].chunks is None
     with h5py.File(shared_tmp_path / "out" / "observables.h5", "r") as file:
-        assert list(file["loads"]) == sorted(["load", *schema.LOADS])
+        assert list(file["loads"]) == sorted(["load", *schema.LOADS, *LAYOUT["loads"]])
         assert file["load_0000/pressure_histogram/density"].attrs["units"] == "1/(GPa)"
         assert file["loads/elastic_energy"].attrs["units"] == "GPa*µm"
         assert file.attrs["format_version"] == files.FORMAT_VERSION and "HDF5" in file.attrs["libraries"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pgfmd
-from pgfmd.application import simulate
+from pgfmd.application import loads
 from pgfmd.application.job import parse, tables_as_toml
 from pgfmd.application.results import Runs
 from pgfmd.errors import InputError, SolverError
@@ -229,7 +229,7 @@ def test_a_run_that_fails_leaves_nothing_behind(comm, shared_tmp_path, monkeypat
     original = transpose.Strips._allocate, transpose.Strips.free
     monkeypatch.setattr(transpose.Strips, "_allocate", allocate)
     monkeypatch.setattr(transpose.Strips, "free", free)
-    monkeypatch.setattr(simulate, "solve_contact", fails)
+    monkeypatch.setattr(loads, "solve_contact", fails)
     monkeypatch.setattr(tempfile, "tempdir", str(shared_tmp_path))
     with pytest.raises(SolverError, match="does not converge"):
         pgfmd.run(JOB, comm=comm)

@@ -50,7 +50,7 @@ class Leakage(Observable):
             for error in ("", "_error")
         },
         "leakage": {
-            name: Dataset(unit, about, ("axis",) if name != "axis" else ())
+            name: Dataset(unit, about, ("axis",))
             for name, unit, about in (
                 ("axis", "1", "direction of the mean gradient: 0 along x, 1 along y"),
                 ("lower", "{length}^3", "bound of the conductivity from below, on this grid"),
@@ -61,7 +61,7 @@ class Leakage(Observable):
     }
 
     direction: str = key(choice("both", "x", "y"), "both", "of the mean gradient; fields are those of the first")
-    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative")
+    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative", unit="1")
     half_grid: bool = key(
         flag(), False, "extrapolate from a grid with half the points each way; the change is the pixel's error"
     )

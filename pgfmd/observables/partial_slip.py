@@ -55,7 +55,7 @@ class PartialSlip(Observable):
     }
 
     friction: float | None = key(POSITIVE, about="μ; needed", unit="1", example=0.3)
-    load_share: float = key(number(above=0, below=1), 0.5, "Q/(μP), if no shift is given")
+    load_share: float = key(number(above=0, below=1), 0.5, "Q/(μP), if no shift is given", unit="1")
     shift: float | None = key(POSITIVE, about="tangential displacement, instead of load_share", unit="length")
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:

@@ -51,7 +51,7 @@ class Stiffness(Observable):
         },
     }
 
-    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative")
+    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative", unit="1")
     half_grid: bool = key(flag(), False, "also solve a grid with half the points each way, for the pixel's error")
     conductivities: tuple[float, float] | None = key(
         pair(POSITIVE), about="of the two bodies, for the conductance", unit="conductivity"

@@ -15,7 +15,8 @@ from pgfmd.options.text import as_toml_value, guess
 WIDTH, COLUMN = 118, 34  # of a line; where comments begin
 UNITS = """\
 # The unit of a number stands in brackets. [length] and [pressure] are yours: any consistent set, such as m and Pa.
-# [grid spacings] are the shorter ones, where those along x and y differ; [1] is a pure number.
+# [grid spacings] are the shorter ones, where those along x and y differ; [1] is a pure number; [pressure*length] is an
+# energy per area, [pressure*length^2] a force; [conductivity] may have any unit, which is then that of the conductance.
 """
 PLUGINS = """\
 # plugins = ["my_law.py"]         # Python files with laws, solids, surfaces or observables of your own, relative to the
