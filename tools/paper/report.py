@@ -182,7 +182,7 @@ def _introduction(folders: list[Path], asked: list[Claim], findings: dict[str, F
     about = Results(folders[0]).provenance
     version = html.escape(str(about.get("softwareVersion", "?")))
     worst = max(float(Results(path).loads["certified_error"].max()) for path in folders)
-    said = ", ".join(f"{counts[verdict]} {verdict}" for verdict in claims.ORDER if counts[verdict])
+    said = ", ".join(f"{verdict}: {counts[verdict]}" for verdict in claims.ORDER if counts[verdict])
     others = len(asked) - counts.total()
     return f"""<p>Campañá, Müser &amp; Robbins, <i>J. Phys.: Condens. Matter</i> <b>20</b>, 354013 (2008),
 <a href="https://doi.org/10.1088/0953-8984/20/35/354013">doi:10.1088/0953-8984/20/35/354013</a>, asked how an elastic
