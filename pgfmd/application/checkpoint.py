@@ -84,8 +84,8 @@ class Checkpoints:
         from_root(self.comm, self._remove)
 
     def _total(self, pressure: np.ndarray) -> float:
-        """Σ |p| over all points.  Collective."""
-        return Reduction(self.comm).sum(np.abs(pressure))
+        """Σ |p| over all points, to twelve digits, which do not depend on the ranks.  Collective."""
+        return float(f"{Reduction(self.comm).sum(np.abs(pressure)):.11e}")
 
     def _total_of(self, index: int) -> float | None:
         """Σ |p| that the checkpoint says, if it is one of that load of this job.  Rank 0."""
