@@ -21,7 +21,7 @@ from pgfmd.solvers.cost import cost as solver_cost
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
 PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth
 WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, perhaps scaled too, and strips
-BASE_BYTES = 1.95e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
+BASE_BYTES = 2.1e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
@@ -38,7 +38,7 @@ SEARCH_WORK = {"pressure": 1.0, "contact_area": 2.0, "mean_gap": 1.4, "displacem
 SOLUTIONS_WORK = 2.4
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 TABLE_BYTES = 12.0  # per quarter of the torus' modes: their compliance in double and in single precision
-SEARCH_BYTES = 5.0  # per point, of several solutions: the pressure that starts one, in single precision, and a mask
+SEARCH_BYTES = 5.0  # per point, where the load is not given: a mask, and the pressure that starts the next solution
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,8 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     slabs.
     """
     costs = solving_costs(job, slabs) + measuring_costs(job)
-    kept = FIELD_BYTES + SEARCH_BYTES * in_several_solutions(job) + PLASTIC_BYTES * (job.wall.highest < math.inf)
+    searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
+    kept = FIELD_BYTES + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
     torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
     workspace = WORKSPACE[job.solver.transform] * torus[1] / job.cell.n[1]
     if not job.cell.domain.wraps:
