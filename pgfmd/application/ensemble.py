@@ -20,7 +20,7 @@ import numpy as np
 
 from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, holder, load_name, member_name, revise
 from pgfmd.application.results import Results, Runs, text_table
-from pgfmd.application.tables import name_axes, read_columns
+from pgfmd.application.tables import name_axes
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import TABLE, is_error
 
@@ -86,51 +86,55 @@ class Ensemble(Runs):
 
         Groups whose axes differ between the seeds (patches, histograms) have no mean and are left out.
         """
-        found = mean_groups(self.runs, index)
-        return {title: {name: values for key, column in group.items() for name, values in column.named(key, group)}
-                for title, group in found.items()}  # fmt: skip
+        return {
+            title: {name: values for key, column in group.items() for name, values in column.named(key, group)}
+            for title, group in mean_groups(self.runs, index).items()
+        }
 
 
 @dataclass
 class Column:
     """One dataset of several runs: mean and standard error, entry by entry, over the runs in which it is finite.
 
-    about: description and units; axes: names of the datasets that hold its coordinates; is_axis: it holds coordinates.
+    about: description and units; axes: names of the datasets that hold its coordinates; is_axis: it holds coordinates,
+    which are the same in all runs; values: one array of equal shape per run.
     """
 
     about: dict[str, str] = field(default_factory=dict)
     axes: tuple[str, ...] = ()
     is_axis: bool = False
-    _mean: np.ndarray = field(default_factory=lambda: np.zeros(()))
-    _squares: np.ndarray = field(default_factory=lambda: np.zeros(()))
-    _count: np.ndarray = field(default_factory=lambda: np.zeros(()))
+    values: list[np.ndarray] = field(default_factory=list)
 
     def add(self, values: np.ndarray) -> None:
-        """Add the values of one more run, by Welford's recurrence (doi:10.1080/00401706.1962.10490022)."""
-        values = np.asarray(values, np.float64)
-        if not self._count.any():
-            self._mean, self._squares, self._count = (np.zeros(values.shape) for _ in range(3))
-        known = np.isfinite(values)
-        self._count = self._count + known
-        deviation = np.where(known, values, self._mean) - self._mean
-        self._mean = self._mean + deviation / np.maximum(self._count, 1)
-        self._squares = self._squares + deviation * (np.where(known, values, self._mean) - self._mean)
+        """Add the values of one more run."""
+        self.values.append(np.asarray(values, np.float64))
+
+    def fits(self, values: np.ndarray) -> bool:
+        """Whether the values of one more run have the shape, and those of an axis the numbers, of those before."""
+        first = self.values[0] if self.values else values
+        return np.array_equal(first, values) if self.is_axis else first.shape == values.shape
 
     @property
     def count(self) -> np.ndarray:
         """Number of runs with a finite value."""
-        return self._count.astype(int)
-
-    @property
-    def error(self) -> np.ndarray:
-        """Standard error of the mean, √(Σ(x − x̄)²/(n(n − 1))); NaN for fewer than two runs."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.where(self._count > 1, np.sqrt(self._squares / (self._count * (self._count - 1))), np.nan)
+        return np.isfinite(self.values).sum(axis=0)
 
     @property
     def mean(self) -> np.ndarray:
         """The mean; NaN where no run has a finite value."""
-        return np.where(self._count > 0, self._mean, np.nan)
+        if self.is_axis:
+            return self.values[0]
+        return self._over_count(np.array(self.values), self.count)
+
+    @property
+    def error(self) -> np.ndarray:
+        """Standard error of the mean, √(Σ(x − x̄)²/(n(n − 1))); NaN for fewer than two runs."""
+        return np.sqrt(self._over_count((np.array(self.values) - self.mean) ** 2, self.count * (self.count - 1)))
+
+    @staticmethod
+    def _over_count(values: np.ndarray, count: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):  # 0/0
+            return np.where(np.isfinite(values), values, 0).sum(axis=0) / count
 
     def named(self, name: str, group: Mapping[str, Column]) -> Iterable[tuple[str, np.ndarray]]:
         """The mean as NAME and, unless it is an axis, the error as NAME_error, or NAME_seed_error if the group has a
@@ -160,11 +164,10 @@ def folders(directory: str | os.PathLike) -> list[Path]:
 
 def _holds(folder: Path, job: dict) -> bool:
     """Whether a folder has results of that job, or unreadable ones, which `Results` reports."""
-    if not (folder / OBSERVABLES_FILE).is_file():
-        return False
-    with suppress(OSError, KeyError, ValueError), h5py.File(folder / OBSERVABLES_FILE, "r", locking=False) as file:
+    path = folder / OBSERVABLES_FILE
+    with suppress(OSError, KeyError, ValueError), h5py.File(path, "r", locking=False) as file:
         return _without_seed_and_run(str(file.attrs["effective_toml"])) == job
-    return True
+    return path.is_file()
 
 
 def _without_seed_and_run(text: str) -> dict:
@@ -177,74 +180,50 @@ def _without_seed_and_run(text: str) -> dict:
 
 def solved_runs(runs: Iterable[Results]) -> np.ndarray:
     """How many of the runs have solved each load."""
-    solved = [_solved(run) for run in runs]
-    count = np.zeros(max(map(len, solved), default=0), int)
-    for each in solved:
-        count[: len(each)] += each
-    return count
+    columns = mean_loads(runs)
+    return columns["mean_pressure"].count if columns else np.zeros(0, int)
 
 
-def _solved(run: Results) -> np.ndarray:
-    return np.isfinite(run.loads["mean_pressure"])
-
-
-def mean_loads(runs: list[Results]) -> dict[str, Column]:
+def mean_loads(runs: Iterable[Results]) -> dict[str, Column]:
     """The columns of the tables of loads."""
+    runs = list(runs)
     longest = max(map(len, runs), default=0)
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     for run in runs:
         for name, values in run.loads.items():
-            padded = np.full(longest, np.nan)
-            padded[: len(values)] = values
-            if name not in found:
-                found[name] = Column({"units": run.columns[name].unit, "description": run.columns[name].description})
-            found[name].add(padded)
-    return found
+            if name not in columns:
+                columns[name] = Column({"units": run.columns[name].unit, "description": run.columns[name].description})
+            columns[name].add(np.pad(np.asarray(values, float), (0, longest - len(values)), constant_values=np.nan))
+    return columns
 
 
 def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Column]]:
     """The groups of curves of one load, as far as all runs that solved it have them, with equal axes."""
-    found: dict[str, dict[str, Column]] = {}
-    for number, run in enumerate(run for run in runs if index < len(run) and _solved(run)[index]):
+    groups: dict[str, dict[str, Column]] | None = None
+    for run in runs:
+        if index >= len(run) or not np.isfinite(run.loads["mean_pressure"][index]):
+            continue
         with h5py.File(run.directory / OBSERVABLES_FILE, "r", locking=False) as file:
-            groups: Mapping = file.get(load_name(index), {})
-            if number == 0:
-                found = {title: {key: _column(group[key]) for key in group} for title, group in groups.items()}
-            for title in list(found):
-                values = {key: dataset[()] for key, dataset in groups[title].items()} if title in groups else {}
-                if not _fits(found[title], values):
-                    del found[title]
-                    continue
-                for key, column in found[title].items():
-                    column.add(values[key])
-        if not found:
+            here: Mapping = file.get(load_name(index), {})
+            if groups is None:
+                groups = {title: {key: _column(group[key]) for key in group} for title, group in here.items()}
+            for title, columns in list(groups.items()):
+                values = {key: dataset[()] for key, dataset in here[title].items()} if title in here else {}
+                if columns.keys() == values.keys() and all(columns[key].fits(values[key]) for key in columns):
+                    for key, column in columns.items():
+                        column.add(values[key])
+                else:
+                    del groups[title]
+        if not groups:
             break  # of many small runs, opening their files takes longer than all else here
-    return found
+    return groups or {}
 
 
 def _column(dataset: h5py.Dataset) -> Column:
-    """An empty column for a dataset of several runs, of its shape, which `_fits` compares."""
+    """A column for a dataset of several runs, without values."""
     axes = tuple(next(iter(axis.keys())) for axis in dataset.dims if len(axis))
     about = {name: str(dataset.attrs[name]) for name in ("description", "units")}
-    return Column(about, axes, dataset.is_scale, np.zeros(dataset.shape))
-
-
-def _fits(group: Mapping[str, Column], values: Mapping[str, np.ndarray]) -> bool:
-    """Whether the datasets of one more run have the shapes and axes of those before."""
-    return group.keys() == values.keys() and all(
-        values[key].shape == column._mean.shape
-        and (not column.is_axis or not column._count.any() or np.array_equal(values[key], column._mean))
-        for key, column in group.items()
-    )
-
-
-class _LoadsOnly(Results):
-    """A result folder of which only the table of loads is read."""
-
-    def __init__(self, directory: Path):
-        self.directory = directory
-        with h5py.File(directory / OBSERVABLES_FILE, "r", locking=False) as file:
-            self.loads = read_columns(file[TABLE])
+    return Column(about, axes, dataset.is_scale)
 
 
 def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:
@@ -256,7 +235,7 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
         file.attrs.update(status=status, failed=json.dumps(failed))
 
     def add_means(file: h5py.File) -> None:
-        runs: list[Results] = [_LoadsOnly(folder) for folder in folders(directory)]
+        runs = [Results(folder) for folder in folders(directory)]
         _put(file.create_group(TABLE), mean_loads(runs))
         count = file[TABLE].create_dataset("seeds", data=solved_runs(runs))
         count.attrs.update(description=COUNT, units="1")
@@ -269,16 +248,15 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
         revise(path, add_means)
 
 
-def _put(group: h5py.Group, found: Mapping[str, Column]) -> None:
+def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
     """Write columns with their errors into a group."""
-    for key, column in found.items():
-        for name, values in column.named(key, found):
-            what = "" if name == key else "standard error over the seeds: "
-            dataset = group.create_dataset(name, data=values)
-            dataset.attrs.update(column.about | {"description": what + column.about["description"]})
-    for key, column in found.items():
-        for name, _ in column.named(key, found):
-            name_axes(group, name, column.axes)
+    written = [(key, name, values) for key, column in columns.items() for name, values in column.named(key, columns)]
+    for key, name, values in written:
+        about = columns[key].about
+        what = "" if name == key else "standard error over the seeds: "
+        group.create_dataset(name, data=values).attrs.update(about | {"description": what + about["description"]})
+    for key, name, _ in written:  # the datasets of all axes are there now
+        name_axes(group, name, columns[key].axes)
 
 
 def table(ensemble: Ensemble) -> str:
@@ -286,18 +264,19 @@ def table(ensemble: Ensemble) -> str:
 
     A mean over fewer seeds has their number behind it, "(n)".
     """
-    means = mean_loads(ensemble.runs)
+    means, seeds = mean_loads(ensemble.runs), solved_runs(ensemble.runs)
     means = {name: column for name, column in means.items() if not is_error(name, means)}
     if not means:
         return "no load was completed"
-    units = {"seeds": ""} | {name: column.about["units"] for name, column in means.items()}
-    values = {"seeds": solved_runs(ensemble.runs)} | {name: column.mean for name, column in means.items()}
-    none = np.zeros(len(values["seeds"]), int)
-    errors = {"seeds": none} | {name: column.error for name, column in means.items()}
-    counts = {"seeds": none} | {name: fewer(column, values["seeds"]) for name, column in means.items()}
-    return text_table(values, units, errors, counts)
+    none = {"seeds": np.zeros(len(seeds), int)}
+    return text_table(
+        {"seeds": seeds} | {name: column.mean for name, column in means.items()},
+        {"seeds": ""} | {name: column.about["units"] for name, column in means.items()},
+        none | {name: column.error for name, column in means.items()},
+        none | {name: fewer(column, seeds) for name, column in means.items()},
+    )
 
 
 def fewer(column: Column, seeds: np.ndarray) -> np.ndarray:
     """How many seeds gave a finite number, where these are fewer than have solved the load; else 0."""
-    return np.where((column.count > 0) & (column.count < seeds), column.count, 0).astype(int)
+    return np.where(column.count < seeds, column.count, 0)

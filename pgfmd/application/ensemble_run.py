@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -53,87 +53,60 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     groups = from_root(comm, rank_groups, job, comm.size, room)  # may read the surface's table
     memory = machine.memory_per_rank(job, comm, room)
     machine.refuse_too_large(comm, memory)
-    with _Folder(job, comm, path, mode) as folder:
+    before: bytes | None = None  # ensemble.h5 as it was; rank 0
+    with ExitStack() as held:
+        with raise_together(comm):
+            if comm.rank == 0:
+                held.callback(OutputFolder(path).release)
+                before = _refuse_others(job, path, mode)
+        origin = provenance.Origin(job.text, as_toml(job), len(job.load.targets))
+        about: dict[str, Any] = from_root(comm, provenance.gather, comm.size, {"MPI": library()}, origin)
+        about |= {"seeds": np.array(seeds)}
+        from_root(comm, ensemble.write, path, about, {}, "running")
         machine.report(comm, memory)
         if comm.rank == 0:
             log.info("%d seeds, %d at a time", len(seeds), groups)
         failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)
         if len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values()):
-            folder.undo()
+            from_root(comm, _put_back, path / ENSEMBLE_FILE, before)  # no seed has written anything
         else:
-            folder.finish(failed, "stopped" if stopped else "failed" if failed else "complete")
+            reasons = {seed: printable(_reason(error), 400) for seed, error in failed.items()}
+            status = "stopped" if stopped else "failed" if failed else "complete"
+            from_root(comm, ensemble.write, path, about, reasons, status)
     if stopped:
         raise stopped
     if len(failed) == len(seeds):
         raise next(iter(failed.values()))
     if failed:
-        reasons = "; ".join(f"seed {seed}: {_reason(error)}" for seed, error in failed.items())
-        raise SolverError(f"{len(failed)} of {len(seeds)} seeds failed, the others are written: {reasons}")
+        reason = "; ".join(f"seed {seed}: {_reason(error)}" for seed, error in failed.items())
+        raise SolverError(f"{len(failed)} of {len(seeds)} seeds failed, the others are written: {reason}")
 
 
-class _Folder:
-    """The folder of an ensemble, locked, with its ensemble.h5; a context manager.  Its methods are collective.
-
-    Raises InputError on all ranks if the folder cannot be written, or holds results that `mode` does not allow.
+def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
+    """The content of the folder's ensemble.h5, None if there is none.  Raises InputError if the folder holds one
+    surface, or an ensemble that `mode` does not allow to change.  Rank 0.
     """
+    if (path / OBSERVABLES_FILE).exists():
+        raise InputError(f"{path}: holds the results of one surface; choose another folder for an ensemble")
+    if not (path / ENSEMBLE_FILE).exists():
+        return None
+    if mode == "new":
+        raise InputError(f"{path}: holds an ensemble already ({ENSEMBLE_FILE}); replace it with --overwrite, "
+                         "continue it with --restart, or choose another folder")  # fmt: skip
+    if mode == "restart":
+        before = parse(ensemble.Ensemble(path).provenance["effective_toml"], "results")
+        changed = [text for text in differences(before, job) if not text.startswith("surface.seed:")]
+        if changed:
+            raise InputError(f"{path}: cannot be continued, the job differs: {'; '.join(changed)}")
+    return (path / ENSEMBLE_FILE).read_bytes()
 
-    def __init__(self, job: Job, comm: MPI.Comm, path: Path, mode: str):
-        self.job, self.comm, self.path = job, comm, path
-        self._folder: OutputFolder | None = None
-        self._before: bytes | None = None  # ensemble.h5 as it was
-        with raise_together(comm):
-            if comm.rank == 0:
-                self._folder = OutputFolder(path)
-                try:
-                    self._check(mode)
-                except BaseException:
-                    self._folder.release()
-                    self._folder.discard()
-                    raise
-        origin = provenance.Origin(job.text, as_toml(job), len(job.load.targets))
-        self._about: dict[str, Any] = from_root(comm, provenance.gather, comm.size, {"MPI": library()}, origin)
-        self._about |= {"seeds": np.array(job.surface.seeds)}
-        from_root(comm, ensemble.write, path, self._about, {}, "running")
 
-    def _check(self, mode: str) -> None:
-        """Whether the folder may be written in that mode.  Rank 0."""
-        if (self.path / OBSERVABLES_FILE).exists():
-            raise InputError(f"{self.path}: holds the results of one surface; choose another folder for an ensemble")
-        if not (self.path / ENSEMBLE_FILE).exists():
-            return
-        if mode == "new":
-            raise InputError(f"{self.path}: holds an ensemble already ({ENSEMBLE_FILE}); replace it with --overwrite, "
-                             "continue it with --restart, or choose another folder")  # fmt: skip
-        if mode == "restart":
-            before = parse(ensemble.Ensemble(self.path).provenance["effective_toml"], "results")
-            changed = [text for text in differences(before, self.job) if not text.startswith("surface.seed:")]
-            if changed:
-                raise InputError(f"{self.path}: cannot be continued, the job differs: {'; '.join(changed)}")
-        self._before = (self.path / ENSEMBLE_FILE).read_bytes()
-
-    def finish(self, failed: Failures, status: str) -> None:
-        """Write what became of the seeds, and the means over them."""
-        reasons = {seed: printable(_reason(error), 400) for seed, error in failed.items()}
-        from_root(self.comm, ensemble.write, self.path, self._about, reasons, status)
-
-    def undo(self) -> None:
-        """Put ensemble.h5 back as it was, or remove it if there was none: no seed has written anything."""
-        from_root(self.comm, self._undo)
-
-    def _undo(self) -> None:
-        path = self.path / ENSEMBLE_FILE
-        if self._before is None:
-            path.unlink()
-        else:
-            replace(path, self._before)
-
-    def __enter__(self) -> _Folder:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._folder is not None:
-            self._folder.release()
-            self._folder.discard()
+def _put_back(path: Path, before: bytes | None) -> None:
+    """Write ensemble.h5 as it was, or remove it if there was none."""
+    if before is None:
+        path.unlink()
+    else:
+        replace(path, before)
 
 
 def _run_seeds(

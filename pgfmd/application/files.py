@@ -224,7 +224,7 @@ class OutputFolder:
         except InputError:
             raise
         except (OSError, ValueError) as error:
-            self.discard()
+            self._remove_made()
             reason = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{self.path}: cannot be written as an output folder: {reason}") from None
 
@@ -257,12 +257,12 @@ class OutputFolder:
         return handle
 
     def release(self) -> None:
-        """Remove the lock."""
+        """Remove the lock, and the folders that were made here as far as they are empty."""
         (self.path / LOCK_NAME).unlink(missing_ok=True)
         os.close(self._handle)
+        self._remove_made()
 
-    def discard(self) -> None:
-        """Remove the folders that were made here, as far as they are empty."""
+    def _remove_made(self) -> None:
         for folder in self.made:
             with contextlib.suppress(OSError):
                 folder.rmdir()

@@ -133,7 +133,6 @@ class ResultWriter:
         finally:
             if self._lock is None:
                 folder.release()
-                folder.discard()
 
     @property
     def pending(self) -> list[int]:
@@ -220,8 +219,6 @@ class ResultWriter:
             with suppress(Exception):  # the disk, or a file, may be what has failed: the first error is to be reported
                 self._note_failure(error)
         self._lock.release()
-        if not self._begun:
-            self._lock.discard()
         self._lock = None
 
     # Rank 0.
