@@ -92,6 +92,20 @@ def test_a_state_is_a_minimum_of_the_energy(name, control):
             assert energy(moved) > least
 
 
+@pytest.mark.parametrize("control", ["mean_gap", "pressure"])
+def test_the_next_target_starts_from_the_last_state(control):
+    """The same target again is the same state without a step, whatever the unit of length; the target between costs
+    fewer inner iterations than from the undeformed solid."""
+    law, heights = LAWS["adhesive"], rough()
+    last, near = (1.5, 1.4) if control == "mean_gap" else (0.01, 0.0105)
+    run = branch(heights, law, Load(**{control: (last, near)}), 1e-10)
+    first, again, warm = (run.solution(target) for target in (last, last, near))
+    assert again.details["newton_steps"] == 0
+    np.testing.assert_array_equal(again.gap, first.gap)
+    cold = branch(heights, law, Load(**{control: (near,)}), 1e-10).solution(near)
+    assert warm.details["inner_applications"] < cold.details["inner_applications"]
+
+
 def test_without_work_it_is_the_hard_wall():
     """w → 0 at a load is the contact under a hard wall, within both certificates."""
     heights = rough(64)

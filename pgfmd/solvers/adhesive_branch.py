@@ -26,6 +26,7 @@ from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
 
 LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the larger number, and in points
+SUDDEN = 0.75  # part of a change of points within the range that one half of an interval has if it jumps there
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
@@ -90,23 +91,27 @@ class Branch:
         """The contact at that target, on the branch of the last one.  Collective.  Raises SolverError."""
         began, transforms = time.perf_counter(), self.contact.grid.transforms
         hold, way = self.hold(target), FOLLOWED
-        jump, drop = (math.nan,) * 4, 0.0
+        jump, drop, gradual = (math.nan,) * 4, 0.0, False
         if self.last is None or self.load.branch != "follow":
             state, way = self._cold(hold), PROBED if self.load.branch == "probe" else COLD
         else:
             before, state = self.last, self._from(self.last, target, self.before)
             while state.negative and self._leapt(before[1], state) and self.load.jump_accuracy:
-                low, before = self._bisected(before, (target, state))
-                if self._leapt(low[1], before[1]):  # otherwise the area changed by and by
-                    jump = low[0], before[0], self._pressure(low[1]), self._pressure(before[1])
-                    drop += self._drop(low, before)
-                    self._tell(low, before)
+                ends = self._bisected(before, (target, state))
+                gradual = ends is None
+                if ends is None:
+                    break
+                low, before = ends
+                jump = low[0], before[0], self._pressure(low[1]), self._pressure(before[1])
+                drop += self._drop(low, before, True)
+                self._tell(low, before)
                 if before[0] == target:
                     state = before[1]
                     break
                 state = self._from(before, target)
             if state.negative and before[0] != target:
-                drop += max(self._drop(before, (target, state)), 0.0)
+                sudden = not gradual and self._leapt(before[1], state)
+                drop += max(self._drop(before, (target, state), sudden), 0.0)
         self.before = (self.last[0], self.last[1].gap) if self.last and math.isnan(jump[0]) else None
         self.last = target, state
         lost = drop * self.contact.length * self.contact.pressure / self.contact.share
@@ -161,26 +166,32 @@ class Branch:
 
     def _bisected(
         self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState]
-    ) -> tuple[tuple[float, AdhesiveState], tuple[float, AdhesiveState]]:
-        """The last state before a jump and the first after it.  Collective."""
+    ) -> tuple[tuple[float, AdhesiveState], tuple[float, AdhesiveState]] | None:
+        """The last state before a jump and the first after it; None where the area changes gradually.  Collective.
+
+        A jump that makes up half of the change or more leaves at least `SUDDEN` of it in one half of the interval.
+        """
         width = self.load.jump_accuracy * abs(high[0] - low[0])
         while abs(high[0] - low[0]) > width:
-            middle = (low[0] + high[0]) / 2
-            state = self._from(low, middle)
-            if state.negative and self._leapt(low[1], state):
-                high = middle, state
-            else:
-                low = middle, state
+            target = (low[0] + high[0]) / 2
+            middle = target, self._from(low, target)
+            first, second, whole = (
+                abs(new.near - old.near)
+                for old, new in ((low[1], middle[1]), (middle[1], high[1]), (low[1], high[1]))
+            )  # fmt: skip
+            if max(first, second) < SUDDEN * whole:
+                return None
+            low, high = (low, middle) if first >= second else (middle, high)
         return low, high
 
-    def _drop(self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState]) -> float:
-        """Energy per point lost from one state to the next, over w: the work done less the energy gained."""
+    def _drop(self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState], sudden: bool) -> float:
+        """Energy per point lost from one state to the next, over w: the work done less the energy gained.
+
+        sudden: the new state belongs to a jump at the new target; otherwise force and gap change linearly.
+        """
         (old, new), (at, to) = (low[1], high[1]), (self.hold(low[0]), self.hold(high[0]))
-        pulls = (old.pull, old.pull) if self._leapt(old, new) else (old.pull, new.pull)
-        if at.fixed:
-            work = (to.gap - at.gap) * sum(pulls) / 2
-        else:
-            work = (to.load - at.load) * old.mean + (to.gap - at.gap) * sum(pulls) / 2
+        pull, mean = (old.pull, old.mean) if sudden else ((old.pull + new.pull) / 2, (old.mean + new.mean) / 2)
+        work = (to.gap - at.gap) * pull + (0.0 if at.fixed else (to.load - at.load) * mean)
         return old.energy + at.energy(old.mean) + work - new.energy - to.energy(new.mean)
 
     def _pressure(self, state: AdhesiveState) -> float:
@@ -225,10 +236,9 @@ class Branch:
             "tensile_area": pulled, "bound": 0.0 if floor <= 0 else 2.0 if kind == "global" else 1.0,
         }  # fmt: skip
         moved = 0.0 if self.grid.domain.wraps else -state.pull / contact.spring  # of the mean of the torus
-        gap *= contact.length
         return ContactSolution(
             pressure=pressure,
-            gap=gap,
+            gap=gap * contact.length,  # `gap` is that of the state, from which the next target starts
             mean_pressure=self._pressure(state),
             mean_gap=float(total) * contact.length,
             elastic_energy=state.elastic * scale,
