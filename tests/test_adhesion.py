@@ -15,7 +15,7 @@ from pgfmd.physics.laws.adhesive import AdhesiveWall, Dugdale, Potential
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact, Hold
-from pgfmd.solvers.adhesive_branch import Branch
+from pgfmd.solvers.adhesive_branch import Branch, roughness
 from pgfmd.solvers.options import Load
 from pgfmd.theory import adhesion
 
@@ -283,6 +283,40 @@ def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_pat
     with pytest.raises(pgfmd.InputError, match=message) as caught:
         pgfmd.run(job | change, tmp_path / "out")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("domain", [PERIODIC, OPEN], ids=str)
+def test_roughness_of_known_surfaces(comm, domain):
+    """Rms slope Ak and rms Laplacian Ak² of A(cos kx + cos ky), to the (ka)²/6 of differences; a paraboloid's
+    Laplacian is 2/R exactly, the border left out."""
+    n, waves = 60, 3
+    rows, x = SlabGrid(comm, (n, n), domain=domain).rows, np.arange(n)
+    wave = 2 * np.pi * waves / n
+    waved = 2.0 * np.add.outer(np.cos(wave * x), np.cos(wave * x))[rows]
+    load, law = Load(displacement=(0.0,)), AdhesiveWall(work=0.6, range=1.5)
+    slope, bend = roughness(branch(waved, law, load, comm=comm, domain=domain).problem)
+    # whole periods: two rows of 60 are left out, of which each squared sum holds at most twice the mean
+    assert slope == pytest.approx(2 * wave, rel=wave**2 / 6 + 2 / n)
+    assert bend == pytest.approx(2 * wave**2, rel=wave**2 / 6 + 2 / n)
+    bowl = -np.add.outer((x - 30.0) ** 2, (x - 30.0) ** 2)[rows] / 100
+    assert roughness(branch(bowl, law, load, comm=comm, domain=domain).problem)[1] == pytest.approx(2 / 50, rel=1e-9)
+
+
+@pytest.mark.parametrize(("length", "warned"), [(2.0, False), (0.5, True)])
+def test_summits_need_pixels_where_the_attraction_reaches_far(length, warned, caplog):
+    """For μ_T ≤ 1, √(2Rρ) is warned about below 4 pixels: here it is 2√(2R) and √R with R = 8; the grid it names has
+    4 of its pixels along it."""
+    x = np.arange(32) - 16.0
+    bowl, law = -np.add.outer(x**2, x**2) / 16, AdhesiveWall(work=0.01, range=length)
+    with caplog.at_level("INFO", "pgfmd"):
+        branch(bowl, law, Load(displacement=(0.0,)), domain=OPEN)
+    lines = [record.getMessage() for record in caplog.records if "μ_T" in record.getMessage()]
+    assert bool(lines) is warned
+    if warned:
+        assert f"grid.n = {math.ceil(4 * 32 / math.sqrt(2 * 8 * length))}" in lines[0]
+    expected = adhesion.stickiness(0.01, length, np.hypot(*[np.sqrt(np.mean((np.diff(x**2) / 16) ** 2))] * 2), 1 / 4, 1)
+    assert f"Robbins {expected:.3g};" in caplog.text
 
 
 def test_theories_of_a_sphere():

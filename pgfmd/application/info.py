@@ -109,6 +109,8 @@ def summary(results: Results) -> str:
         "libraries": ", ".join(about["libraries"].split("\n")),
     }
     lines |= {f"{name} / s": f"{seconds:.3f}" for name, seconds in results.phases.items()}
+    if len(results) and "stickiness" in results[0].numbers:
+        lines["stickiness"] = f"{results[0].numbers['stickiness']:.3g} (Pastewka and Robbins: below 1 surfaces stick)"
     return "\n".join([_listed(lines), "", table(results)])
 
 

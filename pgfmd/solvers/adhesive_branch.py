@@ -17,17 +17,19 @@ import numpy as np
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.options.text import show
-from pgfmd.physics.laws.adhesive import AdhesiveWall, AttractiveWall, Dugdale
+from pgfmd.physics.laws.adhesive import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.adhesive import AdhesiveContact, AdhesiveState, Hold
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
+from pgfmd.theory import adhesion
 
 LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the larger number, and in points
 SUDDEN = 0.75  # part of a change of points within the range that one half of an interval has if it jumps there
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
+NEAR_PIXELS = 4.0  # for μ_T ≤ 1
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
@@ -48,7 +50,7 @@ class Branch:
     def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8) -> None:
         load.check_law(problem.law)
         assert isinstance(problem.law, AttractiveWall)
-        if load.branch == "probe" and not isinstance(problem.law, (AdhesiveWall, Dugdale)):
+        if load.branch == "probe" and not isinstance(problem.law, RangedWall):
             raise InputError(f'load.branch = "probe": wall.kind = {show(problem.law.kind)} has no range to lengthen')
         self.load, self.name, self.problem, self.grid, self.tolerance = (
             load, load.control, problem, problem.grid, tolerance
@@ -56,7 +58,7 @@ class Branch:
         self.contact = AdhesiveContact(problem)
         self.last: tuple[float, AdhesiveState] | None = None
         self.before: tuple[float, np.ndarray] | None = None
-        resolved(problem, problem.law)
+        self.stickiness = resolved(problem, problem.law)
 
     def hold(self, target: float) -> Hold:
         """What a target holds, in units of the law."""
@@ -137,7 +139,7 @@ class Branch:
         for factor in factors:
             if factor == 1.0:
                 break
-            assert isinstance(law, (AdhesiveWall, Dugdale))
+            assert isinstance(law, RangedWall)
             softer = AdhesiveContact(self.problem.with_law(dataclasses.replace(law, range=law.range * factor)))
             longer = dataclasses.replace(
                 hold, gap=hold.gap / factor, load=hold.load * factor, spring=hold.spring * factor**2
@@ -157,6 +159,9 @@ class Branch:
             if abs(ratio) <= 2:
                 np.add(gap, ratio * (last[1].gap - before[1]), out=gap, where=gap > least)
                 np.maximum(gap, least, out=gap)
+                if not hold.fixed:  # a large step of the load may extrapolate into far too much contact
+                    energies = [s.energy + hold.energy(s.mean) for s in (self.contact.state(gap), last[1])]
+                    gap = gap if energies[0] < energies[1] else last[1].gap.copy()
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
         return self.contact.minimise(gap, hold, self.tolerance, self._see)
@@ -233,7 +238,8 @@ class Branch:
         known = details | {
             "energy": state.energy * scale, "residual": state.residual * contact.pressure, "least_curvature": floor,
             "gap_bound": distance * contact.length if floor > 0 else math.inf, "tensile_pressure": tension,
-            "tensile_area": pulled, "bound": 0.0 if floor <= 0 else 2.0 if kind == "global" else 1.0,
+            "tensile_area": pulled,
+            "stickiness": self.stickiness, "bound": 0.0 if floor <= 0 else 2.0 if kind == "global" else 1.0,
         }  # fmt: skip
         moved = 0.0 if self.grid.domain.wraps else -state.pull / contact.spring  # of the mean of the torus
         return ContactSolution(
@@ -259,17 +265,47 @@ class Branch:
         return steepest < 1 / contact.softest and not (isinstance(contact.law, Dugdale) and contact.law.edge == 0)
 
 
-def resolved(problem: ContactProblem, law: AttractiveWall) -> None:
-    """Warns where the process zone ℓ = ρ²E'/w is shorter than 2 pixels; raises InputError below .8, unless the law
-    allows it: the grid then holds the edge of a contact in place.
+def roughness(problem: ContactProblem) -> tuple[float, float]:
+    """Rms of |∇h| and of ∇²h by differences between neighbours, the border left out.  Collective."""
+    grid, rows = problem.grid, problem.grid.rows
+    count = len(problem.heights)
+    last = min(rows.stop + 2, grid.shape[0]) if count else rows.stop
+    heights = np.concatenate([problem.heights, grid.fetch(problem.heights, rows.stop, last)])
+    (dx, dy), own = grid.spacing, slice(count)
+    x, y = np.diff(heights, axis=0)[own] / dx, np.diff(problem.heights, axis=1) / dy
+    bend = np.diff(heights, 2, axis=0)[:, 1:-1] / dx**2 + np.diff(heights[1:-1], 2, axis=1) / dy**2
+    sums = grid.reduction.sums(*(float(v) for each in (x, y, bend) for v in (np.vdot(each, each), each.size)))
+    return math.hypot(*np.sqrt(sums[0:3:2] / np.maximum(sums[1:4:2], 1))), math.sqrt(sums[4] / max(sums[5], 1))
+
+
+def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
+    """The criterion of stickiness; NaN for a flat surface.  Warns where the process zone ℓ = ρ²E'/w is shorter than 2
+    pixels, or for μ_T ≤ 1 √(2Rρ), the radius within which a summit is as near as ρ, than 4 pixels.  Raises InputError
+    where ℓ is below .8 pixels, unless the law allows it: the grid then pins the edge of a contact.  Collective.
     """
-    pixel, zone = max(problem.grid.spacing), law.process_zone(problem.solid.contact_modulus)
+    modulus, pixel, (reach, stress) = problem.solid.contact_modulus, max(problem.grid.spacing), law.units
+    zone, alone = law.process_zone(modulus), problem.grid.comm.rank == 0
     points = math.ceil(2 * max(problem.grid.shape) * pixel / zone)
     text = f"wall: the process zone ρ²E'/w = {zone:.3g} is {zone / pixel:.2g} pixels; 2 need grid.n = {points}"
     if zone < REFUSED * pixel and not law.unresolved:
         raise InputError(f"{text}; below {REFUSED:g} the grid pins contact edges (wall.unresolved = true: solve)")
-    if zone < WARNED * pixel and problem.grid.comm.rank == 0:
+    if zone < WARNED * pixel and alone:
         log.warning("%s: areas err by about 2 %% at 1.3 pixels, pull-off forces by 1 %%, 11 %% at .8", text)
+    slope, bend = roughness(problem)
+    if not slope or not bend:
+        return math.nan
+    radius = 2 / bend  # of a paraboloid, and a typical one of summits
+    mu, near = adhesion.transition(reach * stress, reach, radius, modulus), math.sqrt(2 * radius * reach)
+    if mu <= 1 and near < NEAR_PIXELS * pixel and alone:
+        log.warning(
+            "wall: with μ_T = %.2g, summits attract within √(2Rρ) = %.3g, %.2g pixels; %g need grid.n = %d: "
+            "pull-off forces err by 6 %% at 2 pixels, by 8 to 40 %% at 1",
+            mu, near, near / pixel, NEAR_PIXELS, math.ceil(NEAR_PIXELS * max(problem.grid.shape) * pixel / near),
+        )  # fmt: skip
+    found = adhesion.stickiness(reach * stress, reach, slope, bend, modulus)
+    if alone:
+        log.info("wall: stickiness criterion of Pastewka and Robbins %.3g; rough surfaces stick below 1", found)
+    return found
 
 
 def solve_adhesive(

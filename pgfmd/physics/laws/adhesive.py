@@ -66,19 +66,27 @@ class AttractiveWall(ContactLaw):
 
 
 @dataclass(frozen=True, kw_only=True)
-class AdhesiveWall(AttractiveWall):
-    """A hard wall that attracts: energy −work exp(−gap/range) per area."""
+class RangedWall(AttractiveWall):
+    """A hard wall that attracts within a range: `work` is the integral of its traction."""
 
-    kind: ClassVar[str] = "adhesive"
     work: float = key(
         POSITIVE, about="work of adhesion w, per area", unit="pressure*length", needed=True, example=0.05
     )
-    range: float = key(POSITIVE, about="ρ, over which the attraction decays", unit="length", needed=True, example=0.5)
+    range: float = key(
+        POSITIVE, about="ρ: the largest attraction is work/range", unit="length", needed=True, example=0.5
+    )
 
     @property
     def units(self) -> tuple[float, float]:
         """ρ and w/ρ."""
         return self.range, self.work / self.range
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdhesiveWall(RangedWall):
+    """A hard wall that attracts: energy −work exp(−gap/range) per area."""
+
+    kind: ClassVar[str] = "adhesive"
 
     def energy(self, gap: np.ndarray) -> np.ndarray:
         """−exp(−g)."""
@@ -94,25 +102,16 @@ class AdhesiveWall(AttractiveWall):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dugdale(AttractiveWall):
+class Dugdale(RangedWall):
     """A hard wall that attracts with the traction work/range up to the gap `range` (Dugdale, Maugis)."""
 
     kind: ClassVar[str] = "dugdale"
-    work: float = key(
-        POSITIVE, about="work of adhesion w, per area", unit="pressure*length", needed=True, example=0.05
-    )
-    range: float = key(POSITIVE, about="gap up to which it attracts", unit="length", needed=True, example=0.5)
     edge: float = key(
         number(low=0, high=2),
         0.0,
         "width over range in which the traction falls to 0, about the range, by a cubic polynomial; 0: it jumps",
         unit="1",
     )
-
-    @property
-    def units(self) -> tuple[float, float]:
-        """The range and work/range."""
-        return self.range, self.work / self.range
 
     def _across(self, gap: np.ndarray) -> np.ndarray:
         """The place in the edge, 0 … 1."""
