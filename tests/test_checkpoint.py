@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import shutil
 import subprocess
 
+import h5py
 import numpy as np
 import pytest
 from job_texts import SOLID
@@ -194,4 +196,27 @@ def test_sha256sum_reads_the_checksums(comm, shared_tmp_path):
         assert damage(Results(folder)) == {path: "its bytes are not those that were written"}
         run = subprocess.run(check, cwd=folder, capture_output=True, text=True, check=False)
         assert run.returncode == 1 and "fields/load_0001.h5: FAILED" in run.stdout
+    comm.Barrier()
+
+
+@pytest.mark.parametrize("at", ["pressure", "pressure_sha256"])
+def test_large_fields_hold_the_checksums_of_their_rows(comm, shared_tmp_path, monkeypatch, at):
+    """Above a size, no rank reads a whole file: it has no line in the manifest, and SHA-256 of each row, whatever the
+    number of ranks.  One flipped bit of a number, or of a checksum, is found.
+    """
+    monkeypatch.setattr(files, "LARGEST_LISTED", FIELD.nbytes - 1)
+    folder = shared_tmp_path / "out"
+    written(comm, folder)
+    if comm.rank == 0:
+        path = folder / "fields" / "load_0001.h5"
+        with h5py.File(path, "r") as file:
+            expected = [hashlib.sha256(row.tobytes()).digest() for row in 2 * FIELD]
+            assert [row.tobytes() for row in file["pressure_sha256"]] == expected
+            place = file[at].id.get_offset() + 9
+        assert files.read_sums(folder).keys() == {"observables.h5", "fields.h5", "fields.vtkhdf"}
+        assert damage(Results(folder)) == {}
+        data = bytearray(path.read_bytes())
+        data[place] ^= 1
+        path.write_bytes(data)
+        assert damage(Results(folder)) == {path: "its bytes are not those that were written"}
     comm.Barrier()

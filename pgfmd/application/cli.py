@@ -187,7 +187,7 @@ def _info(options: argparse.Namespace) -> str:
     faults = {path: fault for run in runs for path, fault in info.damage(run).items()}
     if faults:
         raise InputError("; ".join(f"{path}: {fault}" for path, fault in faults.items()) + REPAIR)
-    return f"{options.directory}: every byte is the one that was written"
+    return f"{options.directory}: every byte of the tables and every row of the fields is as it was written"
 
 
 def _export(options: argparse.Namespace) -> str:

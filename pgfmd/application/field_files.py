@@ -15,7 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from pgfmd.application import hdf5_slabs, restart, views
+from pgfmd.application import files, hdf5_slabs, restart, views
 from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, revise
 from pgfmd.application.tables import add_grid_axes, annotate, name_axes
 from pgfmd.observables.schema import FIELDS, Dataset
@@ -57,12 +57,18 @@ class FieldFiles:
             for key, local in fields.items():
                 if local.shape != expected:
                     raise ValueError(f"field {key}: slab of shape {local.shape}, expected {expected}")
+        if form.shape[0] * sum(slab.row_bytes for slab in slabs.values()) > files.LARGEST_LISTED:
+            slabs |= {key + files.ROW_SUMS: slab.sums() for key, slab in slabs.items()}
 
         def create(file: h5py.File, key: str) -> h5py.Dataset:
             # No date: the same numbers make the same bytes.
             undated = ("software", "softwareVersion", "commit", "format_version")
             file.attrs.update({attribute: self._provenance()[attribute] for attribute in undated})
-            dataset = hdf5_slabs.create_dataset(file, key, form.shape, slabs[key].dtype)
+            width, dtype = slabs[key].local.shape[1], slabs[key].dtype
+            dataset = hdf5_slabs.create_dataset(file, key, (form.shape[0], width), dtype)
+            if key not in fields:
+                annotate(dataset, Dataset("1", "SHA-256 of each row of the field"), form.units)
+                return dataset
             annotate(dataset, FIELDS.get(key, Dataset("1", key)), form.units)
             add_grid_axes(file, form.shape, form.lengths, form.length_unit)
             name_axes(file, key, ("x", "y"))

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
 COLLECTIVE_BYTES = 2**30  # of one rank in one collective write; MPI-IO counts overflow from 2 GiB
-BLOCK_BYTES = 2**24  # written at once
 METADATA_BYTES = 2**16  # more than HDF5 needs for metadata
 
 
@@ -63,6 +62,11 @@ class Field:
     def row_bytes(self) -> int:
         """Bytes of one row in the file."""
         return self.local.shape[1] * self.dtype.itemsize
+
+    def sums(self) -> Field:
+        """The SHA-256 of each row as the file has it: (rows, 32) bytes."""
+        parts = [files.row_sums(self.block(part)) for part in _blocks(len(self.local), self.row_bytes)]
+        return Field(np.concatenate(parts), np.dtype(np.uint8))
 
 
 Create = Callable[[h5py.File, str], h5py.Dataset]
@@ -210,5 +214,5 @@ def _put_rows(path: Path, rows: slice, fields: dict[str, Field], offsets: dict[s
 
 def _blocks(count: int, row_bytes: int) -> list[slice]:
     """`count` rows cut into blocks of about BLOCK_BYTES, at least one row each."""
-    pieces = min(-(-count * row_bytes // BLOCK_BYTES), count)
+    pieces = min(-(-count * row_bytes // files.BLOCK_BYTES), count)
     return [slab(count, pieces, number) for number in range(pieces)]

@@ -20,6 +20,7 @@ from pgfmd.application.files import (
     load_name,
     member_name,
     read_sums,
+    rows_are_right,
     sha256,
 )
 from pgfmd.application.results import Results, Runs, size_in_words, table
@@ -46,12 +47,13 @@ def damage(results: Results) -> dict[Path, str]:
 
 
 def _fault(path: Path, expected: str | None) -> str | None:
-    """What is wrong with a file whose checksum should be `expected`."""
+    """What is wrong with a file whose checksum should be `expected`; None: it holds those of its rows."""
     if not path.exists():
         return "it is missing"
-    if expected is None:
+    right = rows_are_right(path) if expected is None else sha256(path) == expected
+    if right is None:
         return f"{SUMS_FILE} has no line for it: the run was killed while it wrote"
-    return None if sha256(path) == expected else "its bytes are not those that were written"
+    return None if right else "its bytes are not those that were written"
 
 
 def as_csv(results: Results | Runs) -> str:

@@ -5,7 +5,7 @@
     fields.vtkhdf           shows them to ParaView
     fields/height.h5, fields/load_0000.h5, …        where they are (`field_files`)
     fields/checkpoint.h5    of an unfinished load (`checkpoint`)
-    SHA256SUMS              checksums of all but the checkpoint, for `sha256sum -c` and `pgfmd info --verify`
+    SHA256SUMS              checksums of all but the checkpoint and large fields, which hold checksums of their rows
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
 results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5
