@@ -7,6 +7,8 @@ bounds the error of anybody's pressure.
     python -m pgfmd info DIR
     python -m pgfmd plot [FIGURE] DIR… [--output FOLDER]
     python -m pgfmd certify HEIGHTS PRESSURE [--set section.key=value ...]
+    python -m pgfmd compare DIR DIR…
+    python -m pgfmd cite DIR
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer, or no load gives
 what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and did, ready for --restart; 130 if it was
@@ -52,6 +54,7 @@ def main(arguments: list[str] | None = None) -> int:
         if options.command == "run":
             return _run(options)
         commands = {"new": _new, "check": _check, "info": _info, "certify": _certify, "export": _export}
+        commands |= {"compare": _compare, "cite": _cite}
         _show(commands[options.command](options))
         return 0
     except KeyboardInterrupt as error:
@@ -78,7 +81,7 @@ class _Parser(argparse.ArgumentParser):
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="pgfmd", description="Elastic contact of randomly rough surfaces.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"pgfmd {__version__}")
-    names = "new | run | check | info | plot | export | certify"
+    names = "new | run | check | info | plot | compare | export | certify | cite"
     commands = parser.add_subparsers(dest="command", required=True, metavar=names)
 
     new = commands.add_parser("new", help="print a commented job to start from", allow_abbrev=False)
@@ -123,6 +126,13 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("directory", metavar="DIR")
     export.add_argument("--output", type=_folder, metavar="FOLDER", help="of the files; default: DIR/export")
     export.add_argument("--format", choices=("nc", "x3p"), default="nc", help="a .nc for each load, or heights as .x3p")
+    compare = commands.add_parser("compare", help="differences between runs, beside their errors", allow_abbrev=False)
+    compare.add_argument("directories", nargs="+", metavar="DIR", help="each other one less the first")
+    how = compare.add_mutually_exclusive_group()
+    how.add_argument("--csv", action="store_true", help="in full precision, separated by commas")
+    how.add_argument("--json", action="store_true", help="the same as JSON")
+    cite = commands.add_parser("cite", help="what to cite for a run, as BibTeX", allow_abbrev=False)
+    cite.add_argument("directory", metavar="DIR")
     commands.add_parser("plot", help="draw a figure of result folders; without arguments: the list of figures")
     return parser
 
@@ -201,6 +211,26 @@ def _export(options: argparse.Namespace) -> str:
     for folder in ensemble.folders(options.directory):
         written += export(Results(folder), top / folder.name if several else top, options.format)
     return "\n".join(map(str, written))
+
+
+def _compare(options: argparse.Namespace) -> str:
+    from pgfmd.application import compare
+
+    rows, notes = compare.compare(options.directories)
+    if options.csv:
+        return compare.as_csv(rows)
+    return compare.as_json(rows, notes) if options.json else compare.as_text(rows, notes, options.directories[0])
+
+
+def _cite(options: argparse.Namespace) -> str:
+    from pgfmd.application import ensemble
+    from pgfmd.application.cite import bibtex
+    from pgfmd.application.results import Results
+
+    runs = ensemble.folders(options.directory)
+    if not runs:
+        raise InputError(f"{options.directory}: no seed has results")
+    return bibtex(Results(runs[0]))
 
 
 def _certify(options: argparse.Namespace) -> str:

@@ -1,0 +1,186 @@
+"""`pgfmd compare`: differences between the tables of loads of several runs, beside their errors.  No MPI here."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+
+from pgfmd.application.ensemble import Ensemble, is_ensemble, mean_loads
+from pgfmd.application.info import known
+from pgfmd.application.job import differences, parse
+from pgfmd.application.results import Results
+from pgfmd.errors import InputError
+from pgfmd.observables.schema import is_error
+
+OF_THE_SOLVER = {"target", "contact_line", "certified_error", "pressure_error", "max_violation", "iterations"}
+OF_THE_SOLVER |= {"transforms", "seconds"}
+"""Columns that tell how a load was solved, not what came out."""
+SAME_TARGET = 1e-9
+"""Relative difference up to which two targets are the same: jobs write them in decimal figures."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of one load: its value and its error, NaN if that is not known."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of a load in the first run and in another one; `ratio` is the difference over both errors together."""
+
+    run: str
+    load: int
+    target: float
+    name: str
+    first: float
+    first_error: float
+    other: float
+    other_error: float
+
+    @property
+    def difference(self) -> float:
+        """Other less first."""
+        return self.other - self.first
+
+    @property
+    def error(self) -> float:
+        """√(error² + error²) of those that are known; NaN if neither is."""
+        bars = [bar for bar in (self.first_error, self.other_error) if math.isfinite(bar)]
+        return math.hypot(*bars) if bars else math.nan
+
+    @property
+    def ratio(self) -> float:
+        """Difference over error; NaN without an error."""
+        return self.difference / self.error if self.error > 0 else math.nan
+
+
+class Side:
+    """A result folder or an ensemble: the loads' targets, and numbers with their errors.
+
+    The error of a run is the estimate of solver and grid together, which the observables "discretisation", "stiffness"
+    and others write; that of an ensemble is the standard error of the mean.
+    """
+
+    def __init__(self, folder: str | os.PathLike):
+        self.name = str(folder)
+        self.loads: list[dict[str, Number]]
+        if is_ensemble(folder):
+            ensemble = Ensemble(folder)
+            if not ensemble.runs:
+                raise InputError(f"{folder}: no seed has results")
+            run, columns = ensemble.runs[0], mean_loads(ensemble.runs)
+            names = [name for name in columns if not is_error(name, columns)]
+            count = len(columns["mean_pressure"].mean)
+            self.loads = [{name: Number(float(columns[name].mean[i]), float(columns[name].error[i])) for name in names}
+                          for i in range(count)]  # fmt: skip
+        else:
+            run = Results(folder)
+            self.loads = [_numbers(load.numbers) for load in run]
+        self.job = parse(run.provenance["effective_toml"], str(run.directory))
+        self.imposed = next(name for name, value in run.job["load"].items() if isinstance(value, list))
+        self.units = run.units
+
+
+def _numbers(row: dict[str, float]) -> dict[str, Number]:
+    return {name: Number(float(value), float(row.get(f"{name}_error", math.nan)))
+            for name, value in row.items() if not is_error(name, row)}  # fmt: skip
+
+
+def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]:
+    """Each number of each load that the first folder shares with another one; and what distinguishes the runs.
+
+    Loads are the same if their targets are, of the same kind of load.  Raises InputError for fewer than two folders, if
+    a folder holds no results, for units that differ, and where no load is shared.
+    """
+    if len(folders) < 2:
+        raise InputError("compare: give two result folders or more; the others are compared with the first")
+    first, *others = map(Side, folders)
+    rows: list[Row] = []
+    notes: list[str] = []
+    for other in others:
+        _check(first, other)
+        pairs = list(_pairs(first, other))
+        if not pairs:
+            raise InputError(f"{first.name} and {other.name}: no load has the same target in both")
+        notes += [f"{other.name}: {line}" for line in differences(first.job, other.job)]
+        missing = len(first.loads) + len(other.loads) - 2 * len(pairs)
+        if missing:
+            notes.append(f"{other.name}: {missing} loads of one run have no partner in the other")
+        for index, mine, its in pairs:
+            for name in mine:
+                if name in its and name not in OF_THE_SOLVER:
+                    values = (mine[name].value, mine[name].error, its[name].value, its[name].error)
+                    if math.isfinite(values[0]) or math.isfinite(values[2]):
+                        rows.append(Row(other.name, index, mine["target"].value, name, *values))
+    return rows, notes
+
+
+def _check(first: Side, other: Side) -> None:
+    if first.imposed != other.imposed:
+        raise InputError(f"{first.name} imposes {first.imposed}, {other.name} {other.imposed}: no load is the same")
+    for name in first.units.keys() & other.units.keys():
+        if first.units[name] != other.units[name]:
+            raise InputError(
+                f"{first.name} has {name} in {first.units[name]}, {other.name} in {other.units[name]}; "
+                "units must be the same"
+            )
+
+
+def _pairs(first: Side, other: Side) -> Iterable[tuple[int, dict[str, Number], dict[str, Number]]]:
+    """Loads of both with the same target: the index in the first run, and the numbers.  Each is used once."""
+    free = list(other.loads)
+    for index, mine in enumerate(first.loads):
+        target = mine["target"].value
+        for its in free:
+            if math.isclose(its["target"].value, target, rel_tol=SAME_TARGET):
+                free.remove(its)
+                yield index, mine, its
+                break
+
+
+def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
+    """The differences as an aligned table, with what distinguishes the runs above it.  Numbers that are the same, such
+    as the imposed one, are left out.
+    """
+    head = ("load", "number", "first", "other", "difference", "error", "of it", "relative")
+    parts = []
+    for run in dict.fromkeys(row.run for row in rows):
+        lines = [head]
+        for row in (row for row in rows if row.run == run and row.difference):
+            relative = row.difference / abs(row.first) if row.first else math.nan
+            cells = (f"{row.first:.6g}", f"{row.other:.6g}", f"{row.difference:.2g}", _known(row.error, ".1g"))
+            lines.append((str(row.load), row.name, *cells, _known(row.ratio, ".2f"), _known(relative, ".2%")))
+        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+        table = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+        about = [note.removeprefix(run + ":") for note in notes if note.startswith(run + ":")]
+        parts.append("\n".join([f"{run} less {first}", *about, *(table if len(table) > 1 else ["no difference"])]))
+    return "\n\n".join(parts) + "\n\nof it: the difference over the error of both together; —: no error is known"
+
+
+def _known(value: float, form: str) -> str:
+    return format(value, form) if math.isfinite(value) else "—"
+
+
+def as_csv(rows: Sequence[Row]) -> str:
+    """The differences in full precision."""
+    lines = io.StringIO()
+    writer = csv.writer(lines, lineterminator="\n")
+    names = list(Row.__dataclass_fields__)
+    writer.writerow([*names, "difference", "error"])
+    writer.writerows([*asdict(row).values(), row.difference, row.error] for row in rows)
+    return lines.getvalue().rstrip("\n")
+
+
+def as_json(rows: Sequence[Row], notes: Sequence[str]) -> str:
+    """The differences, and what distinguishes the runs; null for what is not known."""
+    entries = [asdict(row) | {"difference": row.difference, "error": row.error} for row in rows]
+    return json.dumps(known({"differs": list(notes), "numbers": entries}), ensure_ascii=False, indent=2)
+
