@@ -1,8 +1,9 @@
 """Elastic contact of randomly rough surfaces, solved in parallel.
 
 `solve` (arrays in, contact out), `certify` (anybody's pressure), `register` (laws, solids, surfaces and observables of
-your own), `run` (a job), `surface` (the heights of a job) and `Results` (the reader of result folders; `Runs`: of
-several; `Ensemble`: of a job with several seeds) are imported when first used, so that `import pgfmd` needs no MPI.
+your own), `run` (a job), `surface` (the heights of a job), `reference` (numbers of self-affine contacts to compare
+with), and `Results` (the reader of result folders; `Runs`: of several; `Ensemble`: of a job with several seeds) are
+imported when first used, so that `import pgfmd` needs no MPI.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from typing import Any
 from pgfmd.errors import InputError, SolverError
 
 __version__ = "0.1.0"
-__all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify", "register", "run", "solve", "surface"]
+__all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify"]
+__all__ += ["reference", "register", "run", "solve", "surface"]
 
 _HOMES = {name: "pgfmd.api" for name in ("certify", "solve")}
+_HOMES["reference"] = "pgfmd.theory.reference"
 _HOMES["register"] = "pgfmd.plugins"
 _HOMES |= {name: "pgfmd.application.scripting" for name in ("run", "surface")}
 _HOMES |= {name: "pgfmd.application.results" for name in ("Results", "Runs")}
