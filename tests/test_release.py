@@ -1,0 +1,75 @@
+"""Metadata of a release agree with the package; the reference set and what reads it."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import pgfmd
+from pgfmd.errors import InputError
+from pgfmd.theory.reference import _table
+
+TOP = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]
+
+
+def test_the_version_is_the_same_everywhere():
+    """pyproject.toml, the package, and the metadata of archives and recipes."""
+    version = PROJECT["version"]
+    assert pgfmd.__version__ == version
+    for name in ("tools/release/codemeta.json", ".zenodo.json"):
+        assert json.loads((TOP / name).read_text())["version"] == version
+    for name, pattern in (
+        ("CITATION.cff", rf"^version: {version}$"),
+        ("tools/release/conda/meta.yaml", rf'version = "{version}"'),
+        ("tools/release/spack/package.py", rf'version\("{version}"\)'),
+    ):
+        assert re.search(pattern, (TOP / name).read_text(), re.MULTILINE), name
+
+
+def test_recipes_require_what_the_package_requires():
+    """Each dependency stands in the conda and the Spack recipe and in codemeta."""
+    folder = TOP / "tools/release"
+    texts = [(folder / name).read_text() for name in ("conda/meta.yaml", "spack/package.py", "codemeta.json")]
+    for requirement in PROJECT["dependencies"]:
+        name = re.match(r"[\w-]+", requirement).group()
+        assert all(name in text for text in texts), name
+
+
+def test_the_paper_cites_what_its_bibliography_has():
+    """Each @key of paper.md is an entry of paper.bib, and the other way round."""
+    folder = TOP / "tools/release"
+    cited = set(re.findall(r"@([A-Z][a-zA-Z]+\d{4})", (folder / "paper.md").read_text()))
+    assert cited == set(re.findall(r"^@article\{(\w+),", (folder / "paper.bib").read_text(), re.MULTILINE))
+
+
+def test_the_package_page_has_nothing_relative():
+    """No picture and no link that the package page could not follow."""
+    text = (TOP / "tools/release/package.md").read_text()
+    assert not re.search(r"\]\((?!https://)", text)
+
+
+def test_the_reference_returns_its_own_entries():
+    """At an entry of the set: its value, its error and its scatter."""
+    row = next(row for row in _table() if row["rolloff"] == 4 and row["hurst"] == 0.8)
+    found = pgfmd.reference(hurst=0.8, scales=row["scales"], pressure=row["pressure"])["gap"]
+    assert found.value == pytest.approx(row["gap"], rel=1e-12)
+    assert (found.error, found.scatter) == pytest.approx((row["gap_error"], row["gap_scatter"]), rel=1e-6)
+
+
+def test_a_fresh_surface_agrees_with_the_reference():
+    """A surface whose seed is not in the set, between two pressures: area within four times the scatter of one."""
+    rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "lambda_r": 128.0, "rms_slope": 0.1, "seed": 99}
+    heights = pgfmd.surface({"grid": {"n": 512}, "surface": rough})
+    area = pgfmd.solve(heights, 0.005, contact_modulus=1.0, tolerance=1e-6).contact_area_corrected
+    expected = pgfmd.reference(hurst=0.8, scales=16, pressure=0.05, rolloff=4)["area"]
+    assert abs(area - expected.value) < 4 * (8**0.5 * expected.scatter + expected.error)
+
+
+@pytest.mark.parametrize("asked", [{"hurst": 0.1}, {"scales": 1000}, {"pressure": 3}, {"rolloff": 2}])
+def test_outside_of_the_set_is_refused(asked):
+    """One line that names what is allowed."""
+    with pytest.raises(InputError, match=f"{next(iter(asked))} = .*: must"):
+        pgfmd.reference(**{"hurst": 0.8, "scales": 16, "pressure": 0.02, "rolloff": 4} | asked)
