@@ -85,12 +85,8 @@ def test_every_thread_that_is_there_works_once_on_each_task(pause, late):
 
 def test_nobody_waits_for_a_helper_that_has_not_begun():
     """One that comes late finds no work, not even that of the task before."""
-    came, helpers, together, free = [], ThreadPool(), threading.Barrier(2), threading.Event()
-    helpers.run(lambda _: together.wait(10), 2)
-    (helper,) = helpers._helpers
-    see = helper.asked.wait
-    helper.asked.wait = lambda task: (see(task), free.wait(10))[0]  # its core is taken away
-    helpers.run(lambda _: together.wait(10), 2)  # for the last time before
+    came, helpers, free = [], ThreadPool(), threading.Event()
+    helpers._helpers.submit(free.wait, 10)  # its core is taken away
     for number in range(5):
         helpers.run(lambda thread, number=number: came.append((thread, number)), 2)
     free.set()
@@ -116,10 +112,7 @@ def test_a_helper_that_comes_late_takes_no_part_in_a_smaller_task():
     """There is no room for a third thread where two were asked for."""
     seen, helpers, together, free = [], ThreadPool(), threading.Barrier(3), threading.Event()
     helpers.run(lambda _: together.wait(10), 3)
-    last = helpers._helpers[-1]
-    see = last.asked.wait
-    last.asked.wait = lambda task: (see(task), free.wait(10))[0]
-    helpers.run(lambda _: together.wait(10), 3)  # for the last time before it is held up
+    held = [helpers._helpers.submit(free.wait, 10) for _ in range(2)]
     helpers.run(lambda _: None, 3)
 
     def work(thread: int):
@@ -128,7 +121,7 @@ def test_a_helper_that_comes_late_takes_no_part_in_a_smaller_task():
         time.sleep(0.1)
 
     helpers.run(work, 2)
-    assert 0 in seen and 2 not in seen
+    assert all(each.result() for each in held) and 0 in seen and 2 not in seen
 
 
 def test_all_grids_share_their_helpers():

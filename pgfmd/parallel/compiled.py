@@ -3,7 +3,8 @@
 A loop is compiled at its first call with arguments of new types, once for a machine; a default job needs some thirty.
 Numba's own cache would not do.  It has one index of a loop's types, which processes that compile the same loop for
 different types overwrite, so that code for other types is loaded; it runs code whose helpers in other files have
-changed; each process compiles; and a full disk ends the run.
+changed; each process compiles; a full disk ends the run; and a start with a first solve takes 1.22 s of processor time,
+not .93 s.
 """
 
 from __future__ import annotations

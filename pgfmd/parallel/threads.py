@@ -1,12 +1,7 @@
 """The threads of one rank, which share blocks of rows between them.
 
-Helper threads that stay awake for a while after a task; the caller waits only for those that have begun to work.
-
-Waking a sleeping thread takes longer than most tasks, and many times longer on a virtual machine whose cores fall idle.
-A helper without a task therefore first polls for the next one.  It holds no interpreter lock meanwhile, and yields its
-core to any thread that wants it.  A task costs its caller about 5 µs, with `concurrent.futures` 6 to 50 µs; a solve at
-512² shares 125 tasks.  If no helper has begun before the caller is done, the caller does all the work.  All
-grids of a process share its helpers; else the helpers of one grid would poll while those of another work.
+All grids of a process share its helper threads.  The caller waits only for helpers that have begun to work: if none has
+begun before the caller is done, the caller does all the work.
 """
 
 from __future__ import annotations
@@ -15,78 +10,18 @@ import functools
 import os
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
-
-from pgfmd.parallel.compiled import compiled
-
-POLLS = 30000  # before a helper falls asleep: about ten milliseconds
-
-_yield_core = numba.types.ExternalFunction("sched_yield", numba.types.intc())
-
-
-@compiled()
-def _poll(number: np.ndarray, value: int, polls: int) -> None:
-    """Return when number[0] differs from `value`, at the latest after that many polls."""
-    for _ in range(polls):
-        if number[0] != value:
-            break
-        _yield_core()
-
-
-class _WatchedNumber:
-    """A number that one thread sets and for whose change another waits."""
-
-    def __init__(self) -> None:
-        self._value = np.zeros(1, np.int64)
-        self._asleep, self._changed = False, threading.Condition()
-
-    def get(self) -> int:
-        return int(self._value[0])
-
-    def set(self, value: int) -> None:
-        self._value[0] = value
-        if self._asleep:
-            with self._changed:
-                self._changed.notify()
-
-    def wait(self, old: int) -> int:
-        """Wait until the number differs from `old`; return it."""
-        _poll(self._value, old, POLLS)
-        if self.get() == old:
-            with self._changed:
-                self._asleep = True  # before the check below: either it sees the change, or `set` sees the flag
-                self._changed.wait_for(lambda: self.get() != old)
-                self._asleep = False
-        return self.get()
-
-
-class _Helper:
-    """A thread with two numbers: `asked` counts the tasks given to it, `busy` is 1 while it works and else 0."""
-
-    def __init__(self, work: Callable[[], None]) -> None:
-        self.asked, self.busy = _WatchedNumber(), _WatchedNumber()
-        self._work = work
-        threading.Thread(target=self._help, daemon=True).start()
-
-    def _help(self) -> None:
-        task = 0
-        while True:
-            task = self.asked.wait(task)
-            self.busy.set(1)
-            self._work()
-            self.busy.set(0)
 
 
 class ThreadPool:
     """The calling thread, number 0, and as many helpers as were ever needed."""
 
     def __init__(self) -> None:
-        self._task: tuple[Callable[[int], None] | None, int] = None, 0
-        self._failures: list[BaseException] = []
         self._in_use = threading.Lock()
-        self._helpers: list[_Helper] = []
+        self._size = 1
+        self._helpers = ThreadPoolExecutor(self._size)
 
     def run(self, work: Callable[[int], None], count: int) -> None:
         """Call `work(0)` in the caller, and `work(thread)` in each of `count` − 1 helpers that begins before the
@@ -99,30 +34,20 @@ class ThreadPool:
         if not self._in_use.acquire(blocking=False):
             return work(0)
         try:
-            self._task = work, count
-            for number in range(len(self._helpers) + 1, count):
-                self._helpers.append(_Helper(functools.partial(self._take_part, number)))
-            for helper in self._helpers[: count - 1]:
-                helper.asked.set(helper.asked.get() + 1)
+            if count - 1 > self._size:
+                self._helpers.shutdown(wait=False)
+                self._size = count - 1
+                self._helpers = ThreadPoolExecutor(self._size)
+            asked = [self._helpers.submit(work, number) for number in range(1, count)]
             try:
                 work(0)
             finally:
-                self._task = None, 0  # before the check who is busy: a helper that begins later finds no task
-                for helper in self._helpers:
-                    helper.busy.wait(1)
-                failures, self._failures = self._failures, []
+                begun = [task for task in asked if not task.cancel()]
+                failures = [failure for task in begun if (failure := task.exception())]  # waits
             if failures:
                 raise failures[0]
         finally:
             self._in_use.release()
-
-    def _take_part(self, thread: int) -> None:
-        work, count = self._task
-        if work is not None and thread < count:  # else the task for which it was asked is over
-            try:
-                work(thread)
-            except BaseException as failure:  # belongs to the caller, whatever it is
-                self._failures.append(failure)
 
 
 @functools.cache
