@@ -74,7 +74,6 @@ def register(*given: type[Any] | str | os.PathLike) -> None:
 
     >>> import pgfmd
     >>> from dataclasses import dataclass
-from typing import Any
     >>> from pgfmd.physics.solids.solid import Solid
     >>> @dataclass(frozen=True, kw_only=True)
     ... class Foam(Solid):

@@ -13,8 +13,8 @@ from conftest import ROOT, broad
 from job_texts import rough_job
 
 from pgfmd.application import estimate, job
-from pgfmd.application.memory import readable
 from pgfmd.grid.holders import holders, largest_shares
+from pgfmd.options.text import readable
 
 
 def text_of(n: int, pressure: float, wall: dict, **solver) -> str:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from pgfmd.application.machine import describe
-from pgfmd.application.memory import available_memory
+from pgfmd.application.machine import available_memory, describe
 
 
 def levels(found, per_rank):

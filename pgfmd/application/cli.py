@@ -33,7 +33,7 @@ from typing import NoReturn
 
 from pgfmd import __version__
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
-from pgfmd.options.text import printable
+from pgfmd.options.text import printable, readable
 from pgfmd.parallel.mpi import MPI, launched_rank, patiently, world
 
 INTERRUPTED = 130
@@ -166,7 +166,7 @@ def _new(options: argparse.Namespace) -> str:
 def _check(options: argparse.Namespace) -> str:
     from pgfmd.application import estimate
     from pgfmd.application.job import load
-    from pgfmd.application.memory import largest_memory, readable
+    from pgfmd.application.machine import largest_memory
     from pgfmd.application.reachability import doubts
 
     job = load(options.job, options.set)

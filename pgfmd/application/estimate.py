@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 
 from pgfmd.application.job import Job
-from pgfmd.application.memory import readable
 from pgfmd.application.results import size_in_words
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.cost import Cost
 from pgfmd.grid.holders import largest_shares
 from pgfmd.options.section import in_words
-from pgfmd.options.text import counted
+from pgfmd.options.text import counted, duration, readable
 from pgfmd.parallel.mpi import shared_memory
 from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
@@ -226,11 +225,3 @@ def shortage(job: Job, ranks: int, here: int) -> str:
         f"{folder} has {readable(free)} of about {readable(need)} that ranks of a node share: they would exchange "
         "messages instead, which is slower; make it larger (docker run --shm-size)"
     )  # fmt: skip
-
-
-def duration(seconds: float) -> str:
-    """A time in the unit that reads best, to two digits; days to three."""
-    for limit, divisor, unit in ((120, 1, "s"), (7200, 60, "min"), (172800, 3600, "h")):
-        if seconds < limit:
-            return f"{float(f'{seconds / divisor:.2g}'):g} {unit}"
-    return f"{float(f'{seconds / 86400:.3g}'):g} days"

@@ -12,10 +12,9 @@ from pgfmd import __version__
 from pgfmd.application import hdf5_slabs
 from pgfmd.application.estimate import estimate
 from pgfmd.application.job import Job
-from pgfmd.application.memory import available_memory, largest_memory, readable
 from pgfmd.application.provenance import git_commit, versions
 from pgfmd.errors import InputError
-from pgfmd.options.text import counted
+from pgfmd.options.text import counted, readable
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
@@ -23,6 +22,42 @@ from pgfmd.parallel.threads import threads_per_rank
 log = logging.getLogger("pgfmd")
 
 TOO_MUCH = 1.2  # an estimate above this many times a node's memory is refused; estimates are right to 15 %
+CGROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+
+
+def available_memory() -> float:
+    """Bytes that this process can still get: what the system says is available, or its control group allows."""
+    return min([_physical(), *_meminfo("MemAvailable"), *(limit - used for limit, used in _control_groups())])
+
+
+def largest_memory() -> float:
+    """Bytes that this machine has, swap included, or that its control group allows: nobody can get more."""
+    return min([_physical() + sum(_meminfo("SwapTotal")), *(limit for limit, _ in _control_groups())])
+
+
+def _physical() -> float:
+    return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+
+
+def _meminfo(name: str) -> list[float]:
+    return [1024.0 * int(line.split()[1]) for line in _lines("/proc/meminfo") if line.startswith(f"{name}:")]
+
+
+def _control_groups() -> list[tuple[float, float]]:
+    """(limit, used) of those that say both."""
+    found = [[line.strip() for name in names for line in _lines(name)] for names in CGROUPS]
+    return [(float(pair[0]), float(pair[1])) for pair in found if len(pair) == 2 and all(map(str.isdigit, pair))]
+
+
+def _lines(name: str) -> list[str]:
+    try:
+        with open(name) as file:
+            return file.readlines()
+    except OSError:
+        return []
 
 
 def _nodes(comm: MPI.Comm) -> list[tuple[str, int, float]]:
@@ -37,15 +72,10 @@ def room_per_rank(comm: MPI.Comm) -> float:
     return min(largest / count for _, count, largest in _nodes(comm))
 
 
-def ranks_per_node(comm: MPI.Comm) -> int:
-    """Ranks of the fullest node.  Collective."""
-    return max(count for _, count, _ in _nodes(comm))
-
-
 def memory_per_rank(job: Job, comm: MPI.Comm, room: float = math.inf) -> float:
     """Bytes that a job takes on the fullest node, over its ranks; `room` as of `estimate`.  Collective."""
-    here = ranks_per_node(comm)
-    return from_root(comm, estimate, job, comm.size, room, here).node / here  # may read the surface's table
+    fullest = max(count for _, count, _ in _nodes(comm))
+    return from_root(comm, estimate, job, comm.size, room, fullest).node / fullest  # may read the surface's table
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
@@ -63,56 +93,45 @@ def report(comm: MPI.Comm, per_rank: float) -> None:
     few cores.  Collective.
     """
     here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
-    found = comm.gather(here)
-    if found is not None:
+    ranks = comm.gather(here)
+    if ranks is not None:
         log.info("pgfmd %s, commit %s", __version__, git_commit()[:12])
         log.info("MPI: %s, HDF5 %s", library(), hdf5_slabs.version())
         log.info("%s", ", ".join(versions().split("\n")))
-        for level, line in describe(found, per_rank):
+        for level, line in describe(ranks, per_rank):
             log.log(level, "%s", line)
 
 
-def describe(found: list[tuple[str, set[int], int, float]], per_rank: float) -> list[tuple[int, str]]:
+def describe(ranks: list[tuple[str, set[int], int, float]], per_rank: float) -> list[tuple[int, str]]:
     """The lines of the log, each with its level.
 
-    found: for each rank its node, the cores that it may use, its threads, and the bytes available on the node.
+    ranks: for each its node, the cores that it may use, its threads, and the bytes available on the node.
     per_rank: bytes that each rank needs.
     """
-    ranks = Counter(node for node, *_ in found)
-    memory = {node: available for node, _, _, available in found}
+    count_on = Counter(node for node, *_ in ranks)
+    memory = {node: available for node, _, _, available in ranks}
     threads: Counter[str] = Counter()
-    cores: dict[str, set[int]] = {node: set() for node in ranks}
-    for node, bound, count, _ in found:
+    cores: dict[str, set[int]] = {node: set() for node in count_on}
+    for node, bound, count, _ in ranks:
         threads[node] += count
         cores[node] |= bound
-    spread = ", ".join(f"{node}: {count}" for node, count in list(ranks.items())[:8])
-    more = f", and {len(ranks) - 8} more" if len(ranks) > 8 else ""
-    counts = sorted({count for _, _, count, _ in found})
+    spread = ", ".join(f"{node}: {count}" for node, count in list(count_on.items())[:8])
+    more = f", and {len(count_on) - 8} more" if len(count_on) > 8 else ""
+    counts = sorted({count for _, _, count, _ in ranks})
+    some = f" (some {counts[0]})" * (len(counts) > 1)
+    place = f"{counted(len(ranks), 'rank')} on {counted(len(count_on), 'node')} ({spread}{more})"
+    tight = min(count_on, key=lambda node: memory[node] - count_on[node] * per_rank)
+    need = count_on[tight] * per_rank
+    told = f"{readable(per_rank)} per rank, {readable(need)} on {tight} of {readable(memory[tight])} available"
     lines = [
-        (
-            logging.INFO,
-            f"{counted(len(found), 'rank')} on {counted(len(ranks), 'node')} ({spread}{more}) × "
-            f"{counted(counts[-1], 'thread')}" + f" (some {counts[0]})" * (len(counts) > 1),
-        )
+        (logging.INFO, f"{place} × {counted(counts[-1], 'thread')}{some}"),
+        (logging.INFO, f"memory: about {told}"),
     ]
-    tight = min(ranks, key=lambda node: memory[node] - ranks[node] * per_rank)
-    need = ranks[tight] * per_rank
-    lines.append(
-        (
-            logging.INFO,
-            f"memory: about {readable(per_rank)} per rank, {readable(need)} on {tight} of {readable(memory[tight])} "
-            "available",
-        )
-    )
     if need > memory[tight]:
         lines.append((logging.WARNING, f"{tight}: the memory will not suffice; take more nodes, or a smaller grid"))
-    crowded = [node for node in ranks if threads[node] > max(len(cores[node]), ranks[node])]
+    crowded = [node for node in count_on if threads[node] > max(len(cores[node]), count_on[node])]
     if crowded:
-        lines.append(
-            (
-                logging.WARNING,
-                f"{crowded[0]}: {threads[crowded[0]]} threads on {counted(len(cores[crowded[0]]), 'core')}; "
-                "set OMP_NUM_THREADS to cores / ranks",
-            )
-        )
+        node = crowded[0]
+        told = f"{threads[node]} threads on {counted(len(cores[node]), 'core')}"
+        lines.append((logging.WARNING, f"{node}: {told}; set OMP_NUM_THREADS to cores / ranks"))
     return lines

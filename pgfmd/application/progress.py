@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from pgfmd.application.estimate import duration
+from pgfmd.options.text import duration
 
 log = logging.getLogger("pgfmd")
 LOG_FILE = "run.log"

@@ -27,6 +27,23 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def readable(size: float) -> str:
+    """A number of bytes with a decimal prefix."""
+    for unit in ("B", "kB", "MB", "GB", "TB"):
+        if size < 1000:
+            return f"{float(f'{size:.3g}'):g} {unit}"
+        size /= 1000
+    return f"{size:.3g} PB"
+
+
+def duration(seconds: float) -> str:
+    """A time in the unit that reads best, to two digits; days to three."""
+    for limit, divisor, unit in ((120, 1, "s"), (7200, 60, "min"), (172800, 3600, "h")):
+        if seconds < limit:
+            return f"{float(f'{seconds / divisor:.2g}'):g} {unit}"
+    return f"{float(f'{seconds / 86400:.3g}'):g} days"
+
+
 def assignments(table: Mapping[str, Any]) -> str:
     """Names and values of what has one, on one line: "young = 2.0, poisson = 0.3"."""
     return ", ".join(f"{name} = {show(value)}" for name, value in table.items() if value is not None)
