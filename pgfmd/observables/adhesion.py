@@ -29,7 +29,7 @@ COLUMNS = {
     "residual": Dataset("{pressure}", "rms force that is not balanced"),
     "least_curvature": Dataset("1", "estimate of the least curvature of the energy over that of the solid; ≤ 0: none"),
     "gap_bound": Dataset("{length}", "bound on the distance of each gap from the local minimum, as sure as `bound`"),
-    "bound": Dataset("1", "certified error: 0 none, 1 of the local minimum, estimated, 2 of the global one, proved"),
+    "bound": Dataset("1", "certified error: 0 none, 1 estimated, 2 proved of the global minimum, 3 of the local one"),
     "stickiness": Dataset("1", "criterion of Pastewka and Robbins: rough surfaces stick where it is below about 1"),
     "newton_steps": Dataset("1", "steps of the solver along this load"),
     "trials_refused": Dataset("1", "shorter steps that these took, as the energy did not fall along longer ones"),

@@ -21,7 +21,9 @@ from pgfmd.physics.laws.adhesive import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-from pgfmd.solvers.adhesive import AdhesiveContact, AdhesiveState, Hold
+from pgfmd.solvers.adhesive import AdhesiveContact
+from pgfmd.solvers.adhesive_certificate import estimated, proved
+from pgfmd.solvers.adhesive_model import AdhesiveState, Hold
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
 from pgfmd.theory import adhesion
@@ -216,11 +218,13 @@ class Branch:
     ) -> ContactSolution:
         """The contact in units of the job.  Collective."""
         contact, law = self.contact, self.contact.law
-        floor, bound, distance = contact.certified(state, hold)
+        floor, bound, distance = estimated(contact, state, hold)
         if floor <= 0 or bound > self.tolerance * state.scale / 2:  # within a smaller distance, ν may be larger
             with contextlib.suppress(SolverError):  # the same on all ranks
                 state = contact.minimise(state.gap, hold, self.tolerance * SHARPER, self._see)
-            floor, bound, distance = contact.certified(state, hold)
+            floor, bound, distance = estimated(contact, state, hold)
+        proof = proved(contact, state, hold, floor)
+        floor, bound, distance = proof or (floor, bound, distance)
         scale, size = contact.length * contact.pressure / contact.share, self.grid.size
         pressure = np.where(state.gap > law.least, -law.traction(state.gap), state.stress - state.pull)
         if contact.spring and not self.grid.domain.wraps:  # the mean of the displacement is elastic
@@ -230,7 +234,7 @@ class Branch:
         certificate: Certificate | str = "the least curvature of the energy is not known to be positive"
         if floor > 0:
             error = bound / (2 * state.elastic) if state.elastic else 0.0
-            certificate = Certificate(error, kind, "proved" if kind == "global" else "estimated", self.name)
+            certificate = Certificate(error, kind, "proved" if proof or kind == "global" else "estimated", self.name)
         total, tension, pulled = self.grid.reduction.sums(
             float(gap.sum()), float(np.minimum(pressure, 0.0).sum()),
             float(np.count_nonzero((pressure < 0) & (gap <= law.least))),
@@ -238,8 +242,8 @@ class Branch:
         known = details | {
             "energy": state.energy * scale, "residual": state.residual * contact.pressure, "least_curvature": floor,
             "gap_bound": distance * contact.length if floor > 0 else math.inf, "tensile_pressure": tension,
-            "tensile_area": pulled,
-            "stickiness": self.stickiness, "bound": 0.0 if floor <= 0 else 2.0 if kind == "global" else 1.0,
+            "tensile_area": pulled, "stickiness": self.stickiness,
+            "bound": float(0 if floor <= 0 else 2 if kind == "global" else 3 if proof else 1),
         }  # fmt: skip
         moved = 0.0 if self.grid.domain.wraps else -state.pull / contact.spring  # of the mean of the torus
         return ContactSolution(

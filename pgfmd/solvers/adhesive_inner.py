@@ -1,0 +1,138 @@
+"""Conjugate gradients for the directions of adhesive contacts, preconditioned by the compliance between free points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from pgfmd.grid.callbacks import ColumnAction
+from pgfmd.grid.kernels import jit, u
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.solvers.adhesive_model import AdhesiveModel, Hold
+
+MOST_INNER = 200
+Pair = tuple[np.ndarray, np.ndarray]
+Goal = Callable[[float], float]
+
+
+def apply(
+    grid: SlabGrid, action: ColumnAction, source: np.ndarray, drain: Callable[..., tuple[float, float]]
+) -> np.ndarray:
+    """Sums of what `drain` returns of the rows of a convolution in single precision.  Collective."""
+    parts: dict[int, tuple[float, float]] = {}
+
+    def fill(first: int, stop: int, rows: np.ndarray) -> None:
+        rows[...] = source[first:stop]
+
+    def take(first: int, stop: int, rows: np.ndarray) -> None:
+        parts[first] = drain(rows, slice(first, stop))
+
+    grid.convolve(fill, action, take, np.float32)
+    return grid.reduction.sums_of_blocks(parts, 2)
+
+
+def conjugate_gradients(
+    model: AdhesiveModel, start: np.ndarray, weight: np.ndarray, hold: Hold, wanted: Goal, most: int = MOST_INNER
+) -> tuple[np.ndarray, bool, float, list[tuple[float, float]]]:
+    """(K − weight)x = start on the free points, until ⟨r, Gr⟩ has fallen by wanted(its first value per point)².
+
+    start is overwritten.  Returns x, whether `model.search` is now a direction of negative curvature, the first ⟨r, Gr⟩
+    per point, and (step, ratio) of each iteration, which give the spectrum.  Collective.
+    """
+    grid, free, z, d, fixed = model.grid, model.free, model.image, model.search, hold.fixed
+    soften = model.with_mean(model.compliance, 0.0 if fixed else min(1 / (hold.spring or 1e-300), model.softest))
+    stiffen = model.with_mean(model.stiffness[np.float32], 0.0 if fixed else hold.spring)
+    threads, rows, inverse = grid.threads, len(free), 1 / model.count if fixed and model.count else 0.0
+    residual, x, steps = start, grid.new_field(np.float32), list[tuple[float, float]]()
+    x[...] = d[...] = 0
+
+    def precondition() -> tuple[float, float]:
+        square, total = apply(grid, soften, residual, lambda r, s: masked(r, residual[s], free[s], z[s]))
+        return max(square, 0.0), total * inverse
+
+    square, mean = precondition()
+    first, before, goal = square, math.inf, wanted(square / grid.size) ** 2 * square
+    for _ in range(most):
+        if not square > 0 or square <= goal:
+            break
+        turn = np.float32(square / before), np.float32(mean)
+        threads.deal(lambda a, b, t=turn: turned(d[a:b], z[a:b], free[a:b], t), rows)  # type: ignore[misc]
+        bend, total = apply(grid, stiffen, d, lambda r, s: bent(r, d[s], weight[s], free[s], z[s]))
+        if not bend > 0:
+            return x, True, first / grid.size, steps
+        step, before = square / bend, square
+        move = np.float32(step), np.float32(total * inverse)
+        threads.deal(
+            lambda a, b, m=move: advanced((x[a:b], residual[a:b]), (d[a:b], z[a:b]), free[a:b], m), rows  # type: ignore[misc]
+        )
+        square, mean = precondition()
+        steps.append((step, square / before))
+    return x, False, first / grid.size, steps
+
+
+def least_ritz(steps: list[tuple[float, float]]) -> float:
+    """The smallest eigenvalue of the tridiagonal matrix of conjugate gradients: an estimate, from above, of that of the
+    preconditioned operator.
+    """
+    if not steps:  # nothing is free
+        return 1.0
+    from scipy.linalg import eigvalsh_tridiagonal
+
+    lengths, ratios = np.array(steps).T
+    diagonal = 1 / lengths
+    diagonal[1:] += ratios[:-1] / lengths[:-1]
+    return float(eigvalsh_tridiagonal(diagonal, np.sqrt(ratios[:-1]) / lengths[:-1])[0])
+
+
+@jit
+def masked(rows: np.ndarray, residual: np.ndarray, free: np.ndarray, out: np.ndarray) -> tuple[float, float]:
+    """out = rows on free points, else 0; returns Σ residual · out and Σ out."""
+    square, total = np.float64(0), np.float64(0)
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            value = rows[i, u(j)] if free[i, u(j)] else np.float32(0)
+            out[i, u(j)] = value
+            square += np.float64(value) * residual[i, u(j)]
+            total += value
+    return square, total
+
+
+@jit
+def bent(
+    rows: np.ndarray, direction: np.ndarray, weight: np.ndarray, free: np.ndarray, out: np.ndarray
+) -> tuple[float, float]:
+    """out = rows − weight · direction on free points, else 0; returns Σ direction · out and Σ out."""
+    square, total = np.float64(0), np.float64(0)
+    for i in range(rows.shape[0]):
+        for j in range(rows.shape[1]):
+            d = direction[i, u(j)]
+            value = rows[i, u(j)] - weight[i, u(j)] * d if free[i, u(j)] else np.float32(0)
+            out[i, u(j)] = value
+            square += np.float64(value) * d
+            total += value
+    return square, total
+
+
+@jit
+def turned(direction: np.ndarray, z: np.ndarray, free: np.ndarray, turn: tuple[float, float]) -> None:
+    """direction = z − mean + ratio · direction on free points; turn: (ratio, mean)."""
+    for i in range(z.shape[0]):
+        for j in range(z.shape[1]):
+            value = z[i, u(j)] - turn[1] + turn[0] * direction[i, u(j)]
+            direction[i, u(j)] = value if free[i, u(j)] else np.float32(0)
+
+
+@jit
+def advanced(pair: Pair, moved: Pair, free: np.ndarray, move: tuple[float, float]) -> None:
+    """x += step · d and r −= step · (image − mean) on free points; pair: (x, r), moved: (d, image), move: (step,
+    mean).
+    """
+    x, r = pair
+    d, image = moved
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            x[i, u(j)] += move[0] * d[i, u(j)]
+            change = move[0] * (image[i, u(j)] - move[1])
+            r[i, u(j)] -= change if free[i, u(j)] else np.float32(0)
