@@ -366,9 +366,9 @@ def _contacts(control: LoadControl | Branch, targets: Sequence[float]) -> Genera
     """The contacts at the targets, one after another.  Collective."""
     with control.grid.freed():
         for target in targets:
-            found = control.solution(target)
-            problem = control.problem.at(found.mean_pressure)
-            yield Contact(**vars(found), problem=problem, displacement=control.displacement(found))
+            solution = control.solution(target)
+            problem = control.problem.at(solution.mean_pressure)
+            yield Contact(**vars(solution), problem=problem, displacement=control.displacement(solution))
 
 
 def _solve(

@@ -48,8 +48,8 @@ class Plugin:
                 del sys.modules[name]
                 line = _line(error, self.path)
                 raise InputError(f"plugins: {self.path}{line}: {type(error).__name__}: {error}") from None
-        found = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == name]
-        classes: list[type] = [each for each in found if issubclass(each, (*TABLES, Observable))]
+        defined = [each for each in vars(module).values() if isinstance(each, type) and each.__module__ == name]
+        classes: list[type] = [each for each in defined if issubclass(each, (*TABLES, Observable))]
         if not classes:
             raise InputError(f"plugins: {self.path}: defines no ContactLaw, Solid, Surface or Observable")
         register(*classes)

@@ -66,13 +66,14 @@ def _source(path: str) -> Source:
 
 def line(contact: Certified) -> str:
     """The certificate in one line."""
-    found = contact.summary()
-    by = found["mean_pressure"] / found["given_mean_pressure"]
+    numbers = contact.summary()
+    area, corrected, bar = (numbers[f"contact_area{end}"] for end in ("", "_corrected", "_error"))
+    by = numbers["mean_pressure"] / numbers["given_mean_pressure"]
     return (
-        f"certified error {found['certified_error']:.2e} of 2 E_el (pressure: about {found['pressure_error']:.1e} of "
-        f"its rms)  mean pressure {found['mean_pressure']:.6g}  area {found['contact_area']:.5f} (corrected "
-        f"{found['contact_area_corrected']:.5f} ± {found['contact_area_error']:.5f})  made feasible: load × {by:.7g}, "
-        f"pressure changed by {found['projection']:.1e}"
+        f"certified error {numbers['certified_error']:.2e} of 2 E_el (pressure: about "
+        f"{numbers['pressure_error']:.1e} of its rms)  mean pressure {numbers['mean_pressure']:.6g}  area {area:.5f} "
+        f"(corrected {corrected:.5f} ± {bar:.5f})  made feasible: load × {by:.7g}, pressure changed by "
+        f"{numbers['projection']:.1e}"
     )
 
 

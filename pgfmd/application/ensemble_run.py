@@ -155,13 +155,13 @@ def _run_seeds(
     for seed, each in synced.items():
         if isinstance(fault := each.exception(), Exception):
             failed[seed] = fault
-    found = comm.allgather((failed, stopped))
+    outcomes = comm.allgather((failed, stopped))
     if comm.rank == 0:
         interruptions.batch_stop_file.unlink(missing_ok=True)
     if groups > 1:
         group.Free()
-    everywhere = {seed: error for each, _ in found for seed, error in each.items()}
-    return dict(sorted(everywhere.items())), next((reason for _, reason in found if reason), None)
+    everywhere = {seed: error for each, _ in outcomes for seed, error in each.items()}
+    return dict(sorted(everywhere.items())), next((reason for _, reason in outcomes if reason), None)
 
 
 def _reason(error: Exception) -> str:

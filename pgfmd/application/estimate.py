@@ -194,7 +194,7 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     """The estimate as text, one line per quantity; raises InputError if a file cannot be used for the job."""
     unit = job.output.length_unit
     understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface, job.solid)}
-    found, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
+    total, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
     loads = len(job.load.targets)
     lines = {
         "grid": size_in_words(job.cell.shape, job.cell.lengths, unit, vars(job.grid)),
@@ -202,12 +202,12 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
         "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",
-        "memory": f"about {readable(found.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "
+        "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "
         f"rank, of which {readable(LIBRARY_BYTES)} are shared, and {bytes_per_point(job):.0f} bytes per grid point)",
-        "of a rank": f"up to {readable(found.memory)}, where what ranks of a node share counts for each" * (ranks > 1),
+        "of a rank": f"up to {readable(total.memory)}, where what ranks of a node share counts for each" * (ranks > 1),
         "shared": shortage(job, ranks, here),
-        "files": readable(found.files),
-        "time": f"about {duration(found.seconds)} on {counted(ranks, 'core')}",
+        "files": readable(total.files),
+        "time": f"about {duration(total.seconds)} on {counted(ranks, 'core')}",
     }
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)

@@ -40,10 +40,10 @@ def damage(results: Results) -> dict[Path, str]:
     sums = read_sums(results.directory)
     if not sums:
         return {results.directory / SUMS_FILE: "it is missing, so that no file can be checked"}
-    found = {path: _fault(path, sums.get(str(path.relative_to(results.directory)))) for path in (*small, *needed)}
+    faults = {path: _fault(path, sums.get(str(path.relative_to(results.directory)))) for path in (*small, *needed)}
     if not results.fields() and not needed:
-        found = {path: fault for path, fault in found.items() if path.exists()}  # a run without fields shows none
-    return {path: fault for path, fault in found.items() if fault is not None}
+        faults = {path: fault for path, fault in faults.items() if path.exists()}  # a run without fields shows none
+    return {path: fault for path, fault in faults.items() if fault is not None}
 
 
 def _fault(path: Path, expected: str | None) -> str | None:
@@ -84,7 +84,7 @@ def as_json(results: Results) -> str:
     """What was run, where, how far, and the rows of the table of loads; null for what was not measured or is not
     finite.
     """
-    found = {
+    about = {
         "folder": str(results.directory),
         "status": results.status,
         "provenance": results.provenance,
@@ -93,7 +93,7 @@ def as_json(results: Results) -> str:
         "units": results.units,
         "loads": [load.numbers for load in results],
     }
-    return json.dumps(known(found), ensure_ascii=False, indent=2)
+    return json.dumps(known(about), ensure_ascii=False, indent=2)
 
 
 def summary(results: Results) -> str:
@@ -116,18 +116,18 @@ def summary(results: Results) -> str:
     return "\n".join([_listed(lines), "", table(results)])
 
 
-def summary_of_ensemble(found: Ensemble) -> str:
+def summary_of_ensemble(several: Ensemble) -> str:
     """What was run, how far it is, and the means over the seeds."""
-    complete = sum(run.status == "complete" for run in found.runs)
+    complete = sum(run.status == "complete" for run in several.runs)
     lines = {
-        "folder": str(found.directory),
-        "status": found.status,
-        "seeds": f"{complete} of {len(found.seeds)} complete; each has a result folder {member_name(1)}, …",
-        **_origin(found.provenance),
+        "folder": str(several.directory),
+        "status": several.status,
+        "seeds": f"{complete} of {len(several.seeds)} complete; each has a result folder {member_name(1)}, …",
+        **_origin(several.provenance),
     }
-    lines |= {f"seed {seed}": f"failed: {message}" for seed, message in found.failed.items()}
+    lines |= {f"seed {seed}": f"failed: {message}" for seed, message in several.failed.items()}
     title = "mean over the seeds that solved the load ± standard error:"
-    return "\n".join([_listed(lines), "", title, ensemble.table(found)])
+    return "\n".join([_listed(lines), "", title, ensemble.table(several)])
 
 
 def _origin(about: Mapping[str, Any]) -> dict[str, str]:

@@ -181,9 +181,9 @@ class Job:
     @property
     def sources(self) -> dict[str, tuple[str, str | None]]:
         """The files that the job names, each with the dataset in it: key → (path, dataset)."""
-        found = {f"{name}.path": getattr(self, name).source for name in SECTIONS}
-        found |= {f"plugins[{number}]": (plugin.path, None) for number, plugin in enumerate(self.plugins)}
-        return {name: source for name, source in found.items() if source is not None}
+        sources = {f"{name}.path": getattr(self, name).source for name in SECTIONS}
+        sources |= {f"plugins[{number}]": (plugin.path, None) for number, plugin in enumerate(self.plugins)}
+        return {name: source for name, source in sources.items() if source is not None}
 
     def of_seed(self, seed: int) -> Job:
         """The job of one seed of an ensemble."""
@@ -270,15 +270,15 @@ NEEDED = {
 def _load_plugins(paths: Any) -> tuple[Plugin, ...]:
     """Register what the files of the key `plugins` define; raises InputError."""
     try:
-        found = tuple(map(user_plugins.read, PLUGINS.convert(paths)))
+        loaded = tuple(map(user_plugins.read, PLUGINS.convert(paths)))
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"plugins = {show(paths)}: must be {PLUGINS.allowed}") from None
-    for plugin in found:
+    for plugin in loaded:
         plugin.load()
     SECTIONS["output"] = output_section()
-    return found
+    return loaded
 
 
 def _change(entry: str) -> tuple[str, Any, str]:
@@ -329,8 +329,8 @@ def _anchor(document: dict, folder: str) -> None:
     for table in document.values():
         if isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
             table["path"] = os.path.join(folder, table["path"])
-    if isinstance(found := document.get("plugins"), list):
-        document["plugins"] = [os.path.join(folder, path) if isinstance(path, str) else path for path in found]
+    if isinstance(paths := document.get("plugins"), list):
+        document["plugins"] = [os.path.join(folder, path) if isinstance(path, str) else path for path in paths]
 
 
 def _complete(document: dict) -> None:
@@ -393,12 +393,12 @@ def differences(before: Job, after: Job) -> list[str]:
 
 def _flat(job: Job) -> dict:
     """Every key of the effective job, dotted, without those of [run]."""
-    found = {}
+    values = {}
     rest = {name: table for name, table in tomllib.loads(as_toml(job)).items() if name != "run"}
     while rest:
         name, value = rest.popitem()
         if isinstance(value, dict):
             rest |= {f"{name}.{key}": entry for key, entry in value.items()}
         else:
-            found[name] = value
-    return dict(sorted(found.items()))
+            values[name] = value
+    return dict(sorted(values.items()))

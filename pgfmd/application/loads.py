@@ -59,18 +59,18 @@ class Loads:
         For a surface that is `alone`, or without another target, raises InputError.  A seed of an ensemble solves the
         others, so that no load's mean lacks a seed that can reach it.
         """
-        found: dict[int, Exception] = {}
+        refused: dict[int, Exception] = {}
         for index, target in enumerate(self.targets):
             try:
                 self.control.check_targets([target])
             except InputError as error:
                 if not shared(self.grid.comm, error):
                     raise
-                found[index] = error
-        if found and (alone or len(found) == len(self.targets)):
-            raise next(iter(found.values()))
-        self.unreachable = {index: found[index] for index in self.pending if index in found}
-        self.pending = [index for index in self.pending if index not in found]
+                refused[index] = error
+        if refused and (alone or len(refused) == len(self.targets)):
+            raise next(iter(refused.values()))
+        self.unreachable = {index: refused[index] for index in self.pending if index in refused}
+        self.pending = [index for index in self.pending if index not in refused]
 
     def begin(self) -> None:
         """Make the folder ready."""
@@ -162,14 +162,14 @@ class Loads:
         self.progress.step(grid.shape, state.error, state.contact / grid.size, grid.transforms - self._transforms)
         self.interruptions.between_steps()
 
-    def _save(self, problem: ContactProblem | None, found: SolverState | ContactSolution) -> None:
+    def _save(self, problem: ContactProblem | None, state: SolverState | ContactSolution) -> None:
         """Write a checkpoint of the pressure of a solution, or of a state in the solver's units."""
         unit = 1.0
         if problem is not None:
             unit = problem.mean_pressure
             if problem.imposed is None:
-                unit *= self.grid.size / (self.grid.reduction.sum(found.pressure) or 1.0)
-        self.checkpoints.save(self._index, np.multiply(found.pressure, unit, dtype=np.float64))
+                unit *= self.grid.size / (self.grid.reduction.sum(state.pressure) or 1.0)
+        self.checkpoints.save(self._index, np.multiply(state.pressure, unit, dtype=np.float64))
 
 
 def of_first_load(job: Job) -> str:

@@ -52,13 +52,13 @@ def now() -> str:
 @functools.cache
 def versions() -> str:
     """Versions of Python and of the libraries, one per line: "name version"."""
-    found = [f"python {platform.python_version()}"]
+    lines = [f"python {platform.python_version()}"]
     for name in LIBRARIES:
         try:
-            found.append(f"{name} {metadata.version(name)}")
+            lines.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             continue
-    return "\n".join(found)
+    return "\n".join(lines)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ def doubts(job: Job) -> list[str]:
     surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
     if math.prod(job.cell.shape) * len(surfaces) > LARGEST:
         return [f"whether each {job.load.control} can be reached is tested up to {LARGEST} points only"]
-    found: dict[str, None] = {}
+    lines: dict[str, None] = {}
     for seed, surface in zip(seeds or (0,), surfaces, strict=True):
         grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths, domain=job.cell.domain)
         heights = refined_heights(surface, job.grid, grid, job.output.length_unit)
@@ -39,10 +39,10 @@ def doubts(job: Job) -> list[str]:
                 control.check_target(target)
                 control.check_reachable(target)
             except Unreachable as failure:
-                found[str(failure)] = None
+                lines[str(failure)] = None
             except InputError as failure:
                 if not seeds:
                     raise
-                found[f"seed {seed}: {failure}"] = None  # its other loads are solved
+                lines[f"seed {seed}: {failure}"] = None  # its other loads are solved
         grid.free()
-    return list(found)
+    return list(lines)

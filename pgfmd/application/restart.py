@@ -61,11 +61,11 @@ class EarlierResults:
 
     def links(self) -> dict[str, tuple[str, str]]:
         """What fields.h5 is to show: name → (file, dataset)."""
-        found = {"height": ("height.h5", "height")} if self.has_height else {}
+        shown = {"height": ("height.h5", "height")} if self.has_height else {}
         for name, keys in self.fields.items():
             if name not in self.damaged:
-                found |= {f"{name}/{key}": (f"{name}.h5", key) for key in keys}
-        return found
+                shown |= {f"{name}/{key}": (f"{name}.h5", key) for key in keys}
+        return shown
 
     def find_damage(self, directory: Path) -> None:
         """Note files of fields that are missing, cut short, or damaged beside their numbers, which are not read."""
@@ -98,7 +98,7 @@ def read(directory: Path) -> EarlierResults:
             raise OSError("its bytes are not those that were written")
         with h5py.File(path, "r", locking=False) as file:
             names = [load_name(index) for index in range(len(file["loads/mean_pressure"]))]
-            found = EarlierResults(
+            earlier = EarlierResults(
                 completed=len(names),
                 job=str(file.attrs["effective_toml"]),
                 inputs=json.loads(file.attrs.get("inputs", "{}")),
@@ -110,11 +110,11 @@ def read(directory: Path) -> EarlierResults:
         raise InputError(
             f"{path}: cannot be continued: {error}; move it away, or choose another folder"
         ) from None
-    if found.version != THIS_VERSION:
-        written = f"it was written by pgfmd {found.version}; this is {THIS_VERSION}"
+    if earlier.version != THIS_VERSION:
+        written = f"it was written by pgfmd {earlier.version}; this is {THIS_VERSION}"
         raise InputError(f"{directory}: cannot be continued: {written}")
-    found.find_damage(directory)
-    return found
+    earlier.find_damage(directory)
+    return earlier
 
 
 def other_folder(directory: Path) -> str:

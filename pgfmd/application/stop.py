@@ -147,10 +147,10 @@ class Interruptions:
 def _file_stamp(path: Path) -> tuple[int, int] | None:
     """What changes when a file is touched; None if there is none."""
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except OSError:
         return None
-    return found.st_ino, found.st_mtime_ns
+    return status.st_ino, status.st_mtime_ns
 
 
 def _batch_limit(now: float) -> tuple[float, str]:

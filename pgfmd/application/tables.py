@@ -116,15 +116,15 @@ def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
 
     Whole numbers that are missing, those of loads that were not solved, are NaN, too.
     """
-    found = {}
+    columns = {}
     for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
         if group.id.links.exists(name.encode()):
             column = h5py.h5d.open(group.id, name.encode())
             values = np.empty(column.shape, column.dtype)
             column.read(h5py.h5s.ALL, h5py.h5s.ALL, values)
             missing = values == MISSING
-            found[name] = np.where(missing, np.nan, values) if values.dtype.kind == "i" and missing.any() else values
-    return found
+            columns[name] = np.where(missing, np.nan, values) if values.dtype.kind == "i" and missing.any() else values
+    return columns
 
 
 def name_axes(group: h5py.Group, key: str, axes: Sequence[str]) -> None:

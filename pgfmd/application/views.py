@@ -36,9 +36,9 @@ class Shown:
 def described(directory: Path, file: str, dataset: str) -> Shown:
     """A dataset (nx, ny) of a file below `directory`, with its units and description."""
     with h5py.File(directory / file, "r", locking=False) as content:
-        found = content[dataset]
-        about = {name: found.attrs[name] for name in ("units", "description") if name in found.attrs}
-        return Shown(file, dataset, found.dtype, about)
+        source = content[dataset]
+        about = {name: source.attrs[name] for name in ("units", "description") if name in source.attrs}
+        return Shown(file, dataset, source.dtype, about)
 
 
 @dataclass(frozen=True)

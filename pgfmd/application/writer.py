@@ -110,19 +110,19 @@ class ResultWriter:
         try:
             if (self.directory / ENSEMBLE_FILE).exists():
                 raise InputError(f"{self.directory}: holds an ensemble; choose another folder for one surface")
-            found = [
+            there = [
                 name
                 for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE, FIELDS_FOLDER)
                 if (self.directory / name).exists()
             ]
-            if found and self._mode == "new":
+            if there and self._mode == "new":
                 raise InputError(
-                    f"{self.directory}: holds results already ({', '.join(found)}); replace them with "
+                    f"{self.directory}: holds results already ({', '.join(there)}); replace them with "
                     "--overwrite, continue them with --restart, or choose another folder"
                 )
             earlier, fields = EarlierResults(), FIELDS_FOLDER
-            replacing = self._mode == "overwrite" and OBSERVABLES_FILE in found
-            if self._mode == "restart" and OBSERVABLES_FILE in found:
+            replacing = self._mode == "overwrite" and OBSERVABLES_FILE in there
+            if self._mode == "restart" and OBSERVABLES_FILE in there:
                 earlier = restart.read(self.directory)
                 fields = earlier.folder
             elif replacing:
@@ -276,5 +276,5 @@ class ResultWriter:
 
     def _gather(self) -> dict[str, Any]:
         libraries = {"HDF5": hdf5_slabs.version(), "MPI": library()}
-        found = provenance.gather(self.comm.size, libraries, self.origin)
-        return found | {"shape": self.form.shape, "lengths": self.form.lengths, "fields_folder": self._fields.folder}
+        about = provenance.gather(self.comm.size, libraries, self.origin)
+        return about | {"shape": self.form.shape, "lengths": self.form.lengths, "fields_folder": self._fields.folder}

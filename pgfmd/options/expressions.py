@@ -35,15 +35,15 @@ def formula(variable: str) -> Rule:
 @cache
 def function(written: str, variable: str) -> Callable[[float], float]:
     """The function of one real number that a formula says, for Python and for numba; raises ValueError."""
-    found: Callable[[float], float] = eval(_code(written, variable), dict(NAMES))
-    return found
+    made: Callable[[float], float] = eval(_code(written, variable), dict(NAMES))
+    return made
 
 
 def value(of: Callable[[float], float], at: float) -> float:
     """What compiled code would return: infinite or NaN where Python raises an error or leaves the real numbers."""
     try:
-        found = of(at)
-        return float(found) if isinstance(found, int | float) else math.nan
+        result = of(at)
+        return float(result) if isinstance(result, int | float) else math.nan
     except (OverflowError, ZeroDivisionError):
         return math.inf
     except (ValueError, TypeError):

@@ -112,19 +112,19 @@ class Kinds:
         needed key missing come last.
         """
         if "kind" in table:
-            found = [choice for choice in self.choices if choice.kind == table["kind"]]
-            if not found:
+            candidates = [choice for choice in self.choices if choice.kind == table["kind"]]
+            if not candidates:
                 raise InputError(f"{self.where}.kind = {show(table['kind'])}: must be {self.allowed}")
         elif self.default is None:
             raise InputError(f"{self.where}.kind is missing: it must be {self.allowed}")
         else:
-            found = [self.default, *(choice for choice in self.choices if choice not in self.added)]
-        return max(found, key=lambda choice: (_fits(choice, table), -len(dataclasses.fields(choice))))
+            candidates = [self.default, *(choice for choice in self.choices if choice not in self.added)]
+        return max(candidates, key=lambda choice: (_fits(choice, table), -len(dataclasses.fields(choice))))
 
     def keys(self, kind: Any) -> set[str] | None:
         """The keys of the sections of that kind; None if there is no such kind."""
-        found = [set(_names(choice)) for choice in self.choices if choice.kind == kind]
-        return set().union(*found) if found else None
+        keys = [set(_names(choice)) for choice in self.choices if choice.kind == kind]
+        return set().union(*keys) if keys else None
 
     def others(self, name: str, table: Mapping[str, Any]) -> list[str]:
         """The kinds of sections, other than the chosen one, that have the key `name`."""

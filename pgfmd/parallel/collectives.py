@@ -111,8 +111,8 @@ def raise_together(comm: MPI.Comm) -> Iterator[None]:
     first = comm.allreduce(comm.size if failure is None else comm.rank, MPI.MIN)
     if first == comm.size:
         return
-    found = comm.bcast(None if failure is None else _for_others(failure, comm.rank), first)
-    raise mark_shared(comm, found if failure is None else failure)
+    reported = comm.bcast(None if failure is None else _for_others(failure, comm.rank), first)
+    raise mark_shared(comm, reported if failure is None else failure)
 
 
 def mark_shared(comm: MPI.Comm, error: Exception) -> Exception:

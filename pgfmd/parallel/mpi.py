@@ -106,10 +106,10 @@ def shared_memory() -> tuple[str, float]:
     """The folder in which ranks of a node share memory, and the bytes that they can have there; inf if not known."""
     folder = os.environ.get("OMPI_MCA_osc_sm_backing_directory", "/dev/shm")
     try:
-        found = os.statvfs(folder)
+        space = os.statvfs(folder)
     except OSError:
         return folder, math.inf
-    return folder, USABLE * found.f_bavail * found.f_frsize
+    return folder, USABLE * space.f_bavail * space.f_frsize
 
 
 def library() -> str:
