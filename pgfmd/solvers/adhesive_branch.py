@@ -29,6 +29,7 @@ from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
 from pgfmd.theory import adhesion
 
 LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the larger number, and in points
+LOOSE = 1e-4  # tolerance of the first state halfway, which only tells whether the area jumps
 SUDDEN = 0.75  # part of a change of points within the range that one half of an interval has if it jumps there
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
 NEAR_PIXELS = 4.0  # for μ_T ≤ 1
@@ -152,7 +153,11 @@ class Branch:
         return contact.minimise(start, hold, self.tolerance, self._see)
 
     def _from(
-        self, last: tuple[float, AdhesiveState], target: float, before: tuple[float, np.ndarray] | None = None
+        self,
+        last: tuple[float, AdhesiveState],
+        target: float,
+        before: tuple[float, np.ndarray] | None = None,
+        tolerance: float = 0.0,
     ) -> AdhesiveState:
         """The contact at a target, from another; extrapolated if one before that is given.  Collective."""
         hold, least, gap = self.hold(target), self.contact.law.least, last[1].gap.copy()
@@ -166,7 +171,7 @@ class Branch:
                     gap = gap if energies[0] < energies[1] else last[1].gap.copy()
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
-        return self.contact.minimise(gap, hold, self.tolerance, self._see)
+        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see)
 
     def _leapt(self, old: AdhesiveState, new: AdhesiveState) -> bool:
         return abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
@@ -179,15 +184,18 @@ class Branch:
         A jump that makes up half of the change or more leaves at least `SUDDEN` of it in one half of the interval.
         """
         width = self.load.jump_accuracy * abs(high[0] - low[0])
+        loose = LOOSE
         while abs(high[0] - low[0]) > width:
             target = (low[0] + high[0]) / 2
-            middle = target, self._from(low, target)
+            middle = target, self._from(low, target, tolerance=loose)
             first, second, whole = (
                 abs(new.near - old.near)
                 for old, new in ((low[1], middle[1]), (middle[1], high[1]), (low[1], high[1]))
             )  # fmt: skip
             if max(first, second) < SUDDEN * whole:
                 return None
+            if loose:  # the first only tells whether there is a jump; its states are reported
+                middle, loose = (target, self._from(low, target)), 0.0
             low, high = (low, middle) if first >= second else (middle, high)
         return low, high
 
