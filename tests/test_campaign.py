@@ -88,14 +88,83 @@ def test_the_judge_sees_what_is_wrong(tmp_path, monkeypatch, spoil, said):
     case = cases.Case(0, SOUND | {"solver": {"tolerance": 1e-10}}, heights, "simulate")
     judge = running.judge
 
-    def spoilt(job, heights, answers):
+    def spoilt(job, heights, answers, *more):
         spoil(answers[0])
-        return judge(job, heights, answers)
+        return judge(job, heights, answers, *more)
 
     monkeypatch.setattr(running, "judge", spoilt)
     verdict, detail = running.run(case, tmp_path / "case")
     assert verdict == (cases.WRONG if said else cases.RIGHT), detail
     assert any(words in detail for words in said.split("|"))
+
+
+def rough(hurst: float, slope: float, seed: int, **more: float) -> dict:
+    """The table of a self-affine surface."""
+    return {"kind": "self-affine", "hurst": hurst, "lambda_s": 1.0, "rms_slope": slope, "seed": seed} | more
+
+
+HALF = {"contact_modulus": 1.0}
+FOUND_BY_CAMPAIGNS = {
+    "a soft wall, a heavy load, open": {
+        "grid": {"n": [17, 16], "boundary": "open"}, "solid": HALF, "surface": rough(0.3, 5e-33, 7854332287662991715),
+        "wall": {"kind": "exponential", "zeta": 6.043e-37}, "load": {"mean_gap": 2.624e-36},
+        "solver": {"tolerance": 1.09e-10},
+    },
+    "a film as a liquid": {
+        "grid": {"n": 7, "spacing": [0.2387636503890919, 0.4709840817514992]},
+        "solid": HALF | {"poisson": 0.4999, "thickness": 4.4057173468161424e-18, "base": "sliding"},
+        "surface": rough(0.319185211752563, 0.002317585289745214, 1022811265018411863, lambda_l=7.285363625157576),
+        "load": {"mean_gap": [0.0015272516339104457, 0.00021695200264617618]},
+        "solver": {"tolerance": 1.1688575661821066e-15},
+    },
+    "slopes that the grid does not see": {
+        "grid": {"n": [2, 8], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"},
+        "solid": HALF | {"poisson": 0.4999, "thickness": 0.42, "base": "sliding"}, "load": {"pressure": 1e-3},
+    },
+    "slip where all touches": {
+        "grid": {"n": 8}, "surface": {"kind": "sinusoid", "amplitude": 1e-3}, "solid": HALF | {"poisson": 0.3},
+        "load": {"pressure": 1.0},
+        "output": SOUND["output"] | {"observables": ["partial_slip"], "partial_slip": {"friction": 0.5}},
+    },
+    "a search from no load": {
+        "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
+        "load": {"displacement": 1e23},
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FOUND_BY_CAMPAIGNS)
+@pytest.mark.skipif(SIZE > 1, reason="once is enough")
+def test_what_campaigns_found_stays_mended(tmp_path, name):
+    """No traceback, no warning, no wrong number: an answer, or one line."""
+    document = {"output": SOUND["output"]} | FOUND_BY_CAMPAIGNS[name]
+    shape = document["grid"]["n"]
+    heights = np.full((2, 8), 0.006) * [[1], [-1]] if shape == [2, 8] else np.zeros((1, 2))
+    case = cases.Case(0, document, heights if "path" in document["surface"] else None, "simulate")
+    verdict, detail = running.run(case, tmp_path / "case")
+    assert verdict not in cases.BAD, detail
+
+
+@pytest.mark.parametrize("kind", ["layered", "table"])
+@pytest.mark.skipif(SIZE > 1, reason="once is enough")
+def test_the_judge_knows_other_solids(tmp_path, monkeypatch, kind):
+    """A contact on a layer, and on a table of F(q), is right by the slow reference, whose F is its own."""
+    solid = {"kind": kind, "contact_modulus": 1.0}
+    if kind == "layered":
+        solid |= {"poisson": 0.3, "thickness": 0.7, "base_modulus": 30.0, "base_poisson": 0.1}
+    else:
+        solid["path"] = "factor.npy"
+    heights = np.random.default_rng(1).standard_normal((6, 5))
+    factor = np.array([[0.5, 0.2], [2.0, 3.0]]) if kind == "table" else None
+    case, given, judge = cases.Case(0, SOUND | {"solid": solid}, heights, "simulate", factor=factor), [], running.judge
+    monkeypatch.setattr(running, "judge", lambda *everything: given.append(everything) or judge(*everything))
+    assert running.run(case, tmp_path / "case") == (cases.RIGHT, "")
+    job, heights, answers, factor = given[0]
+    if kind == "table":
+        factor = factor * [[1, 1], [1, 1.02]]
+    else:
+        job["solid"]["base_modulus"] = 29.0
+    assert judge(job, heights, answers, factor)[0] == cases.WRONG
 
 
 @pytest.mark.skipif(SIZE > 1, reason="once is enough")

@@ -11,6 +11,7 @@ import reference
 
 import pgfmd
 from pgfmd.application import cli
+from pgfmd.options.text import with_error
 from pgfmd.parallel.collectives import slab
 
 pytestmark = pytest.mark.mpi
@@ -221,3 +222,8 @@ def test_wrong_files_are_refused_in_one_line(files, capsys, pressure, words):
     assert cli.main(["certify", str(files / "heights.npy"), str(files / pressure), *MODULUS]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1 and words in captured.err
+
+
+def test_an_error_that_is_not_known_is_left_out():
+    """"0.8 ± nan" is no statement."""
+    assert with_error(0.8, math.nan) == "0.80000" and with_error(0.8, 1e-3) == "0.80000 ± 0.00100"

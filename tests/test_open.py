@@ -127,6 +127,8 @@ def test_square_punch(n):
     """P = 1.1523 E' δ (n − .38): a flat patch, which is a square punch, is wider by half its border's pixels less."""
     found = solved(np.zeros((n, n)), 1.0)
     assert abs(n - 1.0 / (1.1523 * MODULUS * found.displacement) - 0.37) < 0.02
+    imposed = pgfmd.solve(np.zeros((n, n)), displacement=1e3, contact_modulus=MODULUS, boundary="open", threads=1)
+    assert abs(imposed.force / 1e3 * found.displacement - 1) < 2e-4  # linear; gap_tolerance is 1e-4
 
 
 def test_two_distant_spheres():

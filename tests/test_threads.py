@@ -1,11 +1,12 @@
 """Blocks of work shared between the threads of a rank."""
 
+import os
 import threading
 import time
 
 import pytest
 
-from pgfmd.parallel.threads import ThreadPool, Threads
+from pgfmd.parallel.threads import ThreadPool, Threads, threads_per_rank
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
@@ -130,3 +131,10 @@ def test_all_grids_share_their_helpers():
     for _ in range(5):
         Threads(2).share(lambda *_: None, 10, 1)
     assert threading.active_count() <= before + 1
+
+
+@pytest.mark.parametrize(("asked", "count"), [("3", 3), ("4,1", 4), ("9" * 20, 0), ("0", 0), ("²", 0), ("", 0)])
+def test_threads_that_the_environment_asks_for(monkeypatch, asked, count):
+    """OMP_NUM_THREADS is taken where it is a number of threads that a machine can have, else the cores are counted."""
+    monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    assert threads_per_rank() == (count or len(os.sched_getaffinity(0)))

@@ -15,7 +15,7 @@ from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Certified, certified
-from pgfmd.options.text import printable
+from pgfmd.options.text import printable, with_error
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.surfaces.file import FromFile
@@ -72,7 +72,7 @@ def line(contact: Certified) -> str:
     return (
         f"certified error {numbers['certified_error']:.2e} of 2 E_el (pressure: about "
         f"{numbers['pressure_error']:.1e} of its rms)  mean pressure {numbers['mean_pressure']:.6g}  area {area:.5f} "
-        f"(corrected {corrected:.5f} ± {bar:.5f})  made feasible: load × {by:.7g}, pressure changed by "
+        f"(corrected {with_error(corrected, bar)})  made feasible: load × {by:.7g}, pressure changed by "
         f"{numbers['projection']:.1e}"
     )
 

@@ -18,7 +18,7 @@ from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.schema import TABLE, Groups
-from pgfmd.options.text import counted
+from pgfmd.options.text import counted, with_error
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.adhesive_branch import Branch
@@ -121,9 +121,9 @@ class Loads:
         correction, area, area_error = contact.correction, contact.area.corrected, contact.area_error  # collective
         if self.progress.active:
             log.info(
-                "%s  pressure %.6g  area %.5f (%s %.5f ± %.5f)  kappa %.4f  error %.1e  %.1f transforms  %.2f s%s",
+                "%s  pressure %.6g  area %.5f (%s %s)  kappa %.4f  error %.1e  %.1f transforms  %.2f s%s",
                 self.progress.label, row["mean_pressure"], row["contact_area"], correction,
-                area, area_error, row["kappa"], row["certified_error"], row["transforms"],
+                with_error(area, area_error), row["kappa"], row["certified_error"], row["transforms"],
                 row["seconds"], self.progress.left(),
             )  # fmt: skip
 

@@ -229,7 +229,7 @@ class Contact(ContactSolution):
         """Error of the corrected area, by the grid and the solver.  Collective."""
         way = "staircase" if self.line is None else "line on a thin slab" if self.line.is_thin else "line"
         shift = self.likely_pressure_error * math.sqrt(self.area.pixels)  # b the rms pressure in contact
-        if way == "line on a thin slab" and shift:
+        if way == "line on a thin slab" and self.surface.rms_slope > 0:
             step = math.sqrt(self.grid.pixel_area)
             rise = float(self.problem.solid.stiffness(np.array(math.pi / step))) * step * self.surface.rms_slope
             shift = self.likely_pressure_error * math.sqrt(self.mean_square_pressure * self.grid.size) / rise

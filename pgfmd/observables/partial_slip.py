@@ -120,7 +120,7 @@ class PartialSlip(Observable):
             "tangential_shift": shift,
             "tangential_stiffness": stiffness / kappa,
             "cycle_loss": loss,
-            "stick_violation": self._variation(problem, traction, stick) / shift,
+            "stick_violation": self._variation(problem, traction, stick) / shift if shift else math.nan,
         }
         return {TABLE: {name: np.array(value) for name, value in columns.items()}}
 
@@ -145,6 +145,6 @@ class PartialSlip(Observable):
             grid.convolve(source(traction), act, sink(displacement))
             values = displacement[stick]
             total, count = grid.reduction.sums(float(values.sum()), len(values))
-            centred = values - total / count
-            variance += grid.reduction.dot(centred, centred) / count
+            centred = values - total / max(count, 1)
+            variance += grid.reduction.dot(centred, centred) / max(count, 1)
         return math.sqrt(variance)

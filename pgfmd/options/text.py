@@ -44,6 +44,11 @@ def duration(seconds: float) -> str:
     return f"{float(f'{seconds / 86400:.3g}'):g} days"
 
 
+def with_error(value: float, error: float) -> str:
+    """ "0.80000 ± 0.00100", or "0.80000" if the error is not known."""
+    return f"{value:.5f}" + (f" ± {error:.5f}" if np.isfinite(error) else "")
+
+
 def assignments(table: Mapping[str, Any]) -> str:
     """Names and values of what has one, on one line: "young = 2.0, poisson = 0.3"."""
     return ", ".join(f"{name} = {show(value)}" for name, value in table.items() if value is not None)

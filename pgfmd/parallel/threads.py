@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -60,9 +61,11 @@ os.register_at_fork(after_in_child=thread_pool.cache_clear)  # threads do not su
 
 
 def threads_per_rank() -> int:
-    """OMP_NUM_THREADS if set (of a list "4,1" the first), else the number of cores that this process is bound to."""
+    """OMP_NUM_THREADS (of a list "4,1" the first) if it is a number from 1 to 9999, else the number of cores that this
+    process is bound to.
+    """
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
-    return int(asked) if asked.isdigit() and int(asked) > 0 else len(os.sched_getaffinity(0))
+    return int(asked) if re.fullmatch("[1-9][0-9]{0,3}", asked) else len(os.sched_getaffinity(0))
 
 
 class Threads:

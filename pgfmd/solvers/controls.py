@@ -222,7 +222,7 @@ class MeanGap(Control):
         if not (self.grid.domain.wraps or isinstance(self, Displacement)):
             return None  # the surface moves by less than its far side
         allowed = self.options.gap_tolerance * self._size(target)
-        if self.problem.law.kind != "hard" or allowed < RESOLVED * self.rms_height:
+        if self.problem.law.kind != "hard" or allowed < RESOLVED * self.rms_height or self.rms_height == 0:
             return None
         return Imposed(allowed, self.approach(target))
 
@@ -253,6 +253,8 @@ class MeanGap(Control):
         as a whole, the gap may be larger, and the law's pressure counts up to that stress.  Collective.
         """
         law, gap = self.problem.law, self.summit - self.approach(target)
+        if self.rms_height == 0:  # a punch as wide as the domain
+            return math.log(self.problem.solid.surface_modulus * self.approach(target) / max(self.grid.lengths))
         pressure = self.stress * math.exp(max(-20.0, min(3.0, 2 * (self.closed - gap) / self.rms_height)))
         bearing = law.pressure_at(gap, self.problem.solid)
         return math.log(pressure + (min(bearing, self.stress) if self.mean_compliance else bearing))

@@ -164,7 +164,7 @@ class LoadControl:
 
     def _first_guess(self, target: float) -> float:
         """ln p̄ of the solution that is resumed or near, or else the estimate of the control.  Collective."""
-        if self._previous is not None:
+        if self._previous is not None and self._previous[0] > 0:
             return math.log(self._previous[0])
         if self._resumed is not None:
             total = self.grid.reduction.sum(self._resumed)

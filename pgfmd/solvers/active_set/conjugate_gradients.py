@@ -15,6 +15,7 @@ from pgfmd.solvers.active_set.unknowns import SetVector
 
 ENTRIES = 1 << 16  # that a thread takes at a time: fewer cost more to hand out than to compute
 MOST_ITERATIONS = 300
+DIVERGED = 1e16  # growth of `square` beyond which rounding rules; at 1e22 single precision overflows
 
 Pair = tuple[float, float]
 Operator = Callable[[SetVector, np.ndarray], None]
@@ -63,9 +64,9 @@ class ConjugateGradients:
         real, d = residual.dtype.type, direction.own
         x, product = np.zeros_like(residual), np.empty_like(residual)
         d[:] = 0
-        before, goal = math.inf, wanted**2 * self.square
+        before, goal, most = math.inf, wanted**2 * self.square, DIVERGED * self.square
         for iteration in range(MOST_ITERATIONS):
-            if self.square <= goal or self.square <= 0:
+            if self.square <= goal or not 0 < self.square < most:
                 return x, iteration
             turn = real(self.square / before), real(self.mean)
             self.threads.deal(partial(next_direction, d, z, turn), len(d), ENTRIES)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from pgfmd.errors import SolverError
 from pgfmd.grid.kernels import jit, u
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.block_stiffness import BlockWindow
@@ -41,6 +42,8 @@ class Feasible:
         window.sum(lambda first, stop, sums: measure_blocks(pressure, lists, (first, stop), highest, sums))
         loads, bounded = np.maximum(window.own[:, : self.width], 0), window.own[:, self.width :]
         sums = grid.reduction.sums(loads.sum(), bounded.sum())
+        if not np.isfinite(sums).all():
+            raise SolverError("hard wall: the pressures overflow; allow a larger tolerance")
         if sums[0] <= CANCELLED * sums[1]:
             loads, sums[0] = bounded, sums[1]
         factors = loads / np.where(bounded > 0, bounded, 1)

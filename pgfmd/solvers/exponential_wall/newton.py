@@ -37,6 +37,7 @@ REACH = 8  # diameter in pixels of the region whose compliance is α: if smaller
 BACK = 0.25  # a step that raises both merits is shortened to this part
 MOST_INNER, MOST_OUTER = 1000, 200
 LEAST_CUT, MOST_CUT = 0.1, 0.03  # factor on the linear residual in a step; MOST_CUT after one that cut the error by 10
+STIFF_LOAD = 1e12  # compliance per p̂ over the heights, whose cube single precision cannot hold (3e38)
 
 Merits = tuple[float, float]
 Precision = type[np.float32] | type[np.float64]
@@ -51,6 +52,8 @@ class Newton(LawOperations):
     def __init__(self, problem: ContactProblem):
         super().__init__(problem)
         self.zeta, self.alpha = self.law.zeta, local_compliance(problem, REACH)
+        if self.alpha > STIFF_LOAD:
+            self.precision = np.float64
 
     def relax(
         self, state: LawState, tolerance: float, monitor: Callable[[LawState], None] | None = None

@@ -41,6 +41,9 @@ def draw(seed: int, number: int) -> Case:
     document["output"] = _output(chance, shape, spacing)
     if chance.random() < 0.2:
         document["run"] = {"checkpoint_interval": [0.0, math.inf, 60.0][chance.integers(3)]}
+    factor = None
+    if chance.random() < 0.35:
+        factor = _extend(chance, document, size, modulus, spacing)
     for name in [name for name, table in document.items() if not table]:
         del document[name]
     spoilt = bool(chance.random() < 0.12)
@@ -49,7 +52,7 @@ def draw(seed: int, number: int) -> Case:
     way = chance.choice(["solve", "simulate", "command"], p=[0.35, 0.645, 0.005])
     if way == "solve" and not _solvable(document, spoilt):
         way = "simulate"
-    return Case(number, document, heights, str(way), spoilt)
+    return Case(number, document, heights, str(way), spoilt, factor)
 
 
 def _side(chance) -> int:
@@ -214,6 +217,51 @@ def _solver(chance, wall: dict) -> dict:
     return table
 
 
+def _extend(chance, document: dict, size: float, modulus: float, spacing) -> np.ndarray | None:
+    """Change a job in place: open boundaries, a layered solid or a table, a wall that attracts, what follows from a
+    contact, or several seeds.  Returns q and F(q) of a table.
+    """
+    ways = ("open", "layered", "table", "attracts", "follows", "seeds")
+    way = chance.choice(ways, p=[0.2, 0.15, 0.15, 0.2, 0.2, 0.1])
+    step = float(min(spacing))
+    if way == "open":
+        document["grid"]["boundary"] = "open"
+        if "pressure" in document["load"] and chance.random() < 0.3:
+            document["load"]["force"] = document["load"].pop("pressure")
+    elif way == "layered":
+        document["solid"] = {
+            "kind": "layered", "contact_modulus": modulus, "poisson": float(chance.uniform(-0.5, 0.49)),
+            "thickness": step * 10 ** float(chance.uniform(-2, 2)),
+            "base_modulus": modulus * 10 ** float(chance.uniform(-4, 4)),
+            "base_poisson": float(chance.uniform(-0.5, 0.49)),
+        }  # fmt: skip
+    elif way == "table":
+        document["solid"] = {"kind": "table", "contact_modulus": modulus, "path": "factor.npy"}
+        first = 10 ** chance.uniform(-2, 1) / step
+        return np.array([[first, 10 ** chance.uniform(-2, 2)],
+                         [first * 10 ** chance.uniform(0.1, 2), 10 ** chance.uniform(-2, 2)]])  # fmt: skip
+    elif way == "attracts":
+        reach = size * 10 ** float(chance.uniform(-1, 1.5))
+        process_zone = step * 10 ** float(chance.uniform(-0.3, 1.5))  # ρ²E'/w
+        document["wall"] = {
+            "kind": str(chance.choice(["adhesive", "dugdale"])), "range": reach,
+            "work": modulus * reach**2 / process_zone,
+        }  # fmt: skip
+        if chance.random() < 0.3:
+            document["load"]["cycle"] = True
+        document["solver"].pop("method", None)
+    elif way == "follows":
+        document["output"]["observables"] = [str(name) for name in chance.permutation(FOLLOWS)[: chance.integers(1, 5)]]
+        if "partial_slip" in document["output"]["observables"]:
+            document["output"]["partial_slip"] = {"friction": 10 ** float(chance.uniform(-2, 1))}
+        document["solid"].setdefault("poisson", 0.25)
+    elif document["surface"]["kind"] == "self-affine":
+        document["surface"]["seed"] = [int(seed) for seed in chance.integers(0, 1000, 2)]
+    return None
+
+
+FOLLOWS = ("stiffness", "percolation", "leakage", "partial_slip", "subsurface", "discretisation", "gap_spectrum",
+           "gap_slope", "pressure_skewness")  # fmt: skip
 OBSERVABLES = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
 
 
@@ -270,6 +318,9 @@ def _solvable(document: dict, spoilt: bool) -> bool:
     load, wall = document.get("load"), document.get("wall", {})
     return (
         not spoilt
+        and "kind" not in document["solid"]
+        and "boundary" not in document["grid"]
+        and wall.get("kind") not in ("adhesive", "dugdale")
         and document["surface"].get("kind") == "file"
         and not set(document["surface"]) & {"detrend", "periodic", "height_scale"}
         and isinstance(load.get("pressure"), float)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import reference
@@ -28,10 +30,20 @@ class Answer:
     pressure: np.ndarray
     gap: np.ndarray
     target: float | None = None
+    groups: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # what observables measured
 
 
-def judge(job: dict, heights: np.ndarray | None, answers: list[Answer]) -> tuple[str, str]:
-    """(verdict, what is wrong) of the answers to an effective job."""
+def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: np.ndarray | None = None):
+    """(verdict, what is wrong) of the answers to an effective job; table (2, 2): q and F of such a solid."""
+    if wrong := next(filter(None, map(wrong_groups, answers)), ""):
+        return WRONG, wrong
+    attracts = job["wall"]["kind"] in ("adhesive", "dugdale")
+    if answers and (attracts or job["grid"].get("boundary") == "open"):
+        traction = job["wall"]["work"] / job["wall"]["range"] if attracts else 0.0
+        wrong = next(filter(None, (wrong_feasible(job, each, traction) for each in answers)), "")
+        return (WRONG, wrong) if wrong else (UNJUDGED, "no reference: only feasible pressures were checked")
+    if not answers:
+        return UNJUDGED, "no load was solved"
     control = next(name for name in reference.CONTROLS if name in job["load"])
     if heights is None or answers[0].pressure is None or job.get("output", {}).get("precision") == "float32":
         for answer in answers:
@@ -45,12 +57,71 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer]) -> tuple
     n = job["grid"]["n"]
     cell = job["grid"]
     spacings = cell.get("spacing") or [a / count for a, count in zip(cell.get("length", n), n, strict=True)]
-    slab = reference.Solid(solid["contact_modulus"], solid["thickness"], solid["base"], solid.get("poisson", 0.25))
+    slab = reference.Solid(solid["contact_modulus"], solid.get("thickness", math.inf), solid.get("base", "free"),
+                           solid.get("poisson", 0.25))  # fmt: skip
+    if solid.get("kind", "homogeneous") != "homogeneous":
+        slab = SolidOfFactors(solid["contact_modulus"], factor=factor_of(solid, table))
     contact = reference.Contact(heights, tuple(spacings), slab)
     for answer in answers:
         if wrong := wrong_answer(contact, job, control, answer):
             return WRONG, f"{control} = {answer.target:g}: {wrong}"
     return RIGHT, ""
+
+
+@dataclass(frozen=True)
+class SolidOfFactors(reference.Solid):
+    """A solid whose stiffness to waves is F(q) times that of a half-space."""
+
+    factor: Callable[[float], float] = lambda q: 1.0
+
+    def stiffness(self, q: np.ndarray) -> np.ndarray:
+        values, where = np.unique(q, return_inverse=True)
+        factors = np.array([reference.Real(self.factor(float(value))) for value in values])
+        return reference.Real(self.modulus) / 2 * q * factors[where].reshape(q.shape)
+
+
+def factor_of(solid: dict, table: np.ndarray | None) -> Callable[[float], float]:
+    """F(q): a power law between the two entries of a table; of a layer, from Navier's equations in 80 digits."""
+    if table is not None:
+        (first, last), (low, high) = np.log(table.T)
+        return lambda q: math.exp(low + (high - low) * min(max((math.log(q) - first) / (last - first), 0.0), 1.0))
+    from test_layered import direct_factor
+
+    layer = SimpleNamespace(**solid | {"base_modulus": solid["base_modulus"] / solid["contact_modulus"]})
+    return lambda q: direct_factor(q * solid["thickness"], layer) if q * solid["thickness"] < 45 else 1.0
+
+
+def wrong_groups(answer: Answer) -> str:
+    """What is wrong with what observables measured: values that are infinite, bounds in the wrong order."""
+    for name, group in answer.groups.items():
+        bounds = [np.asarray(group[side], float) for side in ("lower", "upper") if side in group]
+        if len(bounds) == 2 and np.any(bounds[0] > bounds[1] * (1 + ROUNDING)):
+            return f"{name}: bounds {bounds[0]} and {bounds[1]}"
+        values = {key: np.asarray(value, float) for key, value in group.items() if np.asarray(value).dtype.kind == "f"}
+        infinite = [key for key, value in values.items() if np.isinf(value).any()]
+        if infinite and answer.contact_area < 1:  # full contact is rigid: its stiffness is infinite
+            return f"{name}: {infinite[0]} is infinite"
+    return ""
+
+
+def wrong_feasible(job: dict, answer: Answer, traction: float) -> str:
+    """What is wrong with a pressure, whose attraction is at most `traction`, where nothing else is known."""
+    if answer.pressure is None:
+        return ""
+    mean = float(np.mean(answer.pressure.astype(reference.Real)))
+    size, zeta = float(np.abs(answer.pressure).max()), job["wall"].get("zeta")
+    single = job["output"].get("precision") == "float32"
+    if not (np.isfinite(answer.pressure).all() and np.isfinite(answer.gap).all()):
+        return "not finite"
+    # Attraction leaves a residual: an energy error of the tolerance allows pressures to err by its root.
+    room = max(1e-6 * single, math.sqrt(job["solver"]["tolerance"]) if traction else ROUNDING)
+    if answer.pressure.min() < -traction * (1 + ROUNDING) - room * size:
+        return f"tension {answer.pressure.min():.6g} beyond {traction:.6g}"
+    if abs(mean - answer.mean_pressure) > room * size:
+        return f"mean pressure {answer.mean_pressure!r}, of the field {mean!r}"
+    if zeta is None and (answer.gap.min() < 0 or np.any(answer.gap[answer.pressure > 0])):
+        return "a gap in contact, or overlap"
+    return ""
 
 
 def wrong_heights(job: dict, heights: np.ndarray) -> str:

@@ -22,6 +22,7 @@ class Case:
     heights: np.ndarray | None
     way: str  # "solve" (arrays), "simulate" (in this process) or "command" (in another one)
     spoilt: bool = False  # a value was replaced by another that is probably wrong
+    factor: np.ndarray | None = None  # (2, 2): q and F(q) of a solid that is a table
 
 
 def toml(document: dict) -> str:
@@ -66,4 +67,5 @@ def show(case: Case, detail: str) -> str:
     if case.heights is not None:
         values = np.array2string(case.heights, separator=", ", threshold=10**6, floatmode="unique", max_line_width=118)
         heights = f"# heights.npy = np.array({values})\n" if case.heights.size <= 100 else "# heights.npy is drawn\n"
-    return f"# job {case.number} by {case.way}: {detail}\n{toml(case.document)}{heights}"
+    factor = "" if case.factor is None else f"# factor.npy = np.array({case.factor.tolist()})\n"
+    return f"# job {case.number} by {case.way}: {detail}\n{toml(case.document)}{heights}{factor}"

@@ -31,6 +31,8 @@ def run(case: Case, folder: Path, comm=None) -> tuple[str, str]:
         folder.mkdir(parents=True, exist_ok=True)
         if case.heights is not None:
             np.save(folder / "heights.npy", case.heights)
+        if case.factor is not None:
+            np.save(folder / "factor.npy", case.factor)
         (folder / "job.toml").write_text(toml(case.document), encoding="utf-8")
     comm.Barrier()
     try:
@@ -50,7 +52,7 @@ def run(case: Case, folder: Path, comm=None) -> tuple[str, str]:
         return RIGHT, ""
     try:
         with np.errstate(all="ignore"):
-            return judge(job, heights, answers)
+            return judge(job, heights, answers, case.factor)
     except reference.Unable as error:
         return UNJUDGED, str(error)
 
@@ -102,10 +104,10 @@ def _by_solve(case: Case, folder: Path, comm):
 def _by_simulate(case: Case, folder: Path, comm):
     """By `simulate`, from the TOML file to the result files."""
     from pgfmd.application import job as jobs
-    from pgfmd.application.simulate import simulate
+    from pgfmd.application.simulate import run_job
 
     job = jobs.load(folder / "job.toml")
-    simulate(job, comm, folder / "out")
+    run_job(job, comm, folder / "out")
     comm.Barrier()
     if comm.rank:
         return None, None, None
@@ -140,14 +142,17 @@ def _read(folder: Path, job: str):
     import pgfmd
 
     job = tomllib.loads(job)
-    results = pgfmd.Results(folder / "out")
-    control = next(name for name in reference.CONTROLS if name in job["load"])
+    where = sorted((folder / "out").glob("seed_*")) or [folder / "out"]
+    results = pgfmd.Results(where[-1])
+    control = next(name for name in (*reference.CONTROLS, "force") if name in job["load"])
     names = ("mean_pressure", "contact_area", "mean_gap", "elastic_energy", "certified_error")
     fields = [name for name in ("pressure", "gap") if name in job["output"]["fields"]]
     answers = []
-    for index, target in enumerate(job["load"][control]):
+    steps = len(results.loads["mean_pressure"])
+    for index, target in enumerate(job["load"][control] if steps == len(job["load"][control]) else [math.nan] * steps):
         row = {name: float(results.loads[name][index]) for name in names}
         arrays = {name: results.field(name, load=index) for name in fields} if len(fields) == 2 else {}
-        answers.append(Answer(**row, **({"pressure": None, "gap": None} | arrays), target=target))
+        found = {name: dict(results[index][name]) for name in results[index]}
+        answers.append(Answer(**row, **({"pressure": None, "gap": None} | arrays), target=target, groups=found))
     heights = results.field("height") if "height" in job["output"]["fields"] else None
     return job, heights, answers

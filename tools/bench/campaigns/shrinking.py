@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ def shrink(case: Case, verdict: str, detail: str, folder: Path, tries: int = 60)
         if tries == 0:
             return False
         tries -= 1
-        smaller = Case(case.number, document, heights, best.way, best.spoilt)
+        smaller = replace(best, document=document, heights=heights)
         place = next(folders)
         found = run(smaller, place)
         shutil.rmtree(place, ignore_errors=True)
