@@ -1,28 +1,36 @@
 """The fields of a run: files with the heights and the fields of each load, and small files that show them together.
 
     fields/height.h5, fields/load_0000.h5, …    written by all ranks, each in one piece on the disk
-    fields.h5, fields.vtkhdf                    small; see `views`
+    fields.h5       height (x, y); pressure, gap, … of all loads (load, x, y); load_0000/pressure, … (x, y) of each
+    fields.vtkhdf   the same for ParaView and VTK: one image, the loads as its time steps
+
+The last two have virtual datasets (HDF5 1.10), which refer to the files of fields without a copy of the numbers; these
+must stay where they are.  A missing file reads as NaN, or −1 for integers.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
-from pgfmd.application import files, hdf5_slabs, restart, views
-from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, revise
+from pgfmd.application import files, hdf5_slabs, restart
+from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, load_name, revise
 from pgfmd.application.tables import add_grid_axes, annotate, name_axes
 from pgfmd.observables.schema import FIELDS, Dataset
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI
 
 log = logging.getLogger("pgfmd")
+
+VTK_VERSION = (2, 0)  # of the format VTKHDF: images with steps in time
 
 Links = dict[str, tuple[str, str]]
 """Name of a field ("height", "load_0000/pressure") → its file, and its dataset there."""
@@ -41,7 +49,7 @@ class FieldFiles:
     ) -> None:
         self.comm, self.directory, self.folder, self.form = comm, directory, folder, form
         self._provenance, self.links = provenance, Links()
-        self._described: dict[str, views.Shown] = {}  # the links whose files have been read
+        self._described: dict[str, Shown] = {}  # the links whose files have been read
 
     def write(self, name: str, fields: dict[str, np.ndarray], show: bool) -> None:
         """Write NAME.h5 with this rank's slabs (nx_local, ny) of `fields`, whose names are the same on all ranks.
@@ -114,17 +122,11 @@ class FieldFiles:
             return
         for name, (file, dataset) in self.links.items():
             if name not in self._described:
-                self._described[name] = views.described(self.directory, f"{self.folder}/{file}", dataset)
-        view = views.View(self.form.shape, self.form.lengths, self.form.length_unit, self._described)
+                self._described[name] = described(self.directory, f"{self.folder}/{file}", dataset)
+        view = View(self.form.shape, self.form.lengths, self.form.length_unit, self._described)
+        about = self._provenance()
         for name, fill in ((FIELDS_FILE, view.write_netcdf), (VTK_FILE, view.write_vtk)):
-            self._write_view(name, fill)
-
-    def _write_view(self, name: str, fill: Change) -> None:
-        def describe(file: h5py.File) -> None:
-            file.attrs.update(self._provenance())
-            fill(file)
-
-        revise(self.directory / name, describe, anew=True)
+            revise(self.directory / name, partial(_describe_and_fill, about, fill), anew=True)
 
     def remove_views(self) -> None:
         """Remove fields.h5 and fields.vtkhdf."""
@@ -133,17 +135,109 @@ class FieldFiles:
 
     def remove(self, and_checkpoint: bool) -> None:
         """Remove the fields that this program wrote into `folder`, and the folder if nothing else is in it."""
-        self._remove_from(self.folder, and_checkpoint)
+        _remove(self.directory / self.folder, and_checkpoint)
 
     def remove_replaced(self) -> None:
         """Remove the fields of replaced results, which are in the other folder, and what shows them."""
         self.remove_views()
         for folder in set(restart.FIELDS_FOLDERS) - {self.folder}:
-            self._remove_from(folder, and_checkpoint=True)
+            _remove(self.directory / folder, and_checkpoint=True)
 
-    def _remove_from(self, folder: str, and_checkpoint: bool) -> None:
-        for path in restart.own_field_files(self.directory / folder):
-            if and_checkpoint or path.name != CHECKPOINT_FILE:
-                path.unlink(missing_ok=True)
-        with suppress(OSError):
-            (self.directory / folder).rmdir()
+
+def _describe_and_fill(about: dict[str, Any], fill: Change, file: h5py.File) -> None:
+    file.attrs.update(about)
+    fill(file)
+
+
+def _remove(folder: Path, and_checkpoint: bool) -> None:
+    for path in restart.own_field_files(folder):
+        if and_checkpoint or path.name != CHECKPOINT_FILE:
+            path.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A dataset in a file of fields: the path of the file from the result folder, type, and what it says of itself."""
+
+    file: str
+    dataset: str
+    dtype: np.dtype
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def described(directory: Path, file: str, dataset: str) -> Shown:
+    """A dataset (nx, ny) of a file below `directory`, with its units and description."""
+    with h5py.File(directory / file, "r", locking=False) as content:
+        source = content[dataset]
+        about = {name: source.attrs[name] for name in ("units", "description") if name in source.attrs}
+        return Shown(file, dataset, source.dtype, about)
+
+
+@dataclass(frozen=True)
+class View:
+    """What the files show: shape (nx, ny) and lengths of the grid, their unit, and the fields by name: "height", or
+    "load_0000/pressure".
+    """
+
+    shape: tuple[int, int]
+    lengths: tuple[float, float]
+    length_unit: str
+    fields: Mapping[str, Shown]
+
+    @property
+    def numbers(self) -> list[int]:
+        """The loads that have fields."""
+        return sorted({int(name.split("/")[0].removeprefix("load_")) for name in self.fields if "/" in name})
+
+    @property
+    def stacks(self) -> dict[str, list[Shown | None]]:
+        """Name of a field → that field of each load that has fields (None: not written)."""
+        names = dict.fromkeys(name.split("/")[1] for name in self.fields if "/" in name)
+        return {name: [self.fields.get(f"{load_name(number)}/{name}") for number in self.numbers] for name in names}
+
+    def write_netcdf(self, file: h5py.File) -> None:
+        """Fill fields.h5, which readers of netCDF-4, xarray among them, understand: all axes have coordinates."""
+        add_grid_axes(file, self.shape, self.lengths, self.length_unit)
+        if self.numbers:
+            file["load"] = np.array(self.numbers)
+            file["load"].attrs.update(description="number of the load, counted from 0", units="1")
+        for name, shown in self.fields.items():
+            self._virtual(file, name, [shown], ())
+            name_axes(file, name, ("x", "y"))
+        for name, several in self.stacks.items():
+            self._virtual(file, name, several, (len(several),))
+            name_axes(file, name, ("load", "x", "y"))
+
+    def write_vtk(self, file: h5py.File) -> None:
+        """Fill fields.vtkhdf.  VTK's first axis is the contiguous one, our y: `Direction` exchanges x and y."""
+        spacing = [length / count for length, count in zip(self.lengths, self.shape, strict=True)]
+        root, count = file.create_group("VTKHDF"), len(self.numbers)
+        root.attrs["Version"] = np.array(VTK_VERSION)
+        root.attrs["Type"] = np.bytes_("ImageData")
+        root.attrs["WholeExtent"] = np.array([0, self.shape[1] - 1, 0, self.shape[0] - 1, 0, 0])
+        root.attrs["Origin"] = np.zeros(3)
+        root.attrs["Spacing"] = np.array([spacing[1], spacing[0], 1.0])
+        root.attrs["Direction"] = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]).ravel()
+        points = root.create_group("PointData")
+        single = {name: [shown] * max(count, 1) for name, shown in self.fields.items() if "/" not in name}
+        for name, several in (single | self.stacks).items():
+            self._virtual(points, name, several, (count,) if count else ())
+        if count:
+            steps = root.create_group("Steps")
+            steps.attrs["NSteps"] = count
+            steps["Values"] = np.array(self.numbers, float)
+            for name in points:
+                steps[f"PointDataOffsets/{name}"] = np.arange(count)
+
+    def _virtual(self, group: h5py.Group, name: str, several: Sequence[Shown | None], first: tuple[int, ...]) -> None:
+        """A virtual dataset of shape (*first, nx, ny) of as many fields."""
+        known = next(shown for shown in several if shown is not None)
+        layout = h5py.VirtualLayout((*first, *self.shape), known.dtype)
+        for number, shown in enumerate(several):
+            if shown is not None:
+                place = (number,) if first else (slice(None), slice(None))
+                layout[place] = h5py.VirtualSource(shown.file, shown.dataset, self.shape, shown.dtype)
+        missing = np.nan if np.issubdtype(known.dtype, np.floating) else -1
+        group.create_virtual_dataset(name, layout, fillvalue=missing).attrs.update(known.attributes)

@@ -33,7 +33,7 @@ FORMAT_VERSION = 4  # how earlier ones differ: see `results.modern`
 LIBVER = ("v108", "v110")
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
-VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `views`
+VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `field_files`
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `checkpoint`
 ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 SUMS_FILE = "SHA256SUMS"

@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application import files
+from pgfmd.application.files import BLOCK_BYTES
 from pgfmd.parallel.collectives import from_root, raise_together, slab
 from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.teams import node_of
@@ -214,5 +215,5 @@ def _put_rows(path: Path, rows: slice, fields: dict[str, Field], offsets: dict[s
 
 def _blocks(count: int, row_bytes: int) -> list[slice]:
     """`count` rows cut into blocks of about BLOCK_BYTES, at least one row each."""
-    pieces = min(-(-count * row_bytes // files.BLOCK_BYTES), count)
+    pieces = min(-(-count * row_bytes // BLOCK_BYTES), count)
     return [slab(count, pieces, number) for number in range(pieces)]
