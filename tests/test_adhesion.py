@@ -294,8 +294,8 @@ def test_pull_off_by_a_constant_traction(transition, maugis):
 
 
 def test_pull_off_by_a_constant_traction_of_short_range():
-    """Maugis at μ_T = 1 to 1 %, where the edge of the traction is 1.1 pixels of gap: the gap rises by about .4 along a
-    pixel there, and a grid pins sharper edges (at an edge of .1 the force is 1.2 % too large)."""
+    """Maugis at μ_T = 1 to 1 %, where the traction ends over 1.1 pixels of gap; a grid pins sharper ends (at an edge of
+    .1 the force is 1.2 % too large)."""
     work, radius, n = 2.0, 40.0, 96
     x = np.arange(n) - n / 2 + 0.5
     law = Dugdale(work=work, range=(radius * work**2) ** (1 / 3), edge=0.2)
