@@ -2,10 +2,16 @@
 
     python tools/bench/reference.py RUNS --output FOLDER      # RUNS: the folder of jobs/reference.sh
 
-Writes into FOLDER: reference.csv (one row per kind of surface and load: means over surfaces, their error by solver and
-grid, the standard error of the mean), reference.json (what each column is, checksum of the table), fine.csv (each
-number that was solved again on the finer grid, beside its stated error) and decision.csv (κ at low load against
-Nayak's parameter and H).  Runs that are not complete are left out.
+Writes into FOLDER:
+
+    reference.csv   one row per kind of surface and load: means over surfaces, their error by solver and grid, and the
+                    standard error of the mean
+    reference.json  what each column is, and the checksum of the table
+    reference.html  the curves, for a browser
+    fine.csv        each number that was solved again on the finer grid, beside its stated error
+    decision.csv    κ at low load against Nayak's parameter and H
+
+Runs that are not complete are left out.
 """
 
 from __future__ import annotations
@@ -159,6 +165,9 @@ def main(arguments: list[str] | None = None) -> int:
     about = {"columns": MEANING, "sha256": digest, "slope": SLOPE, "lambda_s": SHORTEST}
     text = json.dumps(about, ensure_ascii=False, indent=1) + "\n"
     (options.output / "reference.json").write_text(text, encoding="utf-8")
+    page = Path(__file__).with_name("reference.html").read_text(encoding="utf-8")
+    entries = json.dumps([{key: None if value != value else value for key, value in row.items()} for row in rows])
+    (options.output / "reference.html").write_text(page.replace("/*ROWS*/[]", entries), encoding="utf-8")
     checked = check(found)
     if checked:
         write(options.output / "fine.csv", checked)
