@@ -96,6 +96,7 @@ if [ "$long" ]; then
     for ranks in 2 3; do
         stage "long on $ranks ranks" on_ranks "$ranks" -m "mpi and long"
     done
+    stage "other MPIs" timeout -k 20 "$limit" bash tests/mpis.sh
 fi
 echo "$SECONDS s"
 [ ${#failed[@]} = 0 ] && exit 0
