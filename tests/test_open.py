@@ -93,11 +93,11 @@ def test_the_response_does_not_depend_on_the_ranks():
 
 
 def test_hertz():
-    """Approach a²/R to 1e-5 in the mean of six random centres, and the pressure's L2 error ∝ pixel."""
+    """Approach a²/R to 1e-5 in the mean of twenty random centres, and the pressure's L2 error ∝ pixel."""
     errors = []
     random = np.random.default_rng(7)
-    for a, n in ((32, 80), (16, 40)):
-        radius, shifts = 8.0 * n, random.random((6, 2))
+    for a, n in ((32, 72), (16, 36)):
+        radius, shifts = 8.0 * n, random.random((20, 2))
         approaches, wrong = [], []
         for shift in shifts:
             heights = paraboloid(n, radius, shift)
@@ -112,23 +112,37 @@ def test_hertz():
 
 
 def test_cone():
-    """P = π a² E' m/2 at the approach π a m/2 (Sneddon 1965)."""
-    a, slope, n = 32, 0.1, 80
+    """P = π a² E' m/2 at the approach π a m/2 (Sneddon 1965), to 1e-5 in the mean of twenty random centres."""
+    a, slope, n = 32, 0.1, 72
     values = []
-    for shift in np.random.default_rng(2).random((4, 2)):
+    for shift in np.random.default_rng(2).random((20, 2)):
         x, y = (np.arange(n) - n / 2 - c for c in shift)
         heights = -slope * np.hypot(x[:, None], y)
         values.append(solved(heights, math.pi * a**2 * MODULUS * slope / 2).displacement - heights.max())
-    assert abs(np.mean(values) / (math.pi * a * slope / 2) - 1) < 2e-3
+    assert abs(np.mean(values) / (math.pi * a * slope / 2) - 1) < 1e-5
 
 
-@pytest.mark.parametrize("n", [32, 64])
-def test_square_punch(n):
-    """P = 1.1523 E' δ (n − .38): a flat patch, which is a square punch, is wider by half its border's pixels less."""
-    found = solved(np.zeros((n, n)), 1.0)
-    assert abs(n - 1.0 / (1.1523 * MODULUS * found.displacement) - 0.37) < 0.02
-    imposed = pgfmd.solve(np.zeros((n, n)), displacement=1e3, contact_modulus=MODULUS, boundary="open", threads=1)
-    assert abs(imposed.force / 1e3 * found.displacement - 1) < 2e-4  # linear; gap_tolerance is 1e-4
+def test_round_punch():
+    """P/2E'δ = √(N/π) − .1291 for N pixels in the mean of twenty random centres, to .001: the punch of Boussinesq,
+    P = 2 E' a δ, with the radius of a disc of as many pixels less what its border takes.
+    """
+    lost, x = [], np.arange(64) - 32
+    for shift in np.random.default_rng(3).random((20, 2)):
+        inside = (x[:, None] - shift[0]) ** 2 + (x - shift[1]) ** 2 <= 20**2
+        found = solved(np.where(inside, 0.0, -1e3), 10.0)
+        lost.append(math.sqrt(inside.sum() / math.pi) - 10.0 / (2 * MODULUS * found.displacement))
+    assert abs(np.mean(lost) - 0.1291) < 0.001
+
+
+def test_square_punch():
+    """P/1.1523 E'δ = n − .378 at n = 512 pixels, to .001; P is linear in an imposed δ."""
+    found = solved(np.zeros((512, 512)), 1.0)
+    assert abs(512 - 1.0 / (1.1523 * MODULUS * found.displacement) - 0.378) < 0.001
+    n = 32
+    punch = np.zeros((n, n))
+    free = solved(punch, 1.0)
+    imposed = pgfmd.solve(punch, displacement=1e3, contact_modulus=MODULUS, boundary="open", threads=1)
+    assert abs(imposed.force / 1e3 * free.displacement - 1) < 2e-4  # linear; gap_tolerance is 1e-4
 
 
 def test_two_distant_spheres():
@@ -142,7 +156,7 @@ def test_two_distant_spheres():
     force = 4 * MODULUS * a**3 / (3 * radius)
     alone, pair = solved(one, force), solved(both, 2 * force)
     expected = force / (math.pi * MODULUS * s) * (1 + 4 / 15 * (a / s) ** 2 - 2 / math.pi * (a / s) ** 3)
-    assert abs((pair.displacement - alone.displacement) / expected - 1) < 2e-3
+    assert abs((pair.displacement - alone.displacement) / expected - 1) < 5e-4
 
 
 def test_translation_transpose_and_mirror():
@@ -152,7 +166,7 @@ def test_translation_transpose_and_mirror():
     wide[9:57, 20:68] = heights
     here = solved(heights, 8.0, 1e-12)
     there = solved(wide, 8.0, 1e-12)
-    assert np.abs(there.pressure[9:57, 20:68] - here.pressure).max() < 1e-4 * here.pressure.max()
+    assert np.abs(there.pressure[9:57, 20:68] - here.pressure).max() < 1e-5 * here.pressure.max()
     assert abs(there.displacement / here.displacement - 1) < 1e-6
     turned = solved(np.ascontiguousarray(heights.T[::-1]), 8.0, 1e-12)
     assert np.abs(turned.pressure - here.pressure.T[::-1]).max() < 1e-5 * here.pressure.max()
@@ -208,13 +222,13 @@ def dense_solution(dense, heights, load):
 
 
 def test_the_periodic_limit():
-    """Far from the border, a small contact in a periodic cell differs by about 1.9 (a/L)³."""
+    """Far from the border, a small contact in a periodic cell differs by 1.6 to 2.2 (a/L)³."""
     n, radius, a = 96, 700.0, 12.0
     heights, force = paraboloid(n, radius), 4 * MODULUS * a**3 / (3 * radius)
     cell = pgfmd.solve(heights, force=force, contact_modulus=MODULUS, tolerance=1e-12).pressure
     patch = solved(heights, force, 1e-12).pressure
     ratio = np.linalg.norm(cell - patch) / np.linalg.norm(patch) / (a / n) ** 3
-    assert 1.4 < ratio < 2.4
+    assert 1.6 < ratio < 2.2
 
 
 @pytest.mark.mpi
@@ -337,7 +351,7 @@ def test_slabs(base):
     options = {"force": force, "contact_modulus": MODULUS, "base": base, "poisson": 0.3, "tolerance": 1e-12}
     thick = pgfmd.solve(heights, boundary="open", thickness=1e6, **options)
     half = solved(heights, force, 1e-12)
-    assert np.abs(thick.pressure - half.pressure).max() < 1e-4 * half.pressure.max()
+    assert np.abs(thick.pressure - half.pressure).max() < 1e-5 * half.pressure.max()
     thin, cell = (pgfmd.solve(heights, boundary=name, thickness=1.5, **options) for name in ("open", "periodic"))
     assert np.abs(thin.pressure - cell.pressure).max() < 1e-4 * thin.pressure.max()
     if base == "bonded":  # on a sliding base the mean mode of a cell is uniaxial strain

@@ -15,6 +15,7 @@ import pgfmd
 from pgfmd.application import job
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
+from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
@@ -203,3 +204,55 @@ def test_units_do_not_matter(comm, shared_tmp_path):
     assert physical.loads["contact_area"][0] == bare.loads["contact_area"][0]
     energy = bare.loads["elastic_energy"][0] * 1e9 * 1e-7
     assert physical.loads["elastic_energy"][0] == pytest.approx(energy, rel=1e-8, abs=0)
+
+
+def test_two_bodies_are_their_summed_heights():
+    """`second` adds the heights of another body, whose peaks point to the first, on any ranks and when refined."""
+    comm, rough = MPI.COMM_WORLD, {"kind": "self-affine", "hurst": 0.7, "lambda_s": 4.0, "rms_slope": 0.1, "seed": 4}
+    ball = {"kind": "paraboloid", "radius": 90.0}
+    for grid in ({"n": [24, 20]}, {"n": [24, 20], "refine": 2}):
+        parts = [pgfmd.surface({"grid": grid, "surface": body}, comm) for body in (rough, ball)]
+        both = pgfmd.surface({"grid": grid, "surface": rough | {"second": ball}}, comm)
+        assert np.abs(both - sum(parts)).max() < 1e-12
+        assert np.abs(parts[1]).max() > 1e-3
+
+
+def test_the_file_of_a_second_body_belongs_to_the_job(tmp_path):
+    """Its path is relative to the job's folder, its file is an input of the run, and the effective job keeps it."""
+    heights = np.random.default_rng(5).random((8, 8))
+    np.save(tmp_path / "other.npy", heights)
+    text = """[grid]
+n = 8
+[surface]
+kind = "paraboloid"
+radius = 50.0
+[surface.second]
+kind = "file"
+path = "other.npy"
+[solid]
+contact_modulus = 1.0
+[load]
+pressure = 0.01
+"""
+    (tmp_path / "job.toml").write_text(text)
+    found = job.load(str(tmp_path / "job.toml"))
+    assert found.sources["surface.second.path"] == (str(tmp_path / "other.npy"), None)
+    again = job.parse(job.as_toml(found), "again")
+    assert again == found
+    _, other = again.surface.bodies
+    assert np.array_equal(other.heights(SlabGrid(MPI.COMM_SELF, (8, 8)), None), heights)
+
+
+@pytest.mark.parametrize(
+    ("second", "message"),
+    [
+        ("ball", "surface.second = .ball.: must be a table"),
+        ({"kind": "paraboloid"}, "surface.second: surface.radius is missing"),
+        ({"kind": "paraboloid", "radius": 1.0, "second": {"kind": "cone", "slope": 1.0}}, "no second of its own"),
+        ({"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1, "seed": [1, 2]}, "one seed"),
+    ],
+)
+def test_a_wrong_second_body_is_named(second, message):
+    """No table, a key that is missing, a third body, an ensemble: one line says which."""
+    with pytest.raises(InputError, match=message):
+        pgfmd.surface({"grid": {"n": 8}, "surface": {"kind": "cone", "slope": 0.1, "second": second}})

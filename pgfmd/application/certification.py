@@ -44,7 +44,7 @@ def certify_file(job: Job, path: str, mean_pressure: float | None = None) -> Cer
     grid = SlabGrid(ALONE, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
     with grid.freed():
         job.solid.prepare(grid)
-        heights = job.surface.heights(grid, job.output.length_unit)
+        heights = job.surface.whole.heights(grid, job.output.length_unit)
         turned = getattr(job.surface, "first_axis", "x") == "y"
         given, _ = read_heights(grid, _source(path), turned, 1, None)
         if not np.isfinite(given).all():

@@ -162,17 +162,17 @@ def in_several_solutions(job: Job) -> bool:
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     """What each load costs to solve; memory of the fullest of so many slabs."""
     method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    slope, cell = job.surface.known_slope() or 0.0, job.cell
+    slope, cell = job.surface.whole.known_slope() or 0.0, job.cell
     # rms slope times spacing and length bound the rms height of what has mean 0
     moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
-    scaled = job.wall.reach > 0 or not (job.surface.centred and moderate)
+    scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
     single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
     return [solver_cost(method, area, slabs, job.wall.effort, scaled, single) for area in contact_areas(job)]
 
 
 def measuring_costs(job: Job) -> list[Cost]:
     """What the observables that are asked for cost, for one load."""
-    return [observable.cost(job.cell, job.surface.cutoff(job.grid)) for observable in job.output.asked]
+    return [observable.cost(job.cell, job.surface.whole.cutoff(job.grid)) for observable in job.output.asked]
 
 
 def contact_areas(job: Job) -> list[float]:
@@ -182,7 +182,7 @@ def contact_areas(job: Job) -> list[float]:
     targets = job.imposed.targets
     if job.imposed.control == "contact_area":
         return list(targets)
-    slope = job.surface.known_slope()
+    slope = job.surface.whole.known_slope()
     if job.imposed.control != "pressure" or not slope:
         return [GAPS_FROM]
     full = job.solid.contact_modulus * slope / math.sqrt(2)
@@ -193,12 +193,12 @@ def contact_areas(job: Job) -> list[float]:
 def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     """The estimate as text, one line per quantity; raises InputError if a file cannot be used for the job."""
     unit = job.output.length_unit
-    understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface, job.solid)}
+    understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface.whole, job.solid)}
     total, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
     loads = len(job.load.targets)
     lines = {
         "grid": size_in_words(job.cell.shape, job.cell.lengths, unit, vars(job.grid)),
-        "surface": ": ".join(filter(None, [job.surface.kind, understood["surface"]])),
+        "surface": ": ".join(filter(None, [job.surface.whole.kind, understood["surface"]])),
         "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
         "loads": f"{loads} by {job.load.control}",

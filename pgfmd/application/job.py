@@ -145,7 +145,7 @@ class Job:
     text: str = dataclasses.field(default="", compare=False, repr=False)  # the TOML file as the user wrote it
 
     def __post_init__(self) -> None:
-        self.surface.check_in(self.grid)
+        self.surface.whole.check_in(self.grid)
         self.solver.check_law(self.wall)
         self.imposed.check_law(self.wall)
         if not self.wall.convex:
@@ -182,6 +182,8 @@ class Job:
     def sources(self) -> dict[str, tuple[str, str | None]]:
         """The files that the job names, each with the dataset in it: key → (path, dataset)."""
         sources = {f"{name}.path": getattr(self, name).source for name in SECTIONS}
+        if self.surface.second is not None:
+            sources["surface.second.path"] = self.surface.bodies[1].source
         sources |= {f"plugins[{number}]": (plugin.path, None) for number, plugin in enumerate(self.plugins)}
         return {name: source for name, source in sources.items() if source is not None}
 
@@ -326,7 +328,8 @@ def _override(document: dict, dotted: str, value: Any, entry: str) -> None:
 
 def _anchor(document: dict, folder: str) -> None:
     """Make the `path` of each section absolute, in place."""
-    for table in document.values():
+    surface = document.get("surface")
+    for table in (*document.values(), surface.get("second") if isinstance(surface, dict) else None):
         if isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
             table["path"] = os.path.join(folder, table["path"])
     if isinstance(paths := document.get("plugins"), list):

@@ -179,7 +179,7 @@ def of_first_load(job: Job) -> str:
 
 def _warn_at_border(job: Job, grid: SlabGrid, solution: ContactSolution) -> None:
     """Log a warning if pressure reaches the border of a patch that was cut out of a larger surface.  Collective."""
-    if grid.domain.wraps or not job.surface.cut_out:
+    if grid.domain.wraps or not job.surface.whole.cut_out:
         return
     rows = [row - grid.rows.start for row in (0, grid.shape[0] - 1) if grid.rows.start <= row < grid.rows.stop]
     edges = [*(solution.pressure[row] for row in rows), solution.pressure[:, 0], solution.pressure[:, -1]]

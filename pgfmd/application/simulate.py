@@ -85,7 +85,7 @@ def simulate(
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
         problem = ContactProblem(grid, heights, job.solid, job.wall)
-        cutoff = from_root(comm, job.surface.cutoff, job.grid)  # a table may have to be read
+        cutoff = from_root(comm, job.surface.whole.cutoff, job.grid)  # a table may have to be read
         surface = RoughSurface(problem, job.output.asked, cutoff, fields=job.output.fields)
         loads = Loads(job, problem, writer, asked)
         loads.refuse_impossible(alone)

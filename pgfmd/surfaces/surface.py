@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.options.section import Section
+from pgfmd.options.rules import Rule
+from pgfmd.options.section import Kinds, Section, build, key, wrong
 from pgfmd.options.text import show
 
 if TYPE_CHECKING:
@@ -28,6 +30,12 @@ def single(seed: int | tuple[int, ...]) -> int:
     return seed
 
 
+def _table(value: Any) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ValueError
+    return dict(value)
+
+
 @dataclass(frozen=True)
 class Extent:
     """What the file of a surface says of the cell: points (nx, ny), lengths (lx, ly) and the unit of length; None where
@@ -41,11 +49,44 @@ class Extent:
 
 @dataclass(frozen=True, kw_only=True)
 class Surface(Section):
-    """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface]."""
+    """Heights of the rigid surface, peaks positive.  A subclass is one kind; its fields are its keys in [surface].
+
+    kinds: those that `second` may be.
+    """
 
     where = "surface"
+    kinds: ClassVar[Kinds]
+    second: dict[str, Any] | None = key(
+        Rule("a table as [surface], without a second of its own", _table, {"type": "object"}),
+        about="the other body, {kind = …} with its keys; heights are added, both with peaks towards the other body",
+    )
     centred = False  # whether the mean height is 0
     cut_out = False  # whether, on a patch with open boundaries, the surface goes on beyond
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.second is None:
+            return
+        try:
+            other = build(self.kinds, self.second)
+        except InputError as error:
+            raise InputError(f"surface.second: {error}") from None
+        if isinstance(other, Surface) and (other.second is not None or other.seeds):
+            raise wrong(self, "second", "has one seed, and no second of its own")
+
+    @property
+    def bodies(self) -> tuple[Surface, ...]:
+        """This surface, and the second if there is one."""
+        if self.second is None:
+            return (self,)
+        other = build(self.kinds, self.second)
+        assert isinstance(other, Surface)
+        return self, other
+
+    @property
+    def whole(self) -> Surface:
+        """What is pressed against the solid: the surface, or the sum of both."""
+        return self if self.second is None else Sum(*self.bodies)
 
     def known_slope(self) -> float | None:
         """√⟨|∇h|²⟩ if the options tell it, for estimates before the run."""
@@ -91,6 +132,44 @@ class Surface(Section):
         raise NotImplementedError
 
 
+class Sum(Surface):
+    """Two surfaces, one on the other: to a half-space the contact of both bodies is that of their summed heights.
+
+    Slopes add in squares: the bodies are taken as independent.
+    """
+
+    def __init__(self, *parts: Surface) -> None:
+        vars(self).update(
+            parts=parts, second=None, kind=" + ".join(part.kind for part in parts),
+            centred=all(part.centred for part in parts), cut_out=any(part.cut_out for part in parts),
+        )  # fmt: skip
+
+    @property
+    def parts(self) -> tuple[Surface, ...]:
+        return vars(self)["parts"]
+
+    def known_slope(self) -> float | None:
+        slopes = [part.known_slope() for part in self.parts]
+        return None if None in slopes else math.hypot(*(slope or 0.0 for slope in slopes))
+
+    def check_in(self, cell: Cell) -> None:
+        for part in self.parts:
+            part.check_in(cell)
+
+    def shortest_wavelength(self, cell: Cell) -> float:
+        return min(part.shortest_wavelength(cell) for part in self.parts)
+
+    def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
+        return "; ".join(filter(None, (part.check_inputs(cell, length_unit) for part in self.parts)))
+
+    def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
+        first, *others = self.parts
+        found = first.heights(grid, length_unit)
+        for other in others:
+            found += other.heights(grid, length_unit)
+        return found
+
+
 def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
     """Positions x (nx_local, 1) and y (1, ny) of the grid points, from 0 on."""
     x = grid.spacing[0] * np.arange(grid.rows.start, grid.rows.stop)[:, None]
@@ -105,6 +184,7 @@ def refined_heights(surface: Surface, cell: Cell, grid: SlabGrid, length_unit: s
     """
     from pgfmd.grid.transfer import interpolate  # compiles loops
 
+    surface = surface.whole
     if cell.refine == 1:
         return surface.heights(grid, length_unit)
     own = grid.like(grid.comm, cell.shape, cell.lengths)

@@ -6,6 +6,7 @@ from pgfmd.surfaces.paraboloid import Cone, Paraboloid, Punch
 from pgfmd.surfaces.self_affine import SelfAffine
 from pgfmd.surfaces.sinusoid import Sinusoid
 from pgfmd.surfaces.spectrum import FromSpectrum
+from pgfmd.surfaces.surface import Surface
 
 SURFACES = Kinds(
     "surface",
@@ -19,3 +20,4 @@ SURFACES = Kinds(
         FromSpectrum,
     ),
 )
+Surface.kinds = SURFACES
