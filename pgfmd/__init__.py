@@ -18,7 +18,7 @@ __all__ = ["Ensemble", "InputError", "Results", "Runs", "SolverError", "certify"
 __all__ += ["reference", "register", "run", "solve", "surface"]
 
 _HOMES = {name: "pgfmd.api" for name in ("certify", "solve")}
-_HOMES["reference"] = "pgfmd.theory.reference"
+_HOMES["reference"] = "pgfmd.theory.reference_set"
 _HOMES["register"] = "pgfmd.plugins"
 _HOMES |= {name: "pgfmd.application.scripting" for name in ("run", "surface")}
 _HOMES |= {name: "pgfmd.application.results" for name in ("Results", "Runs")}

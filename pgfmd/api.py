@@ -23,7 +23,7 @@ from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.parallel.mpi import ALONE, MPI
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS

@@ -22,7 +22,7 @@ from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
 from pgfmd.physics.solids.kinds import SOLIDS
 from pgfmd.physics.solids.solid import Solid
-from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.rigid_surface import Surface
 from pgfmd.surfaces.surface_kinds import SURFACES
 
 TABLES: dict[type[Section], Kinds] = {ContactLaw: LAWS, Solid: SOLIDS, Surface: SURFACES}

@@ -11,7 +11,7 @@ import pgfmd
 from pgfmd.grid.domain import OPEN, PERIODIC
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import ALONE
-from pgfmd.physics.laws.adhesive import AdhesiveWall, Dugdale, Potential
+from pgfmd.physics.laws.adhesive_laws import AdhesiveWall, Dugdale, Potential
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact

@@ -17,7 +17,7 @@ import pytest
 from pgfmd.application import job as config
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.options.reference import example, json_schema
+from pgfmd.options.key_reference import example, json_schema
 from pgfmd.surfaces.surface_kinds import SURFACES
 
 JOBS = Path(__file__).resolve().parent.parent / "jobs"

@@ -18,9 +18,9 @@ from pgfmd.observables.labelling import label_patches
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
-from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import lattice_edge as theory
 from pgfmd.theory.exact import Westergaard
 

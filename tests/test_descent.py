@@ -11,7 +11,7 @@ from solids import elastic
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid import transpose
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem

@@ -24,7 +24,7 @@ from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi

@@ -13,13 +13,13 @@ from solids import elastic
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.elementary import exponential, logarithm
-from pgfmd.physics.laws.exponential import ExponentialWall, wright_omega
+from pgfmd.physics.laws.exponential_law import ExponentialWall, wright_omega
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers import dispatch
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
+from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
 from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine

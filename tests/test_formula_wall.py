@@ -13,7 +13,7 @@ import pgfmd
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options import expressions as formula
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.graph import tabulate
 from pgfmd.physics.laws.hard import HardWall

@@ -10,13 +10,13 @@ from solids import elastic
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
+from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
 from pgfmd.solvers.law_operations import LawOperations, LawState
 from pgfmd.solvers.options import Solver

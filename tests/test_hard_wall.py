@@ -10,14 +10,14 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set import nested_iteration
+from pgfmd.solvers.active_set import contact_from_coarse
 from pgfmd.solvers.active_set.active_set import State
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.surfaces.paraboloid import paraboloid
+from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
-from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import exact, hertz
 from pgfmd.theory.lattice_edge import STAIRCASE
 
@@ -358,9 +358,9 @@ def test_pressures_or_gaps_as_unknowns(comm, monkeypatch, lambda_s):
     heights = self_affine(grid, 0.5, lambda_s, 0.031, 1)
     found = []
     for mostly in (0.0, 2.0):
-        monkeypatch.setattr(nested_iteration, "GAPS_FROM", mostly)
+        monkeypatch.setattr(contact_from_coarse, "GAPS_FROM", mostly)
         found.append(
-            nested_iteration.solve_hard_wall(
+            contact_from_coarse.solve_hard_wall(
                 ContactProblem(grid, heights, elastic(MODULUS), HardWall(), 0.0085 * MODULUS), 1e-20
             )
         )

@@ -13,9 +13,9 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness, preconditioner
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.dual import GapSteps, near_compliance
 from pgfmd.solvers.active_set.feasible import Feasible
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.primal import PressureSteps

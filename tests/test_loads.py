@@ -10,7 +10,7 @@ from solids import elastic
 
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.dispatch import solve_contact

@@ -67,7 +67,7 @@ from pgfmd.parallel.mpi import world
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine
 n, path = int(sys.argv[1]), sys.argv[2]
 grid = SlabGrid(world(), (n, n))

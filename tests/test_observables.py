@@ -23,15 +23,15 @@ from pgfmd.observables.histogram import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.lowpass import coarsening, lowpass, octaves, touches_fully
 from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface, correlate, indicator, mode_rings
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.solution import Certificate, ContactSolution
+from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
-from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import persson
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]

@@ -15,7 +15,7 @@ def contact(request, comm):
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
     hurst, lambda_s = request.param

@@ -28,7 +28,7 @@ from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.solids.solid import Solid
-from pgfmd.surfaces.surface import Surface, coordinates
+from pgfmd.surfaces.rigid_surface import Surface, coordinates
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from conftest import ROOT
 
 from pgfmd.application import cli
 from pgfmd.application.job import SECTIONS, parse
-from pgfmd.options import reference as writer
+from pgfmd.options import key_reference as writer
 from pgfmd.options.rules import Rule
 from pgfmd.options.section import Kinds
 

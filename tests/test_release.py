@@ -11,7 +11,7 @@ import pytest
 
 import pgfmd
 from pgfmd.errors import InputError
-from pgfmd.theory.reference import _table
+from pgfmd.theory.reference_set import _table
 
 TOP = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]

@@ -18,7 +18,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.stiffness import Stiffness
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness

@@ -71,3 +71,9 @@ def test_nothing_is_written_twice():
             if path != original or first > stop:
                 copies.append(f"{path.relative_to(PACKAGE)}:{first}-{last} ~ {original.relative_to(PACKAGE)}:{start}")
     assert copies == []
+
+
+def test_no_two_files_of_the_package_have_one_name():
+    """A file is found by its name alone."""
+    names = [path.name for path in FILES if path.name != "__init__.py"]
+    assert sorted(names) == sorted(set(names))

@@ -17,13 +17,13 @@ from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-from pgfmd.solvers.exponential_wall.nested_iteration import solve_exponential_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
+from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
-from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import exact
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]

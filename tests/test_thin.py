@@ -9,8 +9,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.layered import Layered
-from pgfmd.solvers.active_set import nested_iteration
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set import contact_from_coarse
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.sparse_stiffness import DENSE, SparseStiffness
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load
@@ -24,7 +24,7 @@ def test_sets_do_not_cycle(comm, monkeypatch, seed):
     """Slabs of .002 to .2 of the cell and layers up to 10⁴ times as stiff as their base are certified without a rescue,
     in less than 200 transforms (on one rank 27 in the median of 450, at most 139; loosely chosen sets: up to 100,000).
     """
-    monkeypatch.setattr(nested_iteration, "Descent", lambda *_: pytest.fail("sets cycle"))
+    monkeypatch.setattr(contact_from_coarse, "Descent", lambda *_: pytest.fail("sets cycle"))
     random = np.random.default_rng(seed)
     n = int(random.choice([24, 32, 64]))
     grid, thickness = SlabGrid(comm, (n, n)), n * 10 ** random.uniform(-2.7, -0.7)

@@ -14,9 +14,9 @@ from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict
 from pgfmd.surfaces.paraboloid import paraboloid
 from pgfmd.surfaces.random_modes import RandomModes
+from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import SelfAffine, self_affine, self_affine_variance
 from pgfmd.surfaces.sinusoid import sinusoid
-from pgfmd.surfaces.surface import coordinates
 from pgfmd.theory import surface as theory
 
 pytestmark = pytest.mark.mpi

@@ -155,7 +155,7 @@ def _new(options: argparse.Namespace) -> str:
 
         return job_on_file(options.heights)
     from pgfmd.application.job import SECTIONS
-    from pgfmd.options.reference import example, json_schema, reference
+    from pgfmd.options.key_reference import example, json_schema, reference
 
     tables = SECTIONS.values()
     if options.schema:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 from pgfmd import plugins as user_plugins
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.observables.adhesion import Adhesion
+from pgfmd.observables.adhesive_state import Adhesion
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.observable_kinds import OBSERVABLES
@@ -35,7 +35,7 @@ from pgfmd.physics.solids.kinds import SOLIDS
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.plugins import Plugin
 from pgfmd.solvers.options import CONTROLS, Load, Solver
-from pgfmd.surfaces.surface import Surface
+from pgfmd.surfaces.rigid_surface import Surface
 from pgfmd.surfaces.surface_kinds import SURFACES
 
 

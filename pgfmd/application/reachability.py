@@ -11,7 +11,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.load_control import LoadControl
-from pgfmd.surfaces.surface import refined_heights
+from pgfmd.surfaces.rigid_surface import refined_heights
 
 LARGEST = 2**22  # points of the surfaces that are made for this: a few seconds
 

@@ -18,7 +18,7 @@ from pgfmd.application.simulate import run_job
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import ALONE, MPI, launched
-from pgfmd.surfaces.surface import refined_heights
+from pgfmd.surfaces.rigid_surface import refined_heights
 
 Tables = Mapping[str, Mapping[str, Any]]
 """A job as nested tables: {"grid": {"n": 512}, …}."""

@@ -29,7 +29,7 @@ from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.surfaces.heights_file import digest
-from pgfmd.surfaces.surface import refined_heights
+from pgfmd.surfaces.rigid_surface import refined_heights
 
 log = logging.getLogger("pgfmd")
 HELD_BACK = 5.0  # seconds for which a run of an ensemble may hold back finished loads, to write them together

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pgfmd.grid.cell import Cell
-from pgfmd.grid.cost import Cost
+from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
 from pgfmd.observables.labelling import label_patches

@@ -29,7 +29,7 @@ from pgfmd.solvers.certify import Projection, certify
 from pgfmd.solvers.controls import CONTROLS
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
-from pgfmd.surfaces.surface import coordinates
+from pgfmd.surfaces.rigid_surface import coordinates
 
 if TYPE_CHECKING:
     import matplotlib.axes

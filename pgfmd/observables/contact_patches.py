@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pgfmd.grid.cell import Cell
-from pgfmd.grid.cost import Cost
+from pgfmd.grid.grid_cost import Cost
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import choice

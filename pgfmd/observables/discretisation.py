@@ -50,7 +50,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from pgfmd.grid.cell import Cell
-from pgfmd.grid.cost import Cost
+from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict

@@ -11,7 +11,7 @@ import numpy as np
 
 from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
-from pgfmd.grid.cost import Cost
+from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import restrict

@@ -13,8 +13,8 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.grid.cost import Cost
 from pgfmd.grid.domain import Domain
+from pgfmd.grid.grid_cost import Cost
 from pgfmd.observables.binning import wave_number_bins
 from pgfmd.observables.schema import Dataset, GroupLayout, Groups
 from pgfmd.options.rules import choice, flag, integer

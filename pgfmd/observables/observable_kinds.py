@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pgfmd.observables.adhesion import Adhesion
+from pgfmd.observables.adhesive_state import Adhesion
 from pgfmd.observables.bearing_area import Bearing
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation

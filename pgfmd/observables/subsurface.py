@@ -10,7 +10,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
-from pgfmd.grid.cost import Cost
+from pgfmd.grid.grid_cost import Cost
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import many, number

@@ -17,10 +17,10 @@ import numpy as np
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.options.text import show
-from pgfmd.physics.laws.adhesive import AttractiveWall, Dugdale, RangedWall
+from pgfmd.physics.laws.adhesive_laws import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.adhesive import AdhesiveContact
 from pgfmd.solvers.adhesive_certificate import estimated, proved
 from pgfmd.solvers.adhesive_model import AdhesiveState, Hold

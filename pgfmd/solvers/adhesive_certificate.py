@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, sink
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.adhesive import AdhesiveWall
+from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact
 from pgfmd.solvers.adhesive_inner import conjugate_gradients, least_ritz

@@ -13,7 +13,7 @@ import numpy as np
 
 from pgfmd.grid.callbacks import ColumnAction, sink
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.adhesive import AttractiveWall
+from pgfmd.physics.laws.adhesive_laws import AttractiveWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import mean_compliance
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 
-from pgfmd.grid.cost import Cost
+from pgfmd.grid.grid_cost import Cost
 
 SCALED = 8.0  # heights about their mean, over their rms value
 SINGLE = 8.0  # saved by a hard wall's pressure and gap in single precision

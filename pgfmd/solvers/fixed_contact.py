@@ -25,7 +25,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import sink, source
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import HUGE, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import FREE, ConjugateGradients

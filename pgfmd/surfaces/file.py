@@ -17,7 +17,7 @@ from pgfmd.options.section import key, path_key, wrong
 from pgfmd.options.text import printable
 from pgfmd.surfaces.measurement import UNITS, holes_in_words, named, usual_name
 from pgfmd.surfaces.readers import opened
-from pgfmd.surfaces.surface import Extent, Surface
+from pgfmd.surfaces.rigid_surface import Extent, Surface
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgfmd.options.rules import POSITIVE, choice, number, pair
 from pgfmd.options.section import key
-from pgfmd.surfaces.surface import Surface, coordinates
+from pgfmd.surfaces.rigid_surface import Surface, coordinates
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid

@@ -15,7 +15,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import POSITIVE, number, seeds
 from pgfmd.options.section import key, wrong
 from pgfmd.options.text import show
-from pgfmd.surfaces.surface import SEED, SLACK, Surface, single
+from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid

@@ -10,7 +10,7 @@ import numpy as np
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import flag, integer, number
 from pgfmd.options.section import key, wrong
-from pgfmd.surfaces.surface import Surface, coordinates
+from pgfmd.surfaces.rigid_surface import Surface, coordinates
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid

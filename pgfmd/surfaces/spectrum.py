@@ -13,7 +13,7 @@ from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key, path_key
 from pgfmd.surfaces.plain_text import read_curve
-from pgfmd.surfaces.surface import SEED, SLACK, Surface, single
+from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid

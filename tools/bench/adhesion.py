@@ -18,7 +18,7 @@ import numpy as np
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.mpi import ALONE
-from pgfmd.physics.laws.adhesive import AdhesiveWall
+from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive_branch import Branch

@@ -64,8 +64,8 @@ def limit() -> None:
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
-    from pgfmd.surfaces.surface import coordinates
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+    from pgfmd.surfaces.rigid_surface import coordinates
 
     bounds, rng = (2.0, 3.0, 5.0, 10.0, 30.0), np.random.default_rng(1)
     errors: dict[tuple[float, float], list[list[float]]] = {}

@@ -46,7 +46,7 @@ from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
-from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.controls import ContactArea
 from pgfmd.solvers.options import Load
 from pgfmd.surfaces.self_affine import self_affine

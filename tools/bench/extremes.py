@@ -18,7 +18,7 @@ from mpi4py import MPI
 
 from pgfmd import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.problem import ContactProblem

@@ -102,7 +102,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     from pgfmd.parallel.collectives import Reduction
     from pgfmd.parallel.layout import Exchange
     from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration
 
     comm, shared = MPI.COMM_WORLD, not exchanged
@@ -185,7 +185,7 @@ def memory(path: Path, n: int, nodes: int) -> None:
     from pgfmd.grid import transpose
     from pgfmd.grid.sub_grid import SubGrid
     from pgfmd.parallel.teams import node_of
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration
 
     comm = MPI.COMM_WORLD

@@ -9,7 +9,7 @@ from pathlib import Path
 from pgfmd.application.job import SECTIONS
 from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
 from pgfmd.observables.schema import FIELDS, LOADS, TABLE, Dataset
-from pgfmd.options.reference import reference
+from pgfmd.options.key_reference import reference
 
 PAGE = Path(__file__).parent / "pages" / "reference.md"
 

@@ -18,7 +18,7 @@ from pgfmd.errors import InputError
 from pgfmd.options import expressions as formula
 from pgfmd.options.rules import interval
 from pgfmd.options.section import key, wrong
-from pgfmd.physics.laws.exponential import LAST
+from pgfmd.physics.laws.exponential_law import LAST
 from pgfmd.physics.laws.graph import Graph, loops, tabulate
 from pgfmd.physics.laws.law import ContactLaw, Units
 

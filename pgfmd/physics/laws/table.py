@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pgfmd.options.section import Kinds
-from pgfmd.physics.laws.adhesive import AdhesiveWall, Dugdale, Potential
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.adhesive_laws import AdhesiveWall, Dugdale, Potential
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness

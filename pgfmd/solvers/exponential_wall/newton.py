@@ -27,9 +27,9 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.grid.callbacks import sink
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.exponential_wall import kernels
+from pgfmd.solvers.exponential_wall import loops
 from pgfmd.solvers.law_operations import LawOperations, LawState, local_compliance
 from pgfmd.solvers.patience import Patience, uncertifiable
 
@@ -95,9 +95,9 @@ class Newton(LawOperations):
             if merits[0] <= before[0] or merits[1] <= before[1]:
                 break
             # Back towards the old state the objective is convex, and the gap linear, so that no convolution is needed.
-            self.each(partial(kernels.mix, fraction=BACK), pressure, state.pressure)
-            self.each(partial(kernels.mix, fraction=BACK), gap, state.gap)
-            (work,) = self.total(kernels.work, state.pressure, state.gap, self.heights)
+            self.each(partial(loops.mix, fraction=BACK), pressure, state.pressure)
+            self.each(partial(loops.mix, fraction=BACK), gap, state.gap)
+            (work,) = self.total(loops.work, state.pressure, state.gap, self.heights)
             state.work = float(work) / self.grid.size
         self.certify(state)
         return merits
@@ -108,9 +108,9 @@ class Newton(LawOperations):
         """
         count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
         fields = state.pressure, state.gap
-        weight, potential = self.total(partial(kernels.weight_and_potential, zeta=zeta, least=least), *fields)
+        weight, potential = self.total(partial(loops.weight_and_potential, zeta=zeta, least=least), *fields)
         log_scale = -math.log(weight / count)
-        answer = partial(kernels.divergence, zeta=zeta, least=least, log_scale=log_scale)
+        answer = partial(loops.divergence, zeta=zeta, least=least, log_scale=log_scale)
         (divergence,) = self.total(answer, *fields)
         return float(potential / count - state.work / 2 + least), float(zeta * divergence / count)
 
@@ -122,7 +122,7 @@ class Newton(LawOperations):
         def aim(first: int, stop: int) -> None:
             rows = slice(first, stop)
             parts = sums[0][rows], sums[1][rows]
-            kernels.newton_target(state.pressure[rows], state.gap[rows], root[rows], parts, target[rows], self.alpha)
+            loops.newton_target(state.pressure[rows], state.gap[rows], root[rows], parts, target[rows], self.alpha)
 
         self.grid.threads.split(aim, len(target))
         return target
@@ -134,7 +134,7 @@ class Newton(LawOperations):
         grid, zeta, fields, real = self.grid, self.zeta, (state.pressure, state.gap), self.precision
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), real)
         level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / grid.size
-        start = partial(kernels.newton_start, zeta=zeta, level=level)
+        start = partial(loops.newton_start, zeta=zeta, level=level)
         (square,) = self.total(start, *fields, root, residual)
         goal, beta = wanted**2 * square, 0.0
 
@@ -144,14 +144,14 @@ class Newton(LawOperations):
         def step(first: int, stop: int) -> float:
             rows = slice(first, stop)
             system, sums = (direction[rows], product[rows]), (change[rows], response[rows])
-            return kernels.step(root[rows], system, sums, residual[rows], numbers)
+            return loops.step(root[rows], system, sums, residual[rows], numbers)
 
         for _ in range(MOST_INNER):
             if square <= goal:
                 break
-            self.each(partial(kernels.next_direction, beta=real(beta)), residual, direction)
+            self.each(partial(loops.next_direction, beta=real(beta)), residual, direction)
             grid.convolve(fill, self.compliance[real], sink(product), real)
-            curved, norm, along = self.total(kernels.curvature_sums, root, direction, product)
+            curved, norm, along = self.total(loops.curvature_sums, root, direction, product)
             length = square / (curved + zeta * norm)
             numbers = real(along / grid.size), real(zeta), real(length)
             new = grid.reduction.sum(grid.threads.collect(step, len(root)))

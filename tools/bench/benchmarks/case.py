@@ -59,7 +59,7 @@ def prepare(case: Case, folder: Path) -> None:
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n))

@@ -100,7 +100,7 @@ def _measure(n: int, hurst: float, lambda_s: float, area: float, tolerance: floa
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.surfaces.self_affine import self_affine
 
     comm, seconds, solid = MPI.COMM_WORLD, [], Homogeneous(contact_modulus=CONTACT_MODULUS)

@@ -83,7 +83,7 @@ def solve(case: dict, comm, pressure: float) -> dict:
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.physics.solids.layered import Layered
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.solvers.load_control import LoadControl
     from pgfmd.solvers.options import Load
 

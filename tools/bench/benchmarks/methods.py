@@ -23,7 +23,7 @@ def pgfmd(case: Case, heights, mean_pressure, recorder: Recorder, tolerance: flo
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
@@ -44,7 +44,7 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 
     coarser = {}
 

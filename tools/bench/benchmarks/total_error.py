@@ -82,7 +82,7 @@ def _ours(case: Case, heights, mean_pressure, recorder: AreaRecorder, tolerance:
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.solvers.active_set.nested_iteration import solve_hard_wall
+    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_SELF, (case.n, case.n), threads=threads)

@@ -9,11 +9,11 @@ import numpy as np
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.parallel.collectives import shared
-from pgfmd.physics.laws.exponential import ExponentialWall
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.exponential_wall import kernels
-from pgfmd.solvers.exponential_wall.descent import descend
+from pgfmd.solvers.exponential_wall import loops
 from pgfmd.solvers.exponential_wall.newton import Newton
+from pgfmd.solvers.exponential_wall.newton_descent import descend
 from pgfmd.solvers.law_operations import LawState
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 
@@ -82,7 +82,7 @@ class NewtonIteration(NestedIteration[LawState]):
 
         def part(thread: int, first: int, stop: int) -> None:
             pressure, displacement = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
-            kernels.start_target(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
+            loops.start_target(pressure, displacement, heights[first:stop], solver.alpha, target[first:stop])
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         state = LawState(grid.new_field(), grid.new_field(), level=found.level)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from pgfmd.parallel.compiled import compiled
-from pgfmd.physics.laws.exponential import relative_entropy
+from pgfmd.physics.laws.exponential_law import relative_entropy
 
 Pair = tuple[np.ndarray, np.ndarray]
 
