@@ -43,5 +43,5 @@ plan() {
 
 mkdir -p "$folder"
 plan | "$python" tools/paper/runs.py "$folder" --jobs "$jobs"
-"$python" tools/bench/reference.py "$folder" --output "$folder/table"
+"$python" tools/bench/reference_table.py "$folder" --output "$folder/table"
 echo "tables and figures: $folder/table"

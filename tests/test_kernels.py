@@ -8,8 +8,8 @@ from pgfmd.physics.laws.hard import finish_rows
 from pgfmd.solvers.active_set import (
     active_set,
     conjugate_gradients,
+    contact_from_coarse,
     feasible,
-    nested_iteration,
     particle_mesh,
     preconditioner,
     stencil,
@@ -236,8 +236,8 @@ def test_start_rows(rng):
     a part of them."""
     p, g, coarse, h = rng.random((4, 9, 7))
     pressure, gap = np.empty((2, 9, 7))
-    nested_iteration.start_rows((p, g, coarse), h, 0.3, (pressure, gap))
-    flattened, contact = nested_iteration.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
+    contact_from_coarse.start_rows((p, g, coarse), h, 0.3, (pressure, gap))
+    flattened, contact = contact_from_coarse.ROUGHER * (h - coarse), 0.3 * p > g - (h - coarse)
     assert np.allclose(gap, g - (h - coarse) + np.where(contact, flattened, 0), rtol=0, atol=1e-15)
     assert np.allclose(pressure, np.where(contact, np.maximum(p + flattened / 0.3, 1e-30), 0), rtol=1e-14, atol=0)
 

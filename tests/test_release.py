@@ -80,7 +80,7 @@ def test_outside_of_the_set_is_refused(asked):
 def test_the_table_is_made_from_the_runs(tmp_path, capsys):
     """Means over the surfaces in units of slope and cell; the finer grid beside; no runs are refused."""
     sys.path.insert(0, str(TOP / "tools" / "bench"))
-    import reference
+    import reference_table
 
     rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "lambda_r": 64.0, "rms_slope": 0.1}
     job = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": [0.004]}}
@@ -88,13 +88,13 @@ def test_the_table_is_made_from_the_runs(tmp_path, capsys):
     for name, seed, grid in (("s1", 1, {}), ("s2", 2, {}), ("s1-fine", 1, {"refine": 2})):
         surface = {"surface": rough | {"seed": seed}, "grid": {"n": 64} | grid}
         pgfmd.run(job | surface, tmp_path / f"h0.8-l1-r8-{name}")
-    assert reference.main([str(tmp_path), "--output", str(tmp_path / "table")]) == 0
+    assert reference_table.main([str(tmp_path), "--output", str(tmp_path / "table")]) == 0
     (row,) = csv.DictReader((tmp_path / "table/reference.csv").open())
     gaps = [pgfmd.Results(tmp_path / f"h0.8-l1-r8-s{seed}")[0].numbers["mean_gap"] for seed in (1, 2)]
     assert float(row["gap"]) == pytest.approx(sum(gaps) / 2 / (0.1 * 64), rel=1e-5)
     assert float(row["gap_scatter"]) == pytest.approx(abs(gaps[0] - gaps[1]) / 2 / (0.1 * 64), rel=1e-5)
     assert (row["seeds"], float(row["pressure"])) == ("2", pytest.approx(0.04))
-    assert len(list(csv.DictReader((tmp_path / "table/fine.csv").open()))) == len(reference.NUMBERS)
+    assert len(list(csv.DictReader((tmp_path / "table/fine.csv").open()))) == len(reference_table.NUMBERS)
     assert '"nayak": ' in (tmp_path / "table/reference.html").read_text()
-    assert reference.main([str(tmp_path / "none"), "--output", str(tmp_path / "table")]) == 2
+    assert reference_table.main([str(tmp_path / "none"), "--output", str(tmp_path / "table")]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -1,6 +1,6 @@
 """The reference set from its runs: a table with errors, a check of these on finer grids, and what decides the area.
 
-    python tools/bench/reference.py RUNS --output FOLDER      # RUNS: the folder of jobs/reference.sh
+    python tools/bench/reference_table.py RUNS --output FOLDER      # RUNS: the folder of jobs/reference.sh
 
 Writes into FOLDER:
 
@@ -157,7 +157,7 @@ def main(arguments: list[str] | None = None) -> int:
     found = read(options.runs) if options.runs.is_dir() else {}
     rows = table(found)
     if not rows:
-        print(f"reference.py: error: {options.runs}: no complete runs of jobs/reference.sh", file=sys.stderr)
+        print(f"reference_table.py: error: {options.runs}: no complete runs of jobs/reference.sh", file=sys.stderr)
         return 2
     options.output.mkdir(parents=True, exist_ok=True)
     write(options.output / "reference.csv", rows)
@@ -165,7 +165,7 @@ def main(arguments: list[str] | None = None) -> int:
     about = {"columns": MEANING, "sha256": digest, "slope": SLOPE, "lambda_s": SHORTEST}
     text = json.dumps(about, ensure_ascii=False, indent=1) + "\n"
     (options.output / "reference.json").write_text(text, encoding="utf-8")
-    page = Path(__file__).with_name("reference.html").read_text(encoding="utf-8")
+    page = Path(__file__).with_name("reference_table.html").read_text(encoding="utf-8")
     entries = json.dumps([{key: None if value != value else value for key, value in row.items()} for row in rows])
     (options.output / "reference.html").write_text(page.replace("/*ROWS*/[]", entries), encoding="utf-8")
     checked = check(found)
