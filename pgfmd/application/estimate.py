@@ -167,7 +167,8 @@ def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
     scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
     single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
-    return [solver_cost(method, area, slabs, job.wall.effort, scaled, single) for area in contact_areas(job)]
+    effort = job.wall.newton_effort if method == "newton" else job.wall.effort
+    return [solver_cost(method, area, slabs, effort, scaled, single) for area in contact_areas(job)]
 
 
 def measuring_costs(job: Job) -> list[Cost]:

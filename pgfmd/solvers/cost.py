@@ -27,6 +27,7 @@ MESH = 4.5  # meshes, means over blocks, and what is measured of every contact, 
 # Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse
 # grid (6): single precision where that serves.
 NEWTON = 55.0
+LAW = 24.0  # gaps of a law without closed form, its slopes, and temporary ones
 ADHESIVE = 100.0  # gaps and stresses of three states (48), five fields in single precision (20), temporary ones
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
 GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
@@ -37,14 +38,15 @@ def cost(
 ) -> Cost:
     """One contact of that relative area by that method; memory of the fullest of so many slabs.
 
-    effort: time of dynamics under the law over that under a hard wall.  scaled: whether heights are scaled in an array
-    of their own.  single: whether the active set can keep pressure and gap in single precision.
+    effort: time under the law over that under a hard wall (dynamics) or an exponential one (Newton).  scaled: whether
+    heights are scaled in an array of their own.  single: whether the active set can keep pressure and gap in single
+    precision.
     """
     heights = SCALED * scaled
     if method == "adhesive":
         return Cost(70, ADHESIVE)
     if method == "newton":
-        return Cost(70, heights + NEWTON)
+        return Cost(70 * effort, heights + NEWTON + LAW * (effort > 1))
     if method == "gfmd":
         return Cost(110 * effort, heights + DYNAMICS)
     by_pressures = area <= GAPS_FROM

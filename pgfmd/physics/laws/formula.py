@@ -33,9 +33,10 @@ class FormulaWall(ContactLaw):
     """
 
     kind: ClassVar[str] = "formula"
-    methods: ClassVar[tuple[str, ...]] = ("gfmd",)
+    methods: ClassVar[tuple[str, ...]] = ("newton", "gfmd")
     releases: ClassVar[bool] = False
     effort: ClassVar[float] = 26.0
+    newton_effort: ClassVar[float] = 4.0  # 2.5 … 7 at 128², ζ of .03 … .3 of the rms height
 
     pressure: str = key(
         formula.formula("gap"), about="p(gap), in the units of both", needed=True, example="0.1 * (0.5 / gap)**9"
@@ -112,6 +113,19 @@ class _InUnits(ContactLaw):
     def _ranges(self, pressure: np.ndarray) -> np.ndarray:
         """−p/(dp/dgap) at each pressure."""
         return self.graph.ranges(pressure * self.units.pressure) / self.units.height
+
+    def softer(self, factor: float) -> ContactLaw:
+        """As `ContactLaw.softer`."""
+        return _InUnits(self.graph, self.units._replace(height=self.units.height / factor))
+
+    def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
+        """The gap to the last digits, where p = 0 the least of them; the slope of the table, right to 2 %."""
+        released = (self.graph.ends[1] - self.units.offset) / self.units.height
+        for row, own in enumerate(self._gaps(pressure)):
+            np.minimum(own, released, out=gap[row])
+        ranges = self._ranges(pressure)
+        slope[...] = np.where(pressure > 0, np.inf, 0.0)
+        np.divide(pressure, ranges, out=slope, where=ranges > 0)
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
         """The point of the graph with compliance · p − gap = target + level."""

@@ -46,6 +46,7 @@ class ContactLaw(Section):
     methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
     releases: whether the mean pressure may be 0; otherwise it must be positive.
     effort: time of dynamics under this law over that under a hard wall, for `pgfmd check`.
+    newton_effort: time of Newton's method under this law over that under an exponential wall.
     convex: whether the energy of every contact is convex, so that it has one minimum, whose distance a certificate
     bounds, and quantities that are monotonic in the load.  Without that, and with pressures below 0 (`lowest`), a law
     needs a solver of its own, and none of what follows.
@@ -57,6 +58,7 @@ class ContactLaw(Section):
     methods: ClassVar[tuple[str, ...]] = ()
     releases: ClassVar[bool] = True
     effort: ClassVar[float] = 1.0
+    newton_effort: ClassVar[float] = 1.0
     convex: ClassVar[bool] = True
 
     @property
@@ -109,6 +111,14 @@ class ContactLaw(Section):
         """The resolvent: sets p, in rows of points, to the solution of compliance · p − gap(p) = target + level, or to
         the admissible pressure nearest to it.  Returns Σ p and Σ dp/dlevel.
         """
+        raise NotImplementedError
+
+    def softer(self, factor: float) -> ContactLaw:
+        """Of a law in units: the same with gaps ĝ that are larger by that factor."""
+        raise NotImplementedError
+
+    def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
+        """Fills rows with the gap at each pressure, and with −dp/dgap there, infinite where the wall is hard."""
         raise NotImplementedError
 
     def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:

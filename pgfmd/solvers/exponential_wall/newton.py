@@ -51,7 +51,7 @@ class Newton(LawOperations):
 
     def __init__(self, problem: ContactProblem):
         super().__init__(problem)
-        self.zeta, self.alpha = self.law.zeta, local_compliance(problem, REACH)
+        self.zeta, self.alpha = getattr(self.law, "zeta", 1.0), local_compliance(problem, REACH)
         if self.alpha > STIFF_LOAD:
             self.precision = np.float64
 
@@ -127,15 +127,23 @@ class Newton(LawOperations):
         self.grid.threads.split(aim, len(target))
         return target
 
+    def start(self, state: LawState, root: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
+        """Fills √p̂ and the right-hand side of Newton's equation, of which it returns Σ residual², and Σ p̂.
+        Collective.
+        """
+        fields = state.pressure, state.gap
+        level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / self.grid.size
+        first = partial(loops.newton_start, zeta=self.zeta, level=level)
+        (square,) = self.total(first, *fields, root, residual)
+        return float(square), float(self.grid.size)
+
     def newton_step(self, state: LawState, wanted: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """√p̂, y and G√p̂y (nx_local, ny) of a Newton step δp̂ = √p̂ y.  Conjugate gradients reduce the residual of its
         linear equation by the factor `wanted`.  Collective.
         """
-        grid, zeta, fields, real = self.grid, self.zeta, (state.pressure, state.gap), self.precision
+        grid, zeta, real = self.grid, self.zeta, self.precision
         root, residual, direction, product, change, response = np.zeros((6, *grid.local_shape), real)
-        level = float(self.total(partial(self.law.moments, threshold=0.0), *fields)[0]) / grid.size
-        start = partial(loops.newton_start, zeta=zeta, level=level)
-        (square,) = self.total(start, *fields, root, residual)
+        square, mass = self.start(state, root, residual)
         goal, beta = wanted**2 * square, 0.0
 
         def fill(first: int, stop: int, block: np.ndarray) -> None:
@@ -153,7 +161,7 @@ class Newton(LawOperations):
             grid.convolve(fill, self.compliance[real], sink(product), real)
             curved, norm, along = self.total(loops.curvature_sums, root, direction, product)
             length = square / (curved + zeta * norm)
-            numbers = real(along / grid.size), real(zeta), real(length)
+            numbers = real(along / mass), real(zeta), real(length)
             new = grid.reduction.sum(grid.threads.collect(step, len(root)))
             beta, square = new / square, new
             state.iterations += 1

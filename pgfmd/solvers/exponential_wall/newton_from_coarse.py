@@ -12,6 +12,7 @@ from pgfmd.parallel.collectives import shared
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import loops
+from pgfmd.solvers.exponential_wall.any_law import LawNewton
 from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.exponential_wall.newton_descent import descend
 from pgfmd.solvers.law_operations import LawState
@@ -19,6 +20,7 @@ from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 
 COARSE_TOLERANCE = 3e-3  # certified error asked of a coarse grid: discretisation errors are larger
 LOOSE = 0.1  # certified error to which each ζ of a continuation is solved
+SHORTEST = 1e-3  # rms heights: a wall that is shorter at the mean pressure, as a hard one, begins with this length
 REDUCTION = 4  # each ζ of a continuation over the next one
 
 
@@ -28,7 +30,7 @@ class NewtonIteration(NestedIteration[LawState]):
     def relax(self, problem: ContactProblem, state: LawState, exact: bool = True) -> LawState:
         """Newton from that state; should it fail, by continuation in ζ from a uniform pressure."""
         try:
-            return Newton(problem).relax(state, self.goal(exact), self.watch(problem))
+            return newton(problem).relax(state, self.goal(exact), self.watch(problem))
         except SolverError as failure:
             if isinstance(failure, Uncertifiable) or not shared(problem.grid.comm, failure):
                 raise
@@ -58,14 +60,16 @@ class NewtonIteration(NestedIteration[LawState]):
         *softer, last = softer_walls(problem)
         for soft in softer:
             try:
-                Newton(soft).relax(state, LOOSE)
+                newton(soft).relax(state, LOOSE)
             except SolverError as failure:  # what is reached only starts the next
                 if not shared(problem.grid.comm, failure):
                     raise
         try:
-            return Newton(last).relax(state, tolerance, watch)
+            return newton(last).relax(state, tolerance, watch)
         except SolverError as failure:
             if isinstance(failure, Uncertifiable) or not shared(problem.grid.comm, failure):
+                raise
+            if not isinstance(last.law, ExponentialWall):  # `descend` needs its dual objective
                 raise
             return descend(softer, last, state, tolerance, watch)
 
@@ -78,7 +82,7 @@ class NewtonIteration(NestedIteration[LawState]):
         grid, heights = problem.grid, problem.heights
         interpolation = Interpolation(coarse.place, grid, [found.gap + coarse.heights, found.pressure])
         target = grid.new_field()
-        solver = Newton(problem)
+        solver = newton(problem)
 
         def part(thread: int, first: int, stop: int) -> None:
             pressure, displacement = (interpolation.rows(which, first, stop, thread) for which in (1, 0))
@@ -90,12 +94,17 @@ class NewtonIteration(NestedIteration[LawState]):
         return state, False
 
 
+def newton(problem: ContactProblem) -> Newton:
+    """The steps for the law of the problem.  Collective."""
+    return (Newton if isinstance(problem.law, ExponentialWall) else LawNewton)(problem)
+
+
 def softer_walls(problem: ContactProblem) -> list[ContactProblem]:
-    """The problem under walls of ζ from about the rms height down to its own, the last."""
+    """The problem under walls that reach farther, from about the rms height down to its own, the last."""
     law = problem.law
-    assert isinstance(law, ExponentialWall)
-    powers = range(max(0, math.ceil(math.log(1 / law.zeta, REDUCTION))), -1, -1)
-    return [problem.with_law(law.softer(REDUCTION**power)) for power in powers]
+    length = max(law.range_at(1.0), SHORTEST)
+    powers = range(max(0, math.ceil(math.log(1 / length, REDUCTION))), -1, -1)
+    return [problem.with_law(law.softer(float(REDUCTION**power)) if power else law) for power in powers]
 
 
 solve_exponential_wall = NewtonIteration.contact

@@ -1,0 +1,78 @@
+"""Newton's method for any wall the pressure of which decreases with the gap, p = P(e).
+
+With the law's gap e at the pressure of each point and w = √(−P'(e)), Newton's equation for the change δp̂ = w y is
+
+    (1 + w G w) y = −w (g − e − c),     Σ w y = 0,
+
+which for P = exp(−e/ζ) is that of `newton` over ζ.  The pointwise step α p̂⁺ − e⁺ = α (p̂ + δp̂) − (g + Gδp̂) + c is the
+same.  A step is shortened where the slope of the objective along it, ⟨g − e, p̂₁ − p̂₀⟩, has changed its sign and is
+more than half of what it was: that needs no energy of the law in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.exponential_wall import loops
+from pgfmd.solvers.exponential_wall.newton import BACK, Merits, Newton
+from pgfmd.solvers.law_operations import LawState
+
+STIFFEST = 1e4  # −P' over 1/α at most: where the wall is hard, −P' is infinite
+SHORTENED = 10  # times, down to 1e-6 of the step
+
+
+class LawNewton(Newton):
+    """Newton iterations for a problem under a law that knows its `gap_and_slope`."""
+
+    def __init__(self, problem: ContactProblem):
+        super().__init__(problem)
+        self.law_gap, self.slope = problem.grid.new_field(), problem.grid.new_field()
+
+    def merits(self, state: LawState) -> Merits:
+        """None: steps are judged by slopes."""
+        return math.inf, math.inf
+
+    def linearise(self, state: LawState) -> None:
+        """The law's gap e and −P'(e), at most `STIFFEST`/α, at the state's pressures."""
+        self.each(self.problem.law.gap_and_slope, state.pressure, self.law_gap, self.slope)
+        np.minimum(self.slope, STIFFEST / self.alpha, out=self.slope)
+
+    def start(self, state: LawState, root: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
+        """Fills w and −w (g − e − c) with c such that Σ w × that is 0; returns the sum of its squares, and Σ w².
+        Collective.
+        """
+        self.linearise(state)
+        sums = self.grid.reduction
+        mass = sums.sum(self.slope)
+        away = state.gap - self.law_gap
+        level = sums.dot(self.slope, away) / mass if mass > 0 else 0.0
+        np.sqrt(self.slope, out=root, casting="same_kind")
+        np.multiply(root, level - away, out=residual, casting="same_kind")
+        return sums.dot(residual, residual), max(mass, np.finfo(float).tiny)
+
+    def advance(self, state: LawState, wanted: float, before: Merits) -> Merits:
+        """One Newton step, shortened while it goes too far.  Collective."""
+        pressure, gap = state.pressure.copy(), state.gap.copy()
+        self.respond(state, self.newton_target(state, wanted), self.alpha)
+        self.compute_gap(state)
+        at_start = self.along(pressure, state.pressure, gap)
+        for _ in range(SHORTENED):
+            self.linearise(state)
+            if self.along(pressure, state.pressure, state.gap) <= abs(at_start) / 2:
+                break
+            # Towards the old state the gap is linear, so that no convolution is needed.
+            self.each(partial(loops.mix, fraction=BACK), pressure, state.pressure)
+            self.each(partial(loops.mix, fraction=BACK), gap, state.gap)
+            at_start *= BACK
+            (work,) = self.total(loops.work, state.pressure, state.gap, self.heights)
+            state.work = float(work) / self.grid.size
+        self.certify(state)
+        return before
+
+    def along(self, old: np.ndarray, new: np.ndarray, gap: np.ndarray) -> float:
+        """⟨g − e, new − old⟩ with the law's gap as it was linearised last.  Collective."""
+        return float(self.grid.reduction.dot(gap - self.law_gap, new - old))
