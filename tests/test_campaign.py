@@ -126,6 +126,19 @@ FOUND_BY_CAMPAIGNS = {
         "load": {"pressure": 1.0},
         "output": SOUND["output"] | {"observables": ["partial_slip"], "partial_slip": {"friction": 0.5}},
     },
+    "the stiffness of a wall of tiny range": {
+        "grid": {"n": [6, 4], "length": [1.8901656578909457e-33, 1.2601104385939638e-33]},
+        "solid": HALF | {"poisson": 0.25},
+        "surface": {"kind": "sinusoid", "amplitude": -4.06e-35, "waves": 2, "two_dimensional": True},
+        "wall": {"kind": "exponential", "zeta": 1.970661518295288e-36},
+        "load": {"pressure": [0.016843519572954314, 2.386841736747255e-08], "gap_tolerance": 0.00067},
+        "solver": {"tolerance": 3.857e-16}, "output": SOUND["output"] | {"observables": ["stiffness"]},
+    },
+    "lengths that single precision does not hold, open": {
+        "grid": {"n": [2, 8], "length": [1.1e-84, 1.1e-84], "boundary": "open"},
+        "surface": {"kind": "sinusoid", "amplitude": 4e-85}, "solid": {"contact_modulus": 6.3e94},
+        "load": {"pressure": 6.57e68}, "solver": {"tolerance": 2.4e-05},
+    },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
         "load": {"displacement": 1e23},

@@ -151,6 +151,7 @@ def contact_sums(
 
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
 DECADES = 12  # at most covered by the logarithmic bins, below the largest pressure
+LEAST_RANGE = 1e-290  # of values that edges tell apart: the density in a bin of a smaller one would overflow
 LINEAR_PER_LOG = 10  # linear bins for each logarithmic bin of a decade
 FIT_BINS = 1000  # most bins of the fit, which passes over them hundreds of times; finer bins are merged
 
@@ -259,7 +260,7 @@ def _histogram(edges: np.ndarray, count: np.ndarray, points: int) -> Group:
 def linear_edges(least: float, largest: float, bins: int) -> np.ndarray:
     """Edges (bins + 1,) of even bins from `least` ≤ 0 to `largest` ≥ 0, both rounded outward to two decimal digits."""
     top, bottom = _round_up(largest), -_round_up(-least)
-    if not top > bottom:
+    if not top - bottom > LEAST_RANGE:
         top = 1.0
     edges = bottom + (top - bottom) / bins * np.arange(bins + 1)
     edges[-1] = top
@@ -268,7 +269,7 @@ def linear_edges(least: float, largest: float, bins: int) -> np.ndarray:
 
 def log_edges(least: float, largest: float, per_decade: int) -> np.ndarray:
     """Edges 10^(k/per_decade) for integer k around the positive values, over no more than DECADES below the largest."""
-    if not (0 < least <= largest):
+    if not (0 < least <= largest and largest > LEAST_RANGE):
         least = largest = 1.0
     high = math.floor(math.log10(largest) * per_decade) + 1
     low = max(math.floor(math.log10(least) * per_decade), high - DECADES * per_decade)

@@ -124,13 +124,13 @@ class FixedContact(Relaxation):
 
 
 def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> Increment:
-    """The same under an exponential wall, by conjugate gradients for (ζ + √p G √p) y = √p, x ∝ √p y, whose residual is
-    √p ρ, in double precision.  Collective.
+    """The same under an exponential wall, by conjugate gradients for (1 + √p G/ζ √p) y = √p, x ∝ √p y, whose residual
+    is √p ρ/ζ, in double precision.  Collective.
     """
     grid, reduction, law = problem.grid, problem.grid.reduction, problem.law
     assert isinstance(law, ExponentialWall)
-    before, zeta, size = grid.transforms, law.zeta, grid.size
-    solid = problem.solid.in_units(1.0, problem.mean_pressure)
+    before, size, unit = grid.transforms, grid.size, problem.mean_pressure / law.zeta
+    solid = problem.solid.in_units(law.zeta, problem.mean_pressure)  # displacements over ζ, which may be tiny
     respond, stiffness = (
         apply(grid, real, 1 / size)
         for apply, real in ((solid.apply_compliance, np.float64), (solid.apply_stiffness, np.float32))
@@ -141,17 +141,20 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
 
     def bounds() -> tuple[float, float]:
         value = size * reduction.dot(y, root - residual) / reduction.dot(root, y) ** 2
-        share = alpha * root**2 + zeta  # ρ₁ = α √p r/share, and ρ₂²/D = ζ (r/share)²
+        share = alpha * root**2 + 1  # ρ₁ = α √p r/share, and ρ₂²/D = (r/share)²
         square, _ = energy_of_residual(grid, source(alpha * root * residual / share), stiffness)
         rest = reduction.dot(residual / share, residual / share)
-        return value - value**2 * (2 * square + zeta * rest) / size, value
+        return value - value**2 * (2 * square + rest) / size, value
 
     square = goal = reduction.dot(residual, residual)
     for _ in range(MOST_ITERATIONS):
         grid.convolve(source(root * direction), respond, sink(product))
         product *= root
-        product += zeta * direction
-        step = square / reduction.dot(direction, product)
+        product += direction
+        curvature = reduction.dot(direction, product)
+        if not curvature > 0:  # the residual is nothing but rounding
+            break
+        step = square / curvature
         y += step * direction
         residual -= step * product
         last, square = square, reduction.dot(residual, residual)
@@ -164,7 +167,6 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
             goal = square * max(CUT**2, width * upper / (upper - lower) / 2)
     y *= root
     y *= size / reduction.sum(y)
-    unit = problem.mean_pressure
     return Increment(y, unit / upper, unit / lower if lower > 0 else math.inf, grid.transforms - before)
 
 

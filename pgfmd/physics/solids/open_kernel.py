@@ -150,12 +150,13 @@ def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndar
     becomes 0.
     """
     real = np.dtype(dtype)
-    number, held = real.type(factor), table
+    unit, held = 1.0, table
     if real != table.dtype:  # kept, as compliance and stiffness use it
-        name = "single", id(table)
+        name, unit = ("single", id(table)), math.ldexp(1.0, math.frexp(max(grid.period))[1])
         if name not in grid.tables:
-            grid.tables[name] = table.astype(real)
+            grid.tables[name] = (table / unit).astype(real)  # single precision ends at 3e38, lengths do not
         held = grid.tables[name]
+    number = real.type(factor / unit if divide else factor * unit)
     has_mean = divide and grid.columns.start == 0
 
     def act(block: np.ndarray, first: int, stop: int) -> None:

@@ -109,6 +109,8 @@ class Newton(LawOperations):
         count, least, zeta = self.grid.size, self.grid.reduction.min(state.gap), self.zeta
         fields = state.pressure, state.gap
         weight, potential = self.total(partial(loops.weight_and_potential, zeta=zeta, least=least), *fields)
+        if not weight > 0:  # the law's own answer underflows in every point
+            raise SolverError(f"{self.law.kind}: the wall's pressure is 0 in every point; take a larger range or load")
         log_scale = -math.log(weight / count)
         answer = partial(loops.divergence, zeta=zeta, least=least, log_scale=log_scale)
         (divergence,) = self.total(answer, *fields)
