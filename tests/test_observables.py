@@ -609,3 +609,12 @@ def test_one_contact_for_all_observables(comm):
     spectrum = found["contact_spectrum"]
     assert np.sum(spectrum["count"] * spectrum["value"]) == pytest.approx(area - area**2, rel=1e-11, abs=0)
     assert found["bearing_acf"]["value"][0] == pytest.approx(area, rel=1e-12, abs=0)
+
+
+@pytest.mark.parametrize("largest", [1e-300, 5e-324])
+def test_pressures_at_the_end_of_double_precision(largest):
+    """Bins about pressures whose density would overflow: nothing is fitted, and no warning."""
+    assert histogram.linear_edges(0.0, largest, 10)[-1] == 1.0
+    assert np.all(np.isfinite(1 / np.diff(histogram.log_edges(largest, largest, 4))))
+    fit = histogram.persson_fit(np.linspace(0.0, 1.0, 11), np.arange(10), largest, 100)
+    assert math.isnan(fit["width"])

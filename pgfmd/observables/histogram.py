@@ -206,10 +206,10 @@ def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
 
 
 def persson_fit(edges: np.ndarray, count: np.ndarray, mean: float, points: int) -> Group:
-    """Width s and misfit of N(σ; p̄, s) − N(σ; −p̄, s), for counts of `points` in all; NaN if all counts are zero."""
+    """Width s and misfit of N(σ; p̄, s) − N(σ; −p̄, s), for counts of `points` in all; NaN without pressure."""
     from pgfmd.theory import persson  # and SciPy's minimisers, which take a fifth of all the time of a rank's imports
 
-    if not count.any():
+    if not (count.any() and mean > LEAST_RANGE):
         return {"width": np.array(math.nan), "residual": np.array(math.nan)}
     starts = np.arange(0, len(count), -(-len(count) // FIT_BINS))
     edges, count = np.append(edges[starts], edges[-1]) / mean, np.add.reduceat(count, starts)  # pressures over p̄
