@@ -139,6 +139,14 @@ FOUND_BY_CAMPAIGNS = {
         "surface": {"kind": "sinusoid", "amplitude": 4e-85}, "solid": {"contact_modulus": 6.3e94},
         "load": {"pressure": 6.57e68}, "solver": {"tolerance": 2.4e-05},
     },
+    "a way down that underflows": {
+        "grid": {"n": 12}, "surface": {"kind": "sinusoid", "amplitude": 0.7277213803827509},
+        "solid": {"contact_modulus": 5.414983659961245e-07, "thickness": 0.15294774977309505, "base": "free",
+                  "poisson": -0.3280153177319338},
+        "wall": {"kind": "adhesive", "range": 1.7140714139557645, "work": 1.888470451510505e-07},
+        "load": {"mean_gap": [1.229665009296971, 1.2811472679665914, 0.01970366060821797]},
+        "solver": {"tolerance": 4.802640813005076e-12},
+    },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
         "load": {"displacement": 1e23},

@@ -90,6 +90,8 @@ class AdhesiveContact(AdhesiveModel):
         state, radius, careful = self.state(gap), RADIUS, 0
         while state.iterations < MOST_STEPS:
             found, down = self.direction(state, hold, tolerance, careful > 0)
+            if down is not None and not self.grid.reduction.any(bool(down.any())):
+                down = None  # it underflows
             state.error = state.square / (min(state.curvature, 1.0) * state.scale)
             if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
