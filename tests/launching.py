@@ -93,11 +93,13 @@ def _command(pid: int) -> str:
 
 
 def _lives(pid: int) -> bool:
-    """Whether a process exists, and may still hold files."""
+    """Whether any thread of a process exists: until the last one is gone, it holds its files and their locks."""
     try:
-        return Path("/proc", str(pid), "stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+        tasks = os.listdir(f"/proc/{pid}/task")
+        return any(Path("/proc", str(pid), "task", task, "stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+                   for task in tasks)  # fmt: skip
+    except OSError:  # a thread has just ended: look again
+        return Path("/proc", str(pid)).exists()
 
 
 def kill(run: subprocess.Popen, way: str = "all", choose=min) -> None:
