@@ -22,6 +22,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids import open_kernel
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.layered import Layered
+from pgfmd.solvers.active_set import cropping
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
@@ -232,8 +233,12 @@ def test_the_periodic_limit():
 
 
 @pytest.mark.mpi
-def test_ranks_agree_on_a_contact():
-    """Pressure, approach, patches and line on any number of ranks are those of one, at odd sizes with a mesh."""
+@pytest.mark.parametrize("worth", [0.0, cropping.WORTH])
+def test_ranks_agree_on_a_contact(worth, monkeypatch):
+    """Pressure, approach, patches and line on any number of ranks are those of one, at odd sizes with a mesh, on the
+    whole patch and on a rectangle of it.
+    """
+    monkeypatch.setattr(cropping, "WORTH", worth)
     heights = rough(259)
     grid = SlabGrid(MPI.COMM_WORLD, heights.shape)
     found = pgfmd.solve(heights[grid.rows], force=60.0, boundary="open", contact_modulus=MODULUS, tolerance=1e-12,
@@ -245,6 +250,49 @@ def test_ranks_agree_on_a_contact():
     if grid.comm.rank == 0:
         assert np.array_equal(ours["patches"]["area"], theirs["patches"]["area"])
     assert abs(found.contact_area_corrected - alone.contact_area_corrected) < 1e-6
+
+
+def test_a_cropped_contact_is_that_of_the_patch(monkeypatch):
+    """Cropped or not, a contact off the middle is the same to the certificate, that of the patch itself."""
+    heights = rough(300, 5)[40:, :260]
+    cropped = solved(heights, 60.0, 1e-12)
+    monkeypatch.setattr(cropping, "WORTH", 0.0)
+    whole = solved(heights, 60.0, 1e-12)
+    assert cropped.transforms < 0.8 * whole.transforms
+    assert np.linalg.norm(cropped.pressure - whole.pressure) < 1e-5 * np.linalg.norm(whole.pressure)
+    assert np.abs(cropped.gap - whole.gap).max() < 1e-7 * whole.gap.max()
+    for name in ("displacement", "mean_gap", "elastic_energy"):
+        assert abs(getattr(cropped, name) / getattr(whole, name) - 1) < 1e-6
+    again = pgfmd.certify(heights, cropped.pressure, contact_modulus=MODULUS, boundary="open")
+    assert abs(again.certified_error / cropped.certified_error - 1) < 0.3 and cropped.certified_error < 1e-12
+
+
+def test_a_rectangle_is_enlarged_until_it_is_proved(monkeypatch):
+    """A rectangle that cuts off contact is not taken, and no point outside the last one touches."""
+    heights = paraboloid(260, 900, (50, -40))
+    usual = solved(heights, 30.0, 1e-12)
+    taken, solve = [], cropping._on_rectangle
+
+    def follow(problem, box, *options):
+        found, proved = solve(problem, box, *options)
+        taken.append((box, proved))
+        return found, proved
+
+    monkeypatch.setattr(cropping, "_on_rectangle", follow)
+    monkeypatch.setattr(cropping, "MARGIN", 0.4)
+    found = solved(heights, 30.0, 1e-12)
+    assert [proved for _, proved in taken] == [False, True]
+    assert np.linalg.norm(found.pressure - usual.pressure) < 1e-5 * np.linalg.norm(usual.pressure)
+    (top, bottom), (left, right) = taken[-1][0]
+    outside = np.ones(found.pressure.shape, bool)
+    outside[top:bottom, left:right] = False
+    assert not found.pressure[outside].any() and found.gap[outside].min() > 0 and found.gap.min() == 0
+
+
+def test_a_small_sphere_costs_less_than_a_pair():
+    """Contact of radius .05 L on 512² points, to 1e-8: at most the work of one periodic pair of transforms."""
+    n, radius = 512, 4096.0
+    assert solved(paraboloid(n, radius, (0.3, 0.1)), 4 * MODULUS * (0.05 * n) ** 3 / (3 * radius), 1e-8).transforms <= 1
 
 
 @pytest.mark.parametrize("control", ["contact_area", "mean_gap", "displacement", "force"])

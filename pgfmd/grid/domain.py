@@ -12,6 +12,8 @@ from typing import TypeVar
 import numpy as np
 
 Shape = tuple[int, int]
+Rectangle = tuple[tuple[int, int], tuple[int, int]]
+"""The points (first, stop) along x and along y."""
 Number = TypeVar("Number", int, np.ndarray)
 
 
@@ -70,6 +72,19 @@ class Open(Domain):
 
     def first_point(self, spacing: float) -> float:
         return (spacing - 1) / 2
+
+
+@dataclass(frozen=True)
+class Cropped(Open):
+    """An open patch of which only the points of a rectangle, `box`, bear pressure: the torus holds the distances from
+    these to all others.
+    """
+
+    box: Rectangle = ((0, 0), (0, 0))
+
+    def torus(self, shape: Shape, spacing: tuple[float, float]) -> Shape:
+        (top, bottom), (left, right) = self.box
+        return super().torus((max(bottom, shape[0] - top), max(right, shape[1] - left)), spacing)
 
 
 SPLIT = 0.3  # α times the larger spacing, see `physics.solids.open_kernel`

@@ -196,11 +196,13 @@ class SlabGrid:
         transform.columns(action)
         transform.rows_backward(drain)
 
-    def like(self, comm: MPI.Comm, shape: tuple[int, int], lengths: tuple[float, float]) -> SlabGrid:
-        """Another grid, on the ranks of `comm`, with as many threads and the same kind of domain and transforms as this
-        one.
+    def like(
+        self, comm: MPI.Comm, shape: tuple[int, int], lengths: tuple[float, float], domain: Domain | None = None
+    ) -> SlabGrid:
+        """Another grid, on the ranks of `comm`, with as many threads and the same kind of transforms as this one, and
+        the same domain if none is given.
         """
-        return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, self.domain)
+        return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, domain or self.domain)
 
     def as_cell(self) -> SlabGrid:
         """The grid of the same points as a periodic cell: this one, if it is that."""

@@ -11,7 +11,7 @@ import numpy as np
 from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+from pgfmd.solvers.active_set.cropping import solve_hard_wall
 from pgfmd.solvers.adhesive_branch import solve_adhesive
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd

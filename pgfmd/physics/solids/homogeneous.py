@@ -61,6 +61,10 @@ class Homogeneous(Solid):
     def no_border(self) -> str:
         return "on a free base a slab has no approach of distant points" if self.base == "free" else ""
 
+    @property
+    def only_inwards(self) -> bool:
+        return math.isinf(self.thickness)
+
     def factor(self, q: np.ndarray) -> np.ndarray:
         if math.isinf(self.thickness):
             return np.ones(np.shape(q))

@@ -134,6 +134,20 @@ def cosine_transform(grid: SlabGrid, rows: np.ndarray) -> np.ndarray:
     return dct(np.ascontiguousarray(along.T), type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
 
 
+def cropped_table(wide: SlabGrid, grid: SlabGrid, table: np.ndarray) -> np.ndarray:
+    """The table, like `half_space_table`, of a grid of the same spacing and ranks and a smaller torus, whose points
+    respond to each other as those of `wide` do, which has the given table.  Collective.
+    """
+    from scipy.fft import dct
+
+    threads, starts = grid.threads.count, slab_starts(grid.torus[0] // 2 + 1, grid.comm.size)
+    rows = dct(table, type=1, axis=1, workers=threads)
+    parts = [rows[:, first:stop] for first, stop in zip(starts[:-1], starts[1:], strict=True)]
+    rows = np.concatenate(grid.comm.alltoall(parts) if grid.comm.size > 1 else parts)
+    entries = dct(np.ascontiguousarray(rows.T), type=1, axis=1, workers=threads, overwrite_x=True)
+    return cosine_transform(grid, entries[:, : grid.torus[1] // 2 + 1] / wide.modes)
+
+
 def positive(grid: SlabGrid, table: np.ndarray) -> np.ndarray:
     """The table; raises InputError unless all its entries are positive.  Collective."""
     if not (least := grid.reduction.min(table)) > 0:

@@ -90,6 +90,11 @@ class Solid(Section):
         return "its kernel on a patch is not known"
 
     @property
+    def only_inwards(self) -> bool:
+        """Whether pressure on a patch displaces all points inwards, for certain."""
+        return False
+
+    @property
     def surface_modulus(self) -> float:
         """E' F(q → ∞), the contact modulus of the half-space that answers short waves alike."""
         return self.contact_modulus

@@ -196,7 +196,7 @@ def inner_response(
     """A `MeshResponse` on large grids of nearly square pixels, if the solid responds like a half-space to short waves;
     else a `FullResponse`: `action` multiplies modes by A.  Collective.
     """
-    if min(grid.shape) >= SMALLEST and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
+    if min(grid.torus) >= (256 if grid.domain.wraps else 128) and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
         q = np.array(0.25 * np.pi / max(grid.spacing))
         if abs(response(q) / half_space(q) - 1) < 1e-2:
             return MeshResponse(grid, half_space, response, mean)
