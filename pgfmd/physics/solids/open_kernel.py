@@ -32,6 +32,7 @@ CLOSE = 6.0  # α r from which erf is 1 in double precision
 THIN = 0.04  # thickness over half a side of the torus up to which images of a slab on a rigid base are below 1e-12
 RESOLVED = 1.5  # spacings of a thickness from which the grid resolves the kernel that it adds
 THICK = 25.0  # q d from which F is 1 to the last digit
+BAND = 64  # rows at a time, so that temporary arrays stay small
 NODES = 600  # of the spline: its error is below 1e-9 of the values
 
 
@@ -50,13 +51,14 @@ class Layer(Protocol):
 def half_space_table(grid: SlabGrid) -> np.ndarray:
     """E' Â(q) of a half-space for the modes of this rank with kx ≥ 0: (nky_local, Nx // 2 + 1).  Collective."""
     alpha = SPLIT / max(grid.spacing)
-    i, q = _rows(grid), np.sqrt(half_q_squared(grid))
-    x, y = i * grid.spacing[0], np.arange(grid.torus[1] // 2 + 1) * grid.spacing[1]
-    far = cosine_transform(grid, _long_ranged(x, y, alpha)) * (grid.pixel_area / math.pi)
+    table = cosine_transform(grid, lambda x, y: _long_ranged(x, y, alpha))
     from scipy.special import erf  # slow to import
 
-    near = np.divide(2 * erf(q / (2 * alpha)), q, out=np.full(q.shape, 2 / (math.sqrt(math.pi) * alpha)), where=q > 0)
-    return far + near
+    for first in range(0, len(table), BAND):
+        q = np.sqrt(half_q_squared(grid, first, min(first + BAND, len(table))))
+        near = np.full(q.shape, 2 / (math.sqrt(math.pi) * alpha))
+        table[first : first + BAND] += np.divide(2 * erf(q / (2 * alpha)), q, out=near, where=q > 0)
+    return table
 
 
 def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
@@ -68,10 +70,9 @@ def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
         return table
     alpha = SPLIT / max(grid.spacing)
     cut = not rigid and d < RESOLVED * max(grid.spacing)
-    x, y = _rows(grid) * grid.spacing[0], np.arange(grid.torus[1] // 2 + 1) * grid.spacing[1]
     change = _change(solid, math.hypot(*grid.period) / 2, alpha if cut else math.inf)
     table = half_space_table(grid)
-    table += cosine_transform(grid, change(np.hypot(x[:, None], y[None, :]))) * (grid.pixel_area / math.pi)
+    table += cosine_transform(grid, lambda x, y: change(np.hypot(x, y)))
     if cut:
         from scipy.special import erf
 
@@ -101,12 +102,12 @@ def _change(solid: Layer, furthest: float, alpha: float) -> Callable[[np.ndarray
 
 
 def _long_ranged(x: np.ndarray, y: np.ndarray, alpha: float) -> np.ndarray:
-    """erf(α r)/r at the points (x, y)."""
+    """erf(α r)/r at the points (x, y), of rows x and columns y."""
     from scipy.special import erf
 
-    r = np.hypot(x[:, None], y[None, :])
+    r = np.hypot(x, y)
     out = np.divide(1.0, r, out=np.full(r.shape, 2 * alpha / math.sqrt(math.pi)), where=r > 0)
-    close = np.ix_(x * alpha < CLOSE, y * alpha < CLOSE)
+    close = np.ix_(x[:, 0] * alpha < CLOSE, y[0] * alpha < CLOSE)
     out[close] *= np.where(r[close] > 0, erf(alpha * r[close]), 1.0)
     return out
 
@@ -116,36 +117,42 @@ def half_q_squared(grid: SlabGrid, first: int = 0, stop: int | None = None) -> n
     return grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2
 
 
-def _rows(grid: SlabGrid) -> np.ndarray:
-    """The rows 0 … Nx/2 of the quadrant that this rank makes."""
+def cosine_transform(grid: SlabGrid, kernel: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """aₓ a_y/π Σ kernel(x, y) cos(q·r) over the torus, (nky_local, Nx // 2 + 1), by a quadrant; kernel: at rows x
+    (count, 1) and columns y (1, Ny // 2 + 1).  Collective.
+    """
     starts = slab_starts(grid.torus[0] // 2 + 1, grid.comm.size)
-    return np.arange(starts[grid.comm.rank], starts[grid.comm.rank + 1])
-
-
-def cosine_transform(grid: SlabGrid, rows: np.ndarray) -> np.ndarray:
-    """Σ f(r) cos(q·r) over the torus, (nky_local, Nx // 2 + 1), for the rows of f that this rank makes.  Collective."""
-    from scipy.fft import dct
-
-    along = dct(rows, type=1, axis=1, workers=grid.threads.count)
-    if grid.comm.size > 1:
-        starts = slab_starts(grid.torus[1] // 2 + 1, grid.comm.size)
-        parts = [along[:, first:stop] for first, stop in zip(starts[:-1], starts[1:], strict=True)]
-        along = np.concatenate(grid.comm.alltoall(parts))
-    return dct(np.ascontiguousarray(along.T), type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
+    x = np.arange(starts[grid.comm.rank], starts[grid.comm.rank + 1])[:, None] * grid.spacing[0]
+    y = np.arange(grid.torus[1] // 2 + 1)[None, :] * grid.spacing[1]
+    rows = np.empty((len(x), y.size))
+    for first in range(0, len(x), BAND):
+        part = slice(first, first + BAND)
+        np.multiply(kernel(x[part], y), grid.pixel_area / math.pi, out=rows[part])
+    return _cosines(grid, rows, y.size)
 
 
 def cropped_table(wide: SlabGrid, grid: SlabGrid, table: np.ndarray) -> np.ndarray:
     """The table, like `half_space_table`, of a grid of the same spacing and ranks and a smaller torus, whose points
     respond to each other as those of `wide` do, which has the given table.  Collective.
     """
+    counts = [n // 2 + 1 for n in grid.torus]
+    entries = _cosines(wide, table.copy(), counts[0])[:, : counts[1]] / wide.modes
+    return _cosines(grid, entries, counts[1])
+
+
+def _cosines(grid: SlabGrid, rows: np.ndarray, count: int) -> np.ndarray:
+    """Σ f(i, j) cos(π i k/I) cos(π j m/J) over −I < i ≤ I, −J < j ≤ J of an even f, (count split over the ranks, I + 1)
+    with m first, of which the first `count`; rows: (I + 1 split over the ranks, J + 1), overwritten.  Collective.
+    """
     from scipy.fft import dct
 
-    threads, starts = grid.threads.count, slab_starts(grid.torus[0] // 2 + 1, grid.comm.size)
-    rows = dct(table, type=1, axis=1, workers=threads)
-    parts = [rows[:, first:stop] for first, stop in zip(starts[:-1], starts[1:], strict=True)]
-    rows = np.concatenate(grid.comm.alltoall(parts) if grid.comm.size > 1 else parts)
-    entries = dct(np.ascontiguousarray(rows.T), type=1, axis=1, workers=threads, overwrite_x=True)
-    return cosine_transform(grid, entries[:, : grid.torus[1] // 2 + 1] / wide.modes)
+    rows = dct(rows, type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
+    starts = slab_starts(count, grid.comm.size)
+    if grid.comm.size > 1:
+        parts = [rows[:, first:stop] for first, stop in zip(starts[:-1], starts[1:], strict=True)]
+        rows = np.concatenate(grid.comm.alltoall(parts))
+    turned = np.ascontiguousarray(rows[:, : starts[grid.comm.rank + 1] - starts[grid.comm.rank]].T)
+    return dct(turned, type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
 
 
 def positive(grid: SlabGrid, table: np.ndarray) -> np.ndarray:

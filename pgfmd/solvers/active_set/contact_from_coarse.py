@@ -145,6 +145,9 @@ class ActiveSetIteration(NestedIteration[State]):
         falling at a given load, by steps that lower the energy each time.  Collective.
         """
         given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
+        padded = exact and not problem.grid.domain.wraps
+        if padded:  # strips that double precision has filled; single precision takes half of them
+            problem.grid.free()
         by_gaps = given and problem.law.highest == np.inf and state.between > most
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
         solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
@@ -160,6 +163,8 @@ class ActiveSetIteration(NestedIteration[State]):
                 solver, state.clipped = Descent(problem, exact), False
             else:
                 solver.free()
+                if padded:
+                    problem.grid.free()
                 if exact:
                     solver.widen(state)
                 return state
