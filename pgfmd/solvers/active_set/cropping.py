@@ -154,8 +154,11 @@ def _on_rectangle(
     begin = None if start is None else cut(start)
     if begin is not None and not part.reduction.sum(begin) > 0:
         begin = None
+    grid.free()
     with part.freed():
         found = ActiveSetIteration.contact(inside, tolerance, begin, monitor, True)
+    part.tables.clear()
+    del inside, begin
     pressure, most = put(found.pressure, np.zeros(grid.local_shape)), float(grid.reduction.max(found.pressure))
     gap, height = np.empty(grid.local_shape), most * max(ax, ay) / solid.contact_modulus
     level = found.approach - grid.reduction.max(problem.heights)
