@@ -197,7 +197,7 @@ def solve(
         control.solver = partial(_solve, options, shown)
     control.check_targets(targets)
     control.resume(start)
-    contacts = _contacts(control, targets)
+    contacts = _contacts(control, targets, not getattr(topography, "is_periodic", True))
     if not single:
         return contacts
     try:
@@ -362,13 +362,18 @@ def _made(kinds: Kinds, sort: type[Section], given: object) -> Any:
     return made
 
 
-def _contacts(control: LoadControl | Branch, targets: Sequence[float]) -> Generator[Contact, None, None]:
-    """The contacts at the targets, one after another.  Collective."""
+def _contacts(
+    control: LoadControl | Branch, targets: Sequence[float], cut_out: bool
+) -> Generator[Contact, None, None]:
+    """The contacts at the targets, one after another; cut_out: whether the surface goes on beyond.  Collective."""
     with control.grid.freed():
         for target in targets:
             solution = control.solution(target)
             problem = control.problem.at(solution.mean_pressure)
-            yield Contact(**vars(solution), problem=problem, displacement=control.displacement(solution))
+            contact = Contact(**vars(solution), problem=problem, displacement=control.displacement(solution))
+            if cut_out:
+                contact.warn_at_border()
+            yield contact
 
 
 def _solve(

@@ -351,6 +351,26 @@ def test_patches_do_not_wrap():
     assert label_patches(comm, mask[rows], starts, 8, True).count == 2
 
 
+@pytest.mark.mpi
+def test_pressure_at_the_border_is_counted(caplog):
+    """A warning counts the border's points that touch, corners once, on any number of ranks; there is none without."""
+    grid = SlabGrid(MPI.COMM_WORLD, (30, 24))
+    heights = paraboloid(30, 100.0)[:, :24]
+    options = {"boundary": "open", "contact_modulus": MODULUS, "comm": MPI.COMM_WORLD}
+    corner = np.maximum(heights, np.roll(heights, (15, 15), (0, 1)))
+    for surface, force in ((heights, 1.0), (corner, 1e4)):
+        found = pgfmd.solve(surface[grid.rows].copy(), force=force, **options)
+        pressure, (first, stop) = found.pressure, (grid.rows.start, grid.rows.stop)
+        border = np.ones(grid.shape, bool)
+        border[1:-1, 1:-1] = False
+        count = int(grid.reduction.sum(np.count_nonzero(pressure[border[first:stop]])))
+        caplog.clear()
+        found.warn_at_border()
+        expected = [f"{count} points at the border"] if count and grid.comm.rank == 0 else []
+        assert [text[: len(expected[0])] for text in caplog.messages] == expected
+        assert (count > 0) == (surface is corner)
+
+
 def test_what_open_boundaries_do_not_have_is_refused_by_name():
     """Observables of a period, dynamics, other transforms and refinement: one line that names them."""
     heights = rough(16)

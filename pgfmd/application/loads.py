@@ -18,7 +18,7 @@ from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.schema import TABLE, Groups
-from pgfmd.options.text import counted, with_error
+from pgfmd.options.text import with_error
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.adhesive_branch import Branch
@@ -107,7 +107,8 @@ class Loads:
     def write(self, index: int, contact: Contact, row: Mapping[str, float], groups: Groups) -> None:
         """Write what was measured on a load, and say so."""
         output = self.job.output
-        _warn_at_border(self.job, self.grid, contact)
+        if self.job.surface.whole.cut_out:
+            contact.warn_at_border()
         columns = {name: float(value) for name, value in groups.get(TABLE, {}).items()}
         curves = {title: table for title, table in groups.items() if title != TABLE}
         fields = contact.fields(output.fields, output.connectivity)
@@ -175,17 +176,3 @@ class Loads:
 def of_first_load(job: Job) -> str:
     """The part of a job that a checkpoint must agree with, as TOML: all but [run] and the loads after the first."""
     return as_toml(dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1])))
-
-
-def _warn_at_border(job: Job, grid: SlabGrid, solution: ContactSolution) -> None:
-    """Log a warning if pressure reaches the border of a patch that was cut out of a larger surface.  Collective."""
-    if grid.domain.wraps or not job.surface.whole.cut_out:
-        return
-    rows = [row - grid.rows.start for row in (0, grid.shape[0] - 1) if grid.rows.start <= row < grid.rows.stop]
-    edges = [*(solution.pressure[row] for row in rows), solution.pressure[:, 0], solution.pressure[:, -1]]
-    count = int(grid.reduction.sum(sum(np.count_nonzero(edge > solution.threshold) for edge in edges)))
-    if count and grid.comm.rank == 0:
-        log.warning(
-            "%s at the border of the patch touch: what lies beyond it would take a part of their load; near the border "
-            "pressures are too high", counted(count, "point"),
-        )  # fmt: skip

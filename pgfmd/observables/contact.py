@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 import time
 from collections.abc import Iterable, Mapping
@@ -23,7 +24,7 @@ from pgfmd.observables.patch_table import patch_table
 from pgfmd.observables.rough_surface import Correlations, RoughSurface, correlate, indicator
 from pgfmd.observables.schema import FIELDS, TABLE, Groups
 from pgfmd.options.section import build
-from pgfmd.options.text import guess
+from pgfmd.options.text import counted, guess
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.certify import Projection, certify
 from pgfmd.solvers.controls import CONTROLS
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import xarray
 
+log = logging.getLogger("pgfmd")
 TYPICAL = 1.9  # see `Contact.likely_pressure_error`: the median over 825 solutions; largest 3.4
 
 
@@ -174,7 +176,27 @@ class Contact(ContactSolution):
         image = axes.imshow(pressure.T, cmap="inferno", origin="lower", extent=extent, interpolation="nearest", vmin=0)
         plt.colorbar(image, ax=axes, label="pressure")
         axes.set(xlabel="x", ylabel="y", title=f"contact on {100 * self.contact_area:.2g} % of the surface")
+        if not grid.domain.wraps:
+            lx, ly = grid.lengths
+            axes.add_patch(plt.Rectangle((0, 0), lx, ly, fill=False, ec="tab:red", lw=2))
+            axes.set(xlim=(-0.04 * lx, 1.04 * lx), ylim=(-0.04 * ly, 1.04 * ly))
         return axes
+
+    def warn_at_border(self) -> None:
+        """Log a warning if points at the border of a patch with open boundaries touch, for patches that were cut out of
+        a larger surface.  Collective.
+        """
+        grid = self.problem.grid
+        if grid.domain.wraps:
+            return
+        inner = slice(max(1 - grid.rows.start, 0), len(self.pressure) - (grid.rows.stop == grid.shape[0]))
+        touching = self.pressure > self.threshold
+        count = int(grid.reduction.sum(np.count_nonzero(touching) - np.count_nonzero(touching[inner, 1:-1])))
+        if count and grid.comm.rank == 0:
+            log.warning(
+                "%s at the border of the patch touch: what lies beyond it would take a part of their load; near the "
+                "border pressures are too high", counted(count, "point"),
+            )  # fmt: skip
 
     def to_xarray(self) -> xarray.Dataset:
         """The fields of this rank with named axes and coordinates, the numbers as attributes.  Collective on first use

@@ -72,7 +72,7 @@ def draw_theory(sheet: Sheet, load: Load, shown: np.ndarray, unit: float) -> Non
     mu = adhesion.transition(work, length, radius, modulus)
     factor = adhesion.EXPONENTIAL if wall["kind"] == "adhesive" else adhesion.CONSTANT
     cell = max(load.results.lengths)
-    images = 0.0 if load.job["grid"].get("boundary") == "open" else LATTICE_SUM_1
+    images = 0.0 if load.open else LATTICE_SUM_1
     a = np.geomspace(1e-3, 1, 400) * math.sqrt(radius * (abs(shown).max() + 4 * length) * 2)
     cases = {
         "JKR": (adhesion.jkr(a, work, radius, modulus), BLACK, "-"),

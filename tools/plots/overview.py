@@ -16,6 +16,7 @@ import matplotlib
 import numpy as np
 from choosing import NEEDS as TESTS
 from matplotlib.colors import LightSource, ListedColormap, LogNorm, PowerNorm
+from matplotlib.patches import Rectangle
 from overview_charts import distribution, scaled_spectra
 from overview_page import write_page
 from patch_areas import PATCHES, areas
@@ -106,6 +107,9 @@ def _show(sheet: Sheet, panel: int, load: Load, values: np.ndarray, label: str |
     axes, (lx, ly), unit = sheet.panels[panel], load.results.lengths, _unit(load, "length")
     image = axes.imshow(values.T, origin="lower", extent=(0, lx, 0, ly), interpolation="nearest", **style)
     axes.set(xlabel=f"x / {unit or 'length'}", ylabel=f"y / {unit or 'length'}")
+    if load.open:
+        axes.add_patch(Rectangle((0, 0), lx, ly, fill=False, ec=RED, lw=1.2))
+        axes.set(xlim=(-0.04 * lx, 1.04 * lx), ylim=(-0.04 * ly, 1.04 * ly))
     if label is not None:
         bar = axes.figure.colorbar(image, ax=axes, label=label, orientation="horizontal", pad=0.02, shrink=0.9)
         bar.ax.tick_params(which="both", top=False)

@@ -83,7 +83,7 @@ def write_page(loads: Sequence[Load], output: Path, chosen: Sequence[int] | None
     where = _where(embedded, bool(outside), tiles)
     point = math.prod(first.spacings)
     data = {
-        "title": first.folder, "subtitle": _subtitle(first), "shape": first.results.shape,
+        "title": first.folder, "subtitle": _subtitle(first), "shape": first.results.shape, "open": first.open,
         "lengths": first.results.lengths, "length_unit": first.unit("length"), "tile": pyramid.TILE,
         "levels": pyramid.level_count(first.results.shape), "folder": FOLDER if outside and tiles else None,
         "maps": {view.colours: _colours(view.colours) for view in views}, "peak": peak,
@@ -232,7 +232,8 @@ def _subtitle(load: Load) -> str:
                       if isinstance(surface.get(key), int | float))  # fmt: skip
     kind = printable(str(surface.get("kind", "")), 40)
     rough, modulus = f" ({rough})" if rough else "", f"{load.modulus:g} {load.unit('pressure')}".strip()
-    return f"{nx} × {ny} points, cell {size}; {kind} surface{rough}; {wall} wall; E′ = {modulus}"
+    place = f"patch {size} with an open border" if load.open else f"cell {size}"
+    return f"{nx} × {ny} points, {place}; {kind} surface{rough}; {wall} wall; E′ = {modulus}"
 
 
 def _name(load: Load) -> str:

@@ -173,6 +173,11 @@ class Load:
         return self.modulus * self.rms_slope / 2
 
     @property
+    def open(self) -> bool:
+        """Whether fields end at the border."""
+        return self.job["grid"].get("boundary") == "open"
+
+    @property
     def spacings(self) -> tuple[float, float]:
         """Grid spacings (ax, ay)."""
         (nx, ny), (lx, ly) = self.results.shape, self.results.lengths

@@ -312,7 +312,8 @@ class Panel {
       for (let y = Math.max(0, y0); y <= Math.min(NY, y1 + 1); y++) { const s = Math.round(this.toScreen(0, y)[1]) + 0.5; g.moveTo(Math.max(left, a), s); g.lineTo(Math.min(left + w, p), s); }
       g.stroke();
     }
-    g.strokeStyle = "#8a929a";
+    g.strokeStyle = D.open ? "#d55e00" : "#8a929a";
+    g.lineWidth = D.open ? 3 * c : 1;
     g.strokeRect(Math.round(a) + 0.5, Math.round(q) + 0.5, Math.round(p - a) - 1, Math.round(b - q) - 1);
   }
 
