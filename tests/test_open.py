@@ -267,8 +267,9 @@ def test_a_cropped_contact_is_that_of_the_patch(monkeypatch):
     assert abs(again.certified_error / cropped.certified_error - 1) < 0.3 and cropped.certified_error < 1e-12
 
 
-def test_a_rectangle_is_enlarged_until_it_is_proved(monkeypatch):
-    """A rectangle that cuts off contact is not taken, and no point outside the last one touches."""
+@pytest.mark.parametrize("margin", [0.4, 0.7])
+def test_a_rectangle_is_enlarged_until_it_is_proved(margin, monkeypatch):
+    """A rectangle that cuts off contact (.4), or might (.7), is not taken, and no point outside the last one touches."""
     heights = paraboloid(260, 900, (50, -40))
     usual = solved(heights, 30.0, 1e-12)
     taken, solve = [], cropping._on_rectangle
@@ -279,7 +280,7 @@ def test_a_rectangle_is_enlarged_until_it_is_proved(monkeypatch):
         return found, proved
 
     monkeypatch.setattr(cropping, "_on_rectangle", follow)
-    monkeypatch.setattr(cropping, "MARGIN", 0.4)
+    monkeypatch.setattr(cropping, "MARGIN", margin)
     found = solved(heights, 30.0, 1e-12)
     assert [proved for _, proved in taken] == [False, True]
     assert np.linalg.norm(found.pressure - usual.pressure) < 1e-5 * np.linalg.norm(usual.pressure)
