@@ -269,7 +269,7 @@ def test_a_cropped_contact_is_that_of_the_patch(monkeypatch):
 
 @pytest.mark.parametrize("margin", [0.4, 0.7])
 def test_a_rectangle_is_enlarged_until_it_is_proved(margin, monkeypatch):
-    """A rectangle that cuts off contact (.4), or might (.7), is not taken, and no point outside the last one touches."""
+    """A rectangle that cuts off contact (.4), or might (.7), is not taken; no point outside the last one touches."""
     heights = paraboloid(260, 900, (50, -40))
     usual = solved(heights, 30.0, 1e-12)
     taken, solve = [], cropping._on_rectangle

@@ -29,7 +29,7 @@ FITTED = 16  # waves of the mesh each way to which the near part is fitted
 MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 MARGIN = 4  # nodes beyond half the points, where the mesh does not wrap
-SMALLEST = 256  # points of the shorter side below which full transforms are as cheap
+SMALLEST = 256, 64  # points of the shorter side below which full transforms are as cheap; the same of padded ones
 
 Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """First node and weights (nx_local, 4) of each row; nodes, periodic, and weights (ny, 4) of each column."""
@@ -196,7 +196,7 @@ def inner_response(
     """A `MeshResponse` on large grids of nearly square pixels, if the solid responds like a half-space to short waves;
     else a `FullResponse`: `action` multiplies modes by A.  Collective.
     """
-    if min(grid.torus) >= (256 if grid.domain.wraps else 128) and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
+    if min(grid.shape) >= SMALLEST[not grid.domain.wraps] and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
         q = np.array(0.25 * np.pi / max(grid.spacing))
         if abs(response(q) / half_space(q) - 1) < 1e-2:
             return MeshResponse(grid, half_space, response, mean)
