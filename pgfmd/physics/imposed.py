@@ -1,24 +1,24 @@
 """What a solver meets by itself in place of a given mean pressure: an approach, or a contact area.
 
-The solver prescribes the level λ of contact, the value of g = u − h there, and reads off the load.  Lengths and
-pressures are in the units of the problem; heights are counted from their mean, so that the mean gap is −λ.
+For an approach the solver prescribes the level λ of contact, the value of g = u − h there, and reads off the load.  For
+an area it prescribes a load, and corrects it.  Lengths and pressures are in the units of the problem; heights are
+counted from their mean, so that the mean gap is −λ.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import NormalDist
 from typing import NamedTuple
 
 SURE = 0.7  # part of the tolerance of an approach that the certified error may take
-COARSE = 0.02  # relative tolerance of the area on coarse grids
-SETTLED = 1e-3  # error of the energy over the squared change of ln p̄ below which an area is known well enough to ask it
-STEP = 0.5  # largest change of ln p̄ that is asked for at once; to fall by more may lose contact
-STEEPEST = 3.0  # largest factor between dλ/d ln p̄ and E_el/p̄, and inverse of the smallest
-USUAL, LEAST, MOST = 0.4, 0.2, 0.9  # factors from grid to grid on the change of the area at one load
+SETTLED = 1e-3  # error of the energy over the squared change of ln p̄ below which an area is known well enough
+STEP = 0.5  # largest change of ln p̄ at once; a level that falls by more may lose contact
+USUAL, LEAST, MOST = 0.4, 0.2, 0.5  # factors from grid to grid on the change of the area at one load
 
 
 class Measured(NamedTuple):
@@ -71,13 +71,11 @@ class Imposed:
             return stress * quantile(self.area, size)
         return stress * math.exp(max(-20.0, min(3.0, 2 * self.approach / rms)))
 
-    def missed(self, at: Measured, exact: bool) -> float:
-        """Distance to the target over what is allowed beside the certified error; with some slack if not `exact`."""
+    def missed(self, at: Measured) -> float:
+        """Distance to the target over what is allowed beside the certified error."""
         if self.area:
-            part = self.allowed if exact else max(self.allowed, COARSE)
-            return abs(at.contact / at.size - self.area) / max(part * self.area, 1 / at.size)
-        wanted = self.approach - self.compliance * at.pressure
-        return abs(at.level - wanted) / ((1 - SURE) * self.allowed) if exact else 0.0
+            return abs(at.contact / at.size - self.area) / max(self.allowed * self.area, 1 / at.size)
+        return abs(at.level - self.approach + self.compliance * at.pressure) / ((1 - SURE) * self.allowed)
 
     def needed(self, at: Measured) -> float:
         """The certified error over 2 E_el with which the level is known to `SURE` of what is allowed: the error of the
@@ -89,49 +87,50 @@ class Imposed:
 
 @dataclass
 class Aim:
-    """The level that is prescribed while a target is sought.
+    """What is prescribed in place of a given load while a target is sought: the level, or for an area a mean pressure.
 
-    stretch: dλ/d ln p̄ over its estimate `Measured.range`; here: the last measurement on this grid from which the level
-    was changed; solved: those at the end of each coarser grid.
+    size: points of the finest grid.  solved: what was measured at the end of each coarser one.
     """
 
     target: Imposed
-    level: float
-    stretch: float = 1.0
-    here: Measured | None = None
-    solved: Sequence[Measured] = field(default_factory=list)
+    size: int
+    level: float = 0.0
+    pressure: float = 0.0
+    solved: Sequence[Measured] = ()
 
     def follow(self, at: Measured, least: float) -> None:
         """Sets the level of an imposed approach, which depends on the load at most; at least to `least`."""
-        if not self.target.area:
-            level = self.target.approach - self.target.compliance * at.pressure
-            self.level = max(least, level, at.level - STEP * at.range)
+        level = self.target.approach - self.target.compliance * at.pressure
+        self.level = max(least, level, at.level - STEP * at.range)
 
-    def moves(self, at: Measured, error: float, exact: bool) -> bool:
-        """Changes the level if the area misses its target by more than the error of the energy, relative to 2 E_el,
-        lets areas be wrong; returns whether.
+    def moves(self, at: Measured, error: float) -> bool:
+        """Changes the mean pressure if the area misses its target by more than the error of the energy, relative to
+        2 E_el, lets areas be wrong; returns whether.
         """
-        change = math.log(quantile(self.target.area, at.size)) - at.log_load if self.target.area else 0.0
-        if not change or SETTLED * change**2 < error or self.target.missed(at, exact) <= 1:
+        change = self._change(at)
+        if SETTLED * change**2 < error or self.target.missed(at) <= 1:
             return False
-        if self.here is not None and (moved := at.log_load - self.here.log_load):
-            stretch = (at.level - self.here.level) / moved / at.range
-            self.stretch = max(1 / STEEPEST, min(stretch, STEEPEST))
-        self.here, self.level = at, at.level + self.stretch * at.range * max(-STEP, min(change, STEP))
+        self.pressure = at.pressure * math.exp(change)
         return True
 
     def refine(self, at: Measured) -> Aim:
-        """The aim on the next finer grid, where an area at one load changes further as it did over coarser grids."""
-        solved = [*self.solved, at]
+        """The aim on the next finer grid."""
         if not self.target.area:
-            return Aim(self.target, self.level, solved=solved)
-        reach = self.stretch * at.range
-        loads = [each.log_load - each.level / reach for each in solved]
+            return dataclasses.replace(self)
+        pressure = at.pressure * math.exp(self._change(at))
+        return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, at])
+
+    def _change(self, at: Measured) -> float:
+        """The change of ln p̄ to where the finest grid has the area, if the area at one load changes further as it did
+        over coarser grids; at most `STEP`.
+        """
+        loads = [each.log_load - math.log(each.pressure) for each in (*self.solved, at)]
         changes = [b - a for a, b in itertools.pairwise(loads)]
         factor = changes[-1] / changes[-2] if len(changes) > 1 and changes[-2] else USUAL
-        predicted = loads[-1] + max(LEAST, min(factor, MOST)) * (changes[-1] if changes else 0.0)
-        level = reach * (math.log(quantile(self.target.area, at.size)) - predicted)
-        return Aim(self.target, level, self.stretch, solved=solved)
+        factor, finer = max(LEAST, min(factor, MOST)), round(math.log(self.size / at.size, 4))
+        ahead = changes[-1] * sum(factor**k for k in range(1, finer + 1)) if changes else 0.0
+        missing = math.log(quantile(self.target.area, self.size)) - at.log_load - ahead
+        return max(-STEP, min(missing, STEP))
 
 
 def quantile(area: float, size: int) -> float:

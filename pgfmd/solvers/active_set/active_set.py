@@ -49,7 +49,7 @@ LATE = 8  # steps at the tolerance that may be spent on meeting what is imposed
 LEAST = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
-MOVED = 1e-4  # the same where the start has another load
+MOVED = 1e-5  # the same where the start has another load
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
@@ -64,7 +64,7 @@ class State:
     Unless `clipped`, the gap is Gp − h − base, and λ = base + level, the level that of points in contact.  The base is
     an earlier λ, so that gaps in contact are small, and lose no digits in single precision.  clipped: true if `gap` is
     measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
-    coarser grid.  load: Σ p.  aim: the level that is prescribed, where the load is not.  energy: ½⟨p, Gp⟩.  error: of
+    coarser grid.  load: Σ p.  aim: what is prescribed where no load is given.  energy: ½⟨p, Gp⟩.  error: of
     the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of
     those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖ of a certificate.
     """
@@ -104,7 +104,7 @@ class Relaxation:
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
-        self.grid, self.heights, self.load, self.exact = grid, problem.heights, problem.load, exact
+        self.grid, self.heights, self.problem, self.exact = grid, problem.heights, problem, exact
         self.highest, self.kind, self.imposed = problem.law.highest, problem.law.kind, problem.imposed
         precisions: tuple[Precision, Precision] = (np.float32, np.float64)
         self.compliance = {real: solid.apply_compliance(grid, real, 1 / grid.modes) for real in precisions}
@@ -130,7 +130,7 @@ class Relaxation:
             square = system.square + self.hidden
             estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
-                tolerance = self.goal(estimate, tolerance, WORST if self.imposed is None else MOVED)
+                tolerance = self.goal(estimate, tolerance, WORST if state.aim is None else MOVED)
             if self.imposed is not None and self.exact:
                 tolerance = min(tolerance, max(self.imposed.needed(self.measured(state)), LEAST))
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
@@ -161,7 +161,7 @@ class Relaxation:
         if state.pressure.dtype == np.float32:
             rows, factor = self.grid.band, 1.0
             if self.imposed is None:
-                factor = self.load / self.grid.reduction.sum(state.pressure)
+                factor = self.problem.load / self.grid.reduction.sum(state.pressure)
             state.pressure = widened(state.pressure, np.multiply, factor, rows)
             state.gap = widened(state.gap, np.add, state.base, rows)
         elif state.base:
@@ -224,7 +224,31 @@ class Relaxation:
 
     def met(self, state: State) -> bool:
         """Whether the state is at the imposed load, or at what is imposed instead."""
-        return self.imposed is None or self.imposed.missed(self.measured(state), self.exact) <= 1
+        return state.aim is None or not self.exact or state.aim.target.missed(self.measured(state)) <= 1
+
+    def move_load(self, state: State, square: float) -> bool:
+        """Multiplies the pressures if an area that is sought asks for another load and is known well enough (`Aim`);
+        returns whether.  square: about twice the error of the energy.  Collective.
+        """
+        if not self.exact or state.aim is None or not state.energy > 0:
+            return False
+        if not state.aim.moves(self.measured(state), max(square / (2 * state.energy) - self.enough, 0.0)):
+            return False
+        factor, rest = state.aim.pressure * self.grid.size / state.load, self.heights
+
+        def part(_: int, first: int, stop: int) -> None:
+            rows = slice(first, stop)
+            state.pressure[rows] *= factor
+            state.gap[rows] += (factor - 1) * (state.gap[rows] + (rest[rows] + state.base))
+
+        self.grid.threads.share(part, len(state.gap), self.grid.band)
+        self.set_load(state.aim.pressure)
+        self.measure(state)
+        return True
+
+    def set_load(self, mean_pressure: float) -> None:
+        """The load from now on."""
+        self.problem = self.problem.at(mean_pressure)
 
     def compute_gap(self, state: State, precision: Precision) -> None:
         """Sets the state's gap, of either sign; its base: the last λ, or 0 in double precision.  Collective."""

@@ -11,7 +11,7 @@ from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
 from pgfmd.parallel.collectives import shared
-from pgfmd.physics.imposed import Measured
+from pgfmd.physics.imposed import Aim, Measured
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
@@ -92,6 +92,8 @@ class ActiveSetIteration(NestedIteration[State]):
             guess = problem.imposed.guess(stress_of_full_contact(problem), self.rms, problem.grid.size)
             state = self.coarsest(problem.imposing(None, guess), True)
             state.clipped = False
+            if problem.imposed.area:
+                state.aim = Aim(problem.imposed, self.size, pressure=guess)
             return self.relax(problem, state, exact)
         if (full := _full_contact(problem)) is not None:
             return full
@@ -112,8 +114,11 @@ class ActiveSetIteration(NestedIteration[State]):
             return full, True
         grid, state, highest = problem.grid, _new_state(problem), problem.law.highest
         fields, real = (state.pressure, state.gap), state.pressure.dtype
-        if problem.imposed is not None:
-            problem = problem.at(found.load / coarse.place.size)
+        aim, size = found.aim, coarse.place.size
+        if aim is not None:
+            at = Measured(found.base + found.level, found.load / size, found.energy / size, found.contact, size)
+            aim = aim.refine(at)
+            problem = problem.at(aim.pressure or at.pressure)
 
         def close(first: int, stop: int) -> None:
             gap, p = found.gap[first:stop], found.pressure[first:stop]
@@ -132,23 +137,22 @@ class ActiveSetIteration(NestedIteration[State]):
 
         grid.threads.share(part, grid.local_shape[0], grid.band)
         scale_to_load(problem, fields)
-        state.between = round(found.between / coarse.place.size * grid.size)
-        state.base, state.estimated = found.base + found.level, True
-        if found.aim is not None:
-            size = coarse.place.size
-            at = Measured(state.base, found.load / size, found.energy / size, found.contact, size)
-            state.aim = found.aim.refine(at)
+        state.between = round(found.between / size * grid.size)
+        state.base, state.estimated, state.aim = found.base + found.level, True, aim
         return state, False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
         """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
         falling at a given load, by steps that lower the energy each time.  Collective.
         """
+        if problem.imposed is not None and problem.imposed.area:
+            state.aim = state.aim or Aim(problem.imposed, self.size, pressure=problem.mean_pressure)
+            problem = problem.imposing(None, state.aim.pressure)
         given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
         padded = exact and not problem.grid.domain.wraps
         if padded:  # strips that double precision has filled; single precision takes half of them
             problem.grid.free()
-        by_gaps = given and problem.law.highest == np.inf and state.between > most
+        by_gaps = given and state.aim is None and problem.law.highest == np.inf and state.between > most
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
         solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
         while True:

@@ -57,7 +57,7 @@ class GapSteps(Relaxation):
         points = Unknowns(self.grid, (state.gap, state.pressure))
         residual = points.below(0.0, state.pressure)
         work, self.squares[0], count = self.settling.settle(state.pressure, state.gap)
-        state.energy = (work - self.mean * self.load) / 2
+        state.energy = (work - self.mean * self.problem.load) / 2
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
         return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, FREE)
@@ -74,7 +74,7 @@ class GapSteps(Relaxation):
 
     def compute_pressure(self, state: State, precision: Precision) -> None:
         """p = p̄ + K(h + g) for the state's gap, with either sign.  Collective."""
-        mean, sums = self.load / self.grid.size, []
+        mean, sums = self.problem.mean_pressure, []
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             displacement = self.heights[first:stop] + state.gap[first:stop]

@@ -43,6 +43,11 @@ class PressureSteps(Relaxation):
         self.feasible = Feasible(problem)
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
+    def set_load(self, mean_pressure: float) -> None:
+        """The load from now on."""
+        super().set_load(mean_pressure)
+        self.feasible.problem = self.problem
+
     def free(self) -> None:
         """Frees the transforms of the inner solver.  Collective."""
         super().free()
@@ -74,20 +79,17 @@ class PressureSteps(Relaxation):
         """The system for a gap that is known.  Collective."""
         self.measure(state)
         if (imposed := self.imposed) is None:
-            return self._aimed_at(state, state.level, NEUTRAL, loaded_only)
+            system = self._aimed_at(state, state.level, NEUTRAL, loaded_only)
+            if loaded_only or not self.move_load(state, system.square):
+                return system
+            return self._aimed_at(state, state.level, NEUTRAL)
         if not (state.load > 0 and state.energy > 0):
             raise SolverError("contact is lost; allow a larger tolerance")
         at, compliance = self.measured(state), imposed.compliance / self.grid.size
         mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
-        aim = state.aim = state.aim or Aim(imposed, at.level)
-        least = -math.inf if self.exact else (LIGHTEST - 1) * self.summit
-        aim.follow(at, least)
-        system = self._aimed_at(state, aim.level - state.base, mean, loaded_only)
-        error = max(system.square / (2 * state.energy) - self.enough, 0.0)
-        if loaded_only or not aim.moves(at, error, self.exact):
-            return system
-        aim.level = max(aim.level, least)
-        return self._aimed_at(state, aim.level - state.base, mean)
+        aim = state.aim = state.aim or Aim(imposed, self.grid.size)
+        aim.follow(at, -math.inf if self.exact else (LIGHTEST - 1) * self.summit)
+        return self._aimed_at(state, aim.level - state.base, mean, loaded_only)
 
     def _aimed_at(self, state: State, level: float, mean: Mean, loaded_only: bool = False) -> ConjugateGradients:
         """The system that brings the gap of the unknowns to a level.  Collective."""
@@ -104,13 +106,13 @@ class PressureSteps(Relaxation):
             self._solve(state, system, wanted)
             return
         part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
-        goal, failures, seeks = part * system.square, 0, self.imposed is not None and self.imposed.area > 0
+        goal, failures = part * system.square, 0
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
             change = near.below(0.0, state.pressure)
             self._solve(state, system, wanted)
-            if not seeks and goal > SURE * square and wanted**2 * square < 1.1 * goal:
+            if goal > SURE * square and wanted**2 * square < 1.1 * goal:
                 return
             change.own -= near.below(0.0, state.pressure).own
             response = np.empty(near.count, np.float32)

@@ -96,7 +96,7 @@ class ThinSteps(Relaxation):
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
-        self.problem, self.soft = problem, problem.solid.softest(problem.grid.lengths, problem.grid.spacing) < SOFTEST
+        self.soft = problem.solid.softest(problem.grid.lengths, problem.grid.spacing) < SOFTEST
         self.preconditioner = SparseStiffness(problem.grid, self.compliance[np.float64])
         self.mask: np.ndarray | None = None
 
@@ -114,16 +114,16 @@ class ThinSteps(Relaxation):
         self.measure(state)
         mask = state.pressure > 0 if self.mask is None else self.mask
         if (imposed := self.imposed) is None:
+            system = ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
+            if not self.move_load(state, system.square):
+                return system
             return ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
         if not (state.load > 0 and state.energy > 0):
             raise SolverError("contact is lost; allow a larger tolerance")
         at, compliance = self.measured(state), imposed.compliance / self.grid.size
         mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
-        aim = state.aim = state.aim or Aim(imposed, at.level)
+        aim = state.aim = state.aim or Aim(imposed, self.grid.size)
         aim.follow(at, -math.inf)
-        system = ThinSystem(self, mask, np.where(mask, aim.level - state.gap, 0.0), mean)
-        if not aim.moves(at, max(system.square / (2 * state.energy) - self.enough, 0.0), self.exact):
-            return system
         return ThinSystem(self, mask, np.where(mask, aim.level - state.gap, 0.0), mean)
 
     def improve(self, state: State, system: ThinSystem, wanted: float, enough: float) -> None:  # type: ignore[override]
