@@ -10,15 +10,14 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import NamedTuple
 
 SURE = 0.7  # part of the tolerance of an approach that the certified error may take
-SETTLED = 1e-3  # error of the energy over the squared change of ln p̄ below which an area is known well enough
+NOISE = 4.0  # error of ln p̄ for an area over √(relative error of the energy): up to 3.6 in 12 solves, 512² … 8192²
 STEP = 0.5  # largest change of ln p̄ at once; a level that falls by more may lose contact
-USUAL, LEAST, MOST = 0.4, 0.2, 0.5  # factors from grid to grid on the change of the area at one load
 
 
 class Measured(NamedTuple):
@@ -71,6 +70,13 @@ class Imposed:
             return stress * quantile(self.area, size)
         return stress * math.exp(max(-20.0, min(3.0, 2 * self.approach / rms)))
 
+    @property
+    def tolerance(self) -> float:
+        """The error of the energy over 2 E_el with which an area is known well enough; at least 1e-8, from where on a
+        few points of many change.  No certificate tells the error of an area.
+        """
+        return max((self.allowed / 2 / NOISE) ** 2, 1e-8) if self.area else math.inf
+
     def missed(self, at: Measured) -> float:
         """Distance to the target over what is allowed beside the certified error."""
         if self.area:
@@ -79,8 +85,7 @@ class Imposed:
 
     def needed(self, at: Measured) -> float:
         """The certified error over 2 E_el with which the level is known to `SURE` of what is allowed: the error of the
-        level is at most (2√(AB) + B)/p̄ with A = E_el and B the certified error (`quantities.MeanGap.bound`).  No
-        certificate tells the error of an area.
+        level is at most (2√(AB) + B)/p̄ with A = E_el and B the certified error (`quantities.MeanGap.bound`).
         """
         return math.inf if self.area else (SURE * self.allowed / at.range / (2 + SURE)) ** 2 / 2
 
@@ -89,14 +94,15 @@ class Imposed:
 class Aim:
     """What is prescribed in place of a given load while a target is sought: the level, or for an area a mean pressure.
 
-    size: points of the finest grid.  solved: what was measured at the end of each coarser one.
+    slopes: rms slope of the heights of each grid by its number of points, at least of this and of the finest one.
+    solved: `Aim.loaded` at the end of each coarser one.
     """
 
     target: Imposed
-    size: int
+    slopes: Mapping[int, float] = field(default_factory=dict)
     level: float = 0.0
     pressure: float = 0.0
-    solved: Sequence[Measured] = ()
+    solved: Sequence[float] = ()
 
     def follow(self, at: Measured, least: float) -> None:
         """Sets the level of an imposed approach, which depends on the load at most; at least to `least`."""
@@ -104,11 +110,14 @@ class Aim:
         self.level = max(least, level, at.level - STEP * at.range)
 
     def moves(self, at: Measured, error: float) -> bool:
-        """Changes the mean pressure if the area misses its target by more than the error of the energy, relative to
-        2 E_el, lets areas be wrong; returns whether.
+        """Changes the mean pressure if the area misses its target, and is known well enough; returns whether.
+
+        error: of the energy, relative to 2 E_el.  An area that may be right stays; a change shall leave it right, or a
+        fifth as far off.
         """
-        change = self._change(at)
-        if SETTLED * change**2 < error or self.target.missed(at) <= 1:
+        change, unsure = self._change(at), NOISE * math.sqrt(error)
+        allowed = self.target.allowed
+        if self.target.missed(at) <= 1 or abs(change) < allowed + unsure or unsure > max(allowed / 2, abs(change) / 5):
             return False
         self.pressure = at.pressure * math.exp(change)
         return True
@@ -118,19 +127,23 @@ class Aim:
         if not self.target.area:
             return dataclasses.replace(self)
         pressure = at.pressure * math.exp(self._change(at))
-        return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, at])
+        return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)])
+
+    def loaded(self, at: Measured) -> float:
+        """ln of the mean pressure that Persson's theory has at this area, over the one there is: the same on all grids,
+        but for what pixels change.
+        """
+        return at.log_load + math.log(self.slopes[at.size] / at.pressure)
 
     def _change(self, at: Measured) -> float:
-        """The change of ln p̄ to where the finest grid has the area, if the area at one load changes further as it did
-        over coarser grids; at most `STEP`.
+        """The change of ln p̄ to where the finest grid has the area, if `loaded` changes further as it did over coarser
+        grids; at most `STEP`.
         """
-        loads = [each.log_load - math.log(each.pressure) for each in (*self.solved, at)]
-        changes = [b - a for a, b in itertools.pairwise(loads)]
-        factor = changes[-1] / changes[-2] if len(changes) > 1 and changes[-2] else USUAL
-        factor, finer = max(LEAST, min(factor, MOST)), round(math.log(self.size / at.size, 4))
-        ahead = changes[-1] * sum(factor**k for k in range(1, finer + 1)) if changes else 0.0
-        missing = math.log(quantile(self.target.area, self.size)) - at.log_load - ahead
-        return max(-STEP, min(missing, STEP))
+        values, size = [*self.solved, self.loaded(at)], max(self.slopes)
+        changes = [b - a for a, b in itertools.pairwise(values)]
+        ahead = changes[-1] * (1 - math.sqrt(at.size / size)) if changes else 0.0
+        wanted = math.log(quantile(self.target.area, size) * self.slopes[size]) - values[-1] - ahead
+        return max(-STEP, min(wanted - math.log(at.pressure), STEP))
 
 
 def quantile(area: float, size: int) -> float:

@@ -106,7 +106,8 @@ class LoadControl:
         if start is not None and 0 < (total := self.grid.reduction.sum(start)) < math.inf:
             guess = total / self.grid.size
         try:
-            found = self.solver(self.problem.imposing(imposed, guess), start, self.tolerance)
+            tolerance = min(self.tolerance, imposed.tolerance)
+            found = self.solver(self.problem.imposing(imposed, guess), start, tolerance)
         except SolverError as failure:
             if not shared(self.grid.comm, failure):
                 raise

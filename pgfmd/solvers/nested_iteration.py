@@ -32,11 +32,11 @@ class Coarse(NamedTuple):
 
 class NestedIteration(Generic[StateType]):
     """Solves problems to a tolerance, each grid from the next coarser one.  `contact` takes physical problems, all else
-    dimensionless ones; rms, size: of the heights, and points, of the finest grid.
+    dimensionless ones; rms: of the heights of the finest.
     """
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:
-        self.tolerance, self.monitor, self.rms, self.size = tolerance, monitor, 1.0, 0
+        self.tolerance, self.monitor, self.rms = tolerance, monitor, 1.0
 
     @classmethod
     def contact(
@@ -57,7 +57,7 @@ class NestedIteration(Generic[StateType]):
         scaled = Dimensionless(problem, overwrite_heights)
         if scaled.uniform is not None:
             return scaled.uniform
-        nested.rms, nested.size = scaled.rms, problem.grid.size
+        nested.rms = scaled.rms
         if start is None:
             state, transforms = nested.solve(scaled.problem)
         else:

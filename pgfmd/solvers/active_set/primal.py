@@ -87,7 +87,7 @@ class PressureSteps(Relaxation):
             raise SolverError("contact is lost; allow a larger tolerance")
         at, compliance = self.measured(state), imposed.compliance / self.grid.size
         mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
-        aim = state.aim = state.aim or Aim(imposed, self.grid.size)
+        aim = state.aim = state.aim or Aim(imposed)
         aim.follow(at, -math.inf if self.exact else (LIGHTEST - 1) * self.summit)
         return self._aimed_at(state, aim.level - state.base, mean, loaded_only)
 

@@ -122,7 +122,7 @@ class ThinSteps(Relaxation):
             raise SolverError("contact is lost; allow a larger tolerance")
         at, compliance = self.measured(state), imposed.compliance / self.grid.size
         mean = Mean(False, compliance, 1 / (at.range / state.load + compliance))
-        aim = state.aim = state.aim or Aim(imposed, self.grid.size)
+        aim = state.aim = state.aim or Aim(imposed)
         aim.follow(at, -math.inf)
         return ThinSystem(self, mask, np.where(mask, aim.level - state.gap, 0.0), mean)
 
