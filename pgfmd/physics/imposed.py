@@ -72,8 +72,8 @@ class Imposed:
 
     @property
     def tolerance(self) -> float:
-        """The error of the energy over 2 E_el with which an area is known well enough; at least 1e-8, from where on a
-        few points of many change.  No certificate tells the error of an area.
+        """The error of the energy over 2 E_el with which an area is known to half of what is allowed (`NOISE`); no
+        certificate tells that.  At least 1e-8, from where on single points change.
         """
         return max((self.allowed / 2 / NOISE) ** 2, 1e-8) if self.area else math.inf
 
