@@ -41,16 +41,17 @@ class Counted:
         return self.loads.solution(target)
 
 
-def test_an_area_takes_one_solution_at_a_loose_tolerance(comm):
-    """The solver knows areas to .5 % even where it is asked for an energy to .1 % only; no search follows."""
-    grid, solves = SlabGrid(comm, (256, 256)), 0
-    for seed in (1, 2, 3):
-        heights = self_affine(grid, 0.8, 16.0, 0.031, seed)
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+def test_an_area_takes_one_solution_at_a_loose_tolerance(comm, tolerance):
+    """The solver knows areas to .5 % even where it is asked for an energy to 1 % only; no search follows."""
+    grid, solves = SlabGrid(comm, (128, 128)), 0
+    for seed in (1, 2, 3, 4, 5):
+        heights = self_affine(grid, 0.8, 4.0, 0.031, seed)
         for target in (0.02, 0.05, 0.2):
-            counted = Counted("contact_area", grid, heights, tolerance=1e-3)
+            counted = Counted("contact_area", grid, heights, tolerance=tolerance)
             counted.solution(target)
             solves += counted.solves
-    assert solves == 9
+    assert solves == 15
 
 
 @pytest.fixture(scope="module")
