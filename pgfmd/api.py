@@ -17,6 +17,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.domain import DOMAINS, Domain
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import interpolate
+from pgfmd.observables.bottleneck import gap_percolates
 from pgfmd.observables.contact import Certified, Contact, certified
 from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
 from pgfmd.options.section import Kinds, Section, build
@@ -58,6 +59,7 @@ class Options(TypedDict, total=False):
     method: str
     area_tolerance: float
     gap_tolerance: float
+    percolation_accuracy: float
     start: np.ndarray | None
     refine: int
     boundary: str
@@ -73,6 +75,7 @@ class OneLoad(Options, total=False):
     mean_gap: float
     displacement: float
     force: float
+    percolation: str
 
 
 class SeveralLoads(Options, total=False):
@@ -102,6 +105,8 @@ def solve(
     mean_gap: Any = None,
     displacement: Any = None,
     force: Any = None,
+    percolation: str | None = None,
+    percolation_accuracy: float = 1e-3,
     contact_modulus: float = 1.0,
     spacing: float | tuple[float, float] | None = None,
     tolerance: float = 1e-8,
@@ -133,7 +138,8 @@ def solve(
 
     Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
-    them, each starting from the last if its p̄ is within 5 %.  area_tolerance, gap_tolerance: see [load] of a job.
+    them, each starting from the last if its p̄ is within 5 %.  Or percolation="gap": the contact at the highest load
+    found at which the gap percolates.  area_tolerance, gap_tolerance, percolation_accuracy: see [load] of a job.
 
     boundary: "periodic", or "open": the heights are a patch of an infinite surface, and no pressure acts outside of it;
     displacement is then the approach of distant points.
@@ -161,7 +167,7 @@ def solve(
     """
     comm = ALONE if comm is None else comm
     imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
-    imposed |= {"displacement": displacement, "force": force}
+    imposed |= {"displacement": displacement, "force": force, "percolation": percolation}
     with raise_together(comm):
         topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
         heights = _surface(heights, topography)
@@ -175,6 +181,7 @@ def solve(
             raise InputError(f"force = {show(force)}: must be a number ≥ 0 with wall.kind = {show(law.kind)}")
         options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
+        closeness["percolation_accuracy"] = percolation_accuracy
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
     _agree(comm, (name, targets, single, solid, law, options, closeness, refine, domain, start is None))
     grid = _grid(comm, heights, spacing, threads, domain)
@@ -194,10 +201,10 @@ def solve(
     shown = "ipykernel" in sys.modules and "IPython" in sys.modules if progress is None else progress
     control = load_control(asked_load, ContactProblem(grid, heights, solid, law), options.tolerance)
     if isinstance(control, LoadControl):
-        control.solver = partial(_solve, options, shown)
-    control.check_targets(targets)
+        control.solver, control.percolates = partial(_solve, options, shown), gap_percolates
+    control.check_targets(asked_load.targets)
     control.resume(start)
-    contacts = _contacts(control, targets, not getattr(topography, "is_periodic", True))
+    contacts = _contacts(control, asked_load.targets, not getattr(topography, "is_periodic", True))
     if not single:
         return contacts
     try:

@@ -19,6 +19,7 @@ from pgfmd import plugins as user_plugins
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.observables.adhesive_state import Adhesion
+from pgfmd.observables.closing_load import ClosingLoad
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.observable_kinds import OBSERVABLES
@@ -148,8 +149,13 @@ class Job:
         self.surface.whole.check_in(self.grid)
         self.solver.check_law(self.wall)
         self.imposed.check_law(self.wall)
+        self.load.check_domain(self.grid.domain)
         if not self.wall.convex:
             self._of_attraction()
+        if self.load.percolation:
+            self._always(ClosingLoad.name)
+        elif ClosingLoad.name in self.output.observables:
+            raise InputError(f"output.observables: {ClosingLoad.name} needs load.percolation")
         for observable in self.output.asked:
             observable.check_in(self.grid.domain)
         self.solver.check_domain(self.wall, self.solid, self.grid.domain)
@@ -160,8 +166,12 @@ class Job:
         for observable in self.output.asked:
             if not observable.attraction:
                 raise InputError(f"output.observables: {observable.name} is not measured with wall.kind = {kind}")
-        if Adhesion.name not in self.output.observables:
-            names = (*self.output.observables, Adhesion.name)
+        self._always(Adhesion.name)
+
+    def _always(self, name: str) -> None:
+        """Adds an observable to those that are asked for."""
+        if name not in self.output.observables:
+            names = (*self.output.observables, name)
             object.__setattr__(self, "output", dataclasses.replace(self.output, observables=names))
 
     def __reduce__(self) -> tuple:  # to other ranks, which need the plugins before the objects that are made of them

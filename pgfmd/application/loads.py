@@ -16,6 +16,7 @@ from pgfmd.application.stop import Interruptions
 from pgfmd.application.writer import ResultWriter
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.observables.bottleneck import gap_percolates
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.schema import TABLE, Groups
 from pgfmd.options.text import with_error
@@ -50,7 +51,7 @@ class Loads:
         if isinstance(self.control, Branch):
             self.control.monitor = self._follow
         else:
-            self.control.solver = self._solve_at
+            self.control.solver, self.control.percolates = self._solve_at, gap_percolates
         self._index, self._transforms = 0, 0.0
 
     def refuse_impossible(self, alone: bool) -> None:

@@ -38,6 +38,11 @@ def percolates(labels: Labels) -> tuple[bool, bool]:
     return tuple(map(bool, labels.comm.allreduce(flags)))  # type: ignore[return-value]
 
 
+def gap_percolates(grid: SlabGrid, mask: np.ndarray) -> bool:
+    """Whether a path over edges of a mask (nx_local, ny) winds around the cell, along any axis.  Collective."""
+    return any(percolates(label_patches(grid.comm, mask, grid.starts, 4)))
+
+
 def bottlenecks(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray) -> tuple[Bottleneck, Bottleneck]:
     """Along x and along y, of a gap (nx_local, ny) on the points of a mask, joined over edges.  Collective."""
     comm, least = grid.comm, float(np.nextafter(0, 1))

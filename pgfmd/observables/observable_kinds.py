@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pgfmd.observables.adhesive_state import Adhesion
 from pgfmd.observables.bearing_area import Bearing
+from pgfmd.observables.closing_load import ClosingLoad
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
 from pgfmd.observables.gap_slope import GapSlope
@@ -32,6 +33,7 @@ KINDS = (
     Discretisation,
     Stiffness,
     Percolation,
+    ClosingLoad,
     Leakage,
     Subsurface,
     PartialSlip,

@@ -19,6 +19,7 @@ from pgfmd.solvers.solution import ContactSolution
 EQUAL = 4 * np.finfo(float).eps  # over the largest height: points this close to the highest count as equally high
 TINY = 1e-300  # least argument of a logarithm, and tolerance of a gap
 LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
+CLOSING_AREA = 0.37  # in Persson's theory, of the load at which the gap of rough surfaces closes (.33 … .40)
 RESOLVED = 1e-9  # tolerance over the rms height down to which approaches are counted from the mean height
 
 
@@ -101,6 +102,10 @@ class Control:
         """|Value − target| over the tolerance.  Collective."""
         raise NotImplementedError
 
+    def asked(self, target: float) -> str:
+        """The key and its value, for messages."""
+        return f"load.{self.options.control} = {target:g}"
+
     @property
     def tolerance_text(self) -> str:
         """The key of the tolerance and its value, for messages."""
@@ -174,7 +179,7 @@ class ContactArea(Control):
 
     def guess(self, target: float) -> float:
         """Persson's theory: area = erf(p̄/√2 s).  Collective."""
-        return math.log(self.stress) + math.log(self._quantile(target))
+        return math.log(self.stress * self._quantile(target))
 
     def distance(self, found: ContactSolution, target: float) -> float:
         """ln of the ratio of the mean pressures of Persson's theory for the area found and the target: the theory is
@@ -194,6 +199,35 @@ class ContactArea(Control):
     def error(self, found: ContactSolution, target: float) -> float:
         """|Area − target| over `area_tolerance` times the target, or over one pixel if that is more.  Collective."""
         return abs(self.area(found) - target) / max(self.options.area_tolerance * target, 1 / self.grid.size)
+
+
+class Closure(ContactArea):
+    """The load at which no path in the gap winds around the cell any more; where that is, `LoadControl` finds."""
+
+    def asked(self, target: float) -> str:
+        """The key and its value, for messages."""
+        return f'load.percolation = "{self.options.percolation}"'
+
+    @property
+    def tolerance_text(self) -> str:
+        """The key of the accuracy and its value, for messages."""
+        return f"load.percolation_accuracy = {self.options.percolation_accuracy:g}"
+
+    def check_target(self, target: float) -> None:
+        """Raises InputError without a period, and on flat surfaces.  Collective."""
+        self.options.check_domain(self.grid.domain)
+        super().check_target(target)
+
+    def check_reachable(self, target: float) -> None:
+        """Not known before contacts are solved."""
+
+    def imposed(self, target: float) -> Imposed | None:
+        """None: no solver meets it by itself."""
+        return None
+
+    def guess(self, target: float) -> float:
+        """ln of the load of the usual area.  Collective."""
+        return super().guess(CLOSING_AREA)
 
 
 class MeanGap(Control):
@@ -383,4 +417,5 @@ CONTROLS: dict[str, type[Control]] = {
     "contact_area": ContactArea,
     "mean_gap": MeanGap,
     "displacement": Displacement,
+    "percolation": Closure,
 }

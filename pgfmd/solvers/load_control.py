@@ -2,7 +2,8 @@
 
 Under a hard wall the solver meets the target by itself (`physics.imposed`).  Else p̄ is found by secants, kept inside a
 bracket, in coordinates in which the relation, which is monotonic, is nearly straight.  Solutions on the way have a
-loose tolerance, and start from the previous one if its p̄ is near.
+loose tolerance, and start from the previous one if its p̄ is near.  The load at which the gap ceases to percolate is
+bisected.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from pgfmd.errors import SolverError
+from pgfmd.errors import SolverError, Unreachable
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.adhesive_branch import Branch
@@ -26,6 +28,9 @@ from pgfmd.solvers.solution import ContactSolution
 SolveAt = Callable[[ContactProblem, np.ndarray | None, float], ContactSolution]
 """(problem, pressure to start from or None, tolerance) → solution."""
 
+Percolates = Callable[[SlabGrid, np.ndarray], bool]
+"""(grid, mask (nx_local, ny)) → whether a path in it winds around the cell.  Collective."""
+
 NEIGHBOURS = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
 LOOSE = 1e-5  # certified error of intermediate solutions
 SURE = 0.3  # part of the target's tolerance that may be due to the solution's certified error
@@ -34,6 +39,11 @@ JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs bet
 SHARP = 1e-12  # certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
+FIRST_STEP = 0.1  # of ln p̄ in the search of closure; doubled until both sides of it are known
+LOWEST = 40.0  # below the first guess of ln p̄, where the gap must percolate
+# Certified error over the square of the accuracy of the load of closure.  That load, in 4 rough surfaces, is wrong by
+# up to 1e-2 at errors of 1e-6, 1e-4 at 1e-8, 1e-5 at 1e-10.
+SHARPNESS = 1e-2
 log = logging.getLogger("pgfmd")
 
 
@@ -41,8 +51,11 @@ class LoadControl:
     """Finds the contact of one surface at targets of the quantity that `load` imposes, in any order.  Collective to
     make.
 
-    solver: solves at a given mean pressure; `solve_contact` if not given.
+    solver: solves at a given mean pressure; `solve_contact` if not given.  percolates: tells whether a mask percolates;
+    needed where percolation is asked for.
     """
+
+    percolates: Percolates | None = None
 
     def __init__(self, load: Load, problem: ContactProblem, tolerance: float = 1e-8, solver: SolveAt | None = None):
         load.check_law(problem.law)
@@ -82,7 +95,7 @@ class LoadControl:
             found = self._separated(target)
         else:
             self.control.check_reachable(target)
-            found = self._aimed(target) or self._search(target)
+            found = self._aimed(target) or (self._closure if self.name == "percolation" else self._search)(target)
         iterations, transforms, seconds = map(float, self._totals)
         return dataclasses.replace(found, iterations=int(iterations), transforms=transforms, seconds=seconds)
 
@@ -124,7 +137,7 @@ class LoadControl:
         """Says that a target is met to one pixel, if that is more than its tolerance.  Collective."""
         if self.control.met_to_a_pixel(found, target) and self.grid.comm.rank == 0:
             text = self.control.tolerance_text
-            log.info("load.%s = %g: met to one pixel, which is more than %s", self.name, target, text)
+            log.info("%s: met to one pixel, which is more than %s", self.control.asked(target), text)
 
     def _search(self, target: float) -> ContactSolution:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
@@ -158,10 +171,38 @@ class LoadControl:
             self._previous = found.mean_pressure, found.pressure
             del found  # before the next is solved
         if best[1] is None or not (control.jumps and search.width <= JUMP):
-            raise SolverError(f"load.{self.name} = {target:g}: not met to {control.tolerance_text}; allow a larger one")
+            raise SolverError(f"{control.asked(target)}: not met to {control.tolerance_text}; allow a larger one")
         if self.grid.comm.rank == 0:
-            log.info("load.%s = %g: the area jumps across this at one load; the nearer is taken", self.name, target)
+            log.info("%s: the area jumps across this at one load; the nearer is taken", control.asked(target))
         return best[1]
+
+    def _closure(self, target: float) -> ContactSolution:
+        """The contact at the highest p̄ found at which the gap percolates; its details hold that p̄ and the least at which
+        it does not.  Contact grows with the load, so that bisection finds them.  Collective.
+        """
+        assert self.percolates is not None
+        accuracy, asked = self.control.options.percolation_accuracy, self.control.asked(target)
+        tolerance, highest = min(self.tolerance, SHARPNESS * accuracy**2), self.problem.law.highest
+        at, step = self._first_guess(target), FIRST_STEP
+        low, high, guess = -math.inf, math.log(highest), at
+        for _ in range(MOST_SOLVES):
+            found = self._solved(min(math.exp(at), math.nextafter(highest, 0.0)), tolerance, target)
+            self._previous = found.mean_pressure, found.pressure
+            if self.percolates(self.grid, found.pressure_in_contact() <= 0):
+                low = at
+                if high - low <= accuracy:
+                    bracket = {"closing_pressure_lower": found.mean_pressure, "closing_pressure_upper": math.exp(high)}
+                    return dataclasses.replace(found, details={**found.details, **bracket})
+            elif at > low:
+                high = at
+            else:  # it did when it was solved from another start
+                low, high, step = -math.inf, at, accuracy
+            del found  # before the next is solved
+            if high < guess - LOWEST:
+                raise Unreachable(f"{asked}: the gap does not percolate at any load, down to {math.exp(high):g}")
+            at = low if high - low <= accuracy else min(max((low + high) / 2, at - step), at + step)
+            step *= 2
+        raise SolverError(f"{asked}: not found to {self.control.tolerance_text}; allow a larger one")
 
     def _first_guess(self, target: float) -> float:
         """ln p̄ of the solution that is resumed or near, or else the estimate of the control.  Collective."""
@@ -192,7 +233,7 @@ class LoadControl:
                 asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
             elif tolerance > self.tolerance:
                 asked = f"not even a certified error of {tolerance:g} is reached on the way"
-            failure.args = (f"load.{self.name} = {target:g}: {asked}: {failure}",)
+            failure.args = (f"{self.control.asked(target)}: {asked}: {failure}",)
             raise
 
 

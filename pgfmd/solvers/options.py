@@ -70,7 +70,7 @@ class Solver(Section):
 
 @dataclass(frozen=True, kw_only=True)
 class Load(Section):
-    """What is imposed, one solution per entry, in the order given: exactly one of the five lists."""
+    """What is imposed, one solution per entry, in the order given: exactly one of the five lists, or percolation."""
 
     where: ClassVar[str] = "load"
     shown: ClassVar[tuple[str, ...]] = ("pressure",)
@@ -89,6 +89,11 @@ class Load(Section):
     )
     force: tuple[float, ...] | None = key(
         many(number(), least=1), about="total force: mean pressure times the area of the cell", unit="pressure*length^2"
+    )
+    percolation: str | None = key(
+        choice("gap"),
+        about="one contact, at the highest load found at which a path in the gap, over edges of pixels, still winds "
+        "around the periodic cell; the table of loads holds the loads between which the last one closes",
     )
     cycle: bool = key(flag(), False, "the list is followed by itself backwards: loading, then unloading")
     branch: str = key(
@@ -119,12 +124,21 @@ class Load(Section):
         unit="1",
     )
 
+    percolation_accuracy: float = key(
+        number(above=0, below=1),
+        1e-3,
+        "relative distance of those two loads; the solver's tolerance is at most its square over 100",
+        unit="1",
+    )
+
     def check(self) -> None:
         """Exactly one list is given."""
         given = [name for name in CONTROLS if getattr(self, name) is not None]
         if len(given) != 1:
             found = f"found {' and '.join(given)}" if given else "found none"
             raise InputError(f"load: give exactly one of {', '.join(CONTROLS)}; {found}")
+        if self.cycle and self.percolation:
+            raise wrong(self, "cycle", "is for lists; percolation is one load")
         if self.cycle:  # written out, so that a list can be compared with that of earlier results
             object.__setattr__(self, given[0], self.targets + self.targets[-2::-1])
             object.__setattr__(self, "cycle", False)
@@ -132,10 +146,11 @@ class Load(Section):
     def check_law(self, law: ContactLaw) -> None:
         """Raises InputError for targets that a law cannot have."""
         kind = show(law.kind)
-        if not law.releases and self.contact_area:
-            raise wrong(self, "contact_area", f"cannot be imposed with wall.kind = {kind}, which touches everywhere")
-        if not law.convex and self.contact_area:
-            raise wrong(self, "contact_area", f"cannot be imposed with wall.kind = {kind}: the area is not monotonic")
+        if self.contact_area or self.percolation:
+            if not law.releases:
+                raise wrong(self, self.control, f"cannot be imposed with wall.kind = {kind}, which touches everywhere")
+            if not law.convex:
+                raise wrong(self, self.control, f"cannot be imposed with wall.kind = {kind}: the area is not monotonic")
         if self.pressure and min(self.pressure) < law.lowest:
             raise wrong(self, "pressure", f"must be a number ≥ {law.lowest:g} with wall.kind = {kind}")
         if not law.releases and 0.0 in (self.pressure or ()):
@@ -150,6 +165,11 @@ class Load(Section):
                 "shape to which it has yielded; to unload, solve for the heights less the field plastic_depth"
             )  # fmt: skip
 
+    def check_domain(self, domain: Domain) -> None:
+        """Raises InputError for what needs a period where there is none."""
+        if self.percolation and not domain.wraps:
+            raise wrong(self, "percolation", 'needs a period, not boundary = "open": paths wind around the cell')
+
     @property
     def control(self) -> str:
         """The name of what is imposed."""
@@ -157,8 +177,8 @@ class Load(Section):
 
     @property
     def targets(self) -> tuple[float, ...]:
-        """The values imposed."""
-        return getattr(self, self.control)
+        """The values imposed; of percolation the critical constriction, 0."""
+        return (0.0,) if self.percolation else getattr(self, self.control)
 
     def in_pressure(self, lengths: tuple[float, float]) -> Load:
         """The same on a cell of these sides, with mean pressures in place of forces."""
@@ -167,9 +187,9 @@ class Load(Section):
         return replace(self, force=None, pressure=tuple(force / (lengths[0] * lengths[1]) for force in self.force))
 
     def imposing(self, targets: tuple[float, ...]) -> Load:
-        """The same with other values imposed."""
-        values: dict[str, Any] = {self.control: targets}
+        """The same with other values imposed, where there are values."""
+        values: dict[str, Any] = {} if self.percolation else {self.control: targets}
         return replace(self, **values)
 
 
-CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement", "force")
+CONTROLS = ("pressure", "contact_area", "mean_gap", "displacement", "force", "percolation")

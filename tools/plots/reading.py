@@ -27,6 +27,7 @@ log = logging.getLogger("pgfmd")
 
 FIELD_OF = {"stress": "pressure", "contact": "pressure", "height": "height", "gap": "gap"}
 CONTROLS = {"contact_area": "f_c", "pressure": "p̄", "mean_gap": "mean gap", "displacement": "displacement"}
+CONTROLS |= {"percolation": "constriction"}
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class Load:
         for control in CONTROLS:
             values = self.job["load"].get(control)
             if values is not None:
-                values = values if isinstance(values, list) else [values]
+                values = values if isinstance(values, list) else [0.0 if control == "percolation" else values]
                 return control, float(values[self.index]) if self.index < len(values) else math.nan
         return "pressure", self.mean_pressure
 
