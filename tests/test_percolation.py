@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from job_texts import rough_job
 from solids import elastic
 
 import pgfmd
+from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import bottleneck
 from pgfmd.observables.bottleneck import bottlenecks, percolates
 from pgfmd.observables.labelling import label_patches
+from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
 EDGES = (1, 0), (-1, 0), (0, 1), (0, -1)
@@ -96,3 +99,62 @@ def test_stripes(comm):
     assert [found[f"{part}_percolates_{axis}"] for part in ("contact", "gap") for axis in "xy"] == [0, 1, 0, 1]
     largest = grid.reduction.max(contact.gap)
     assert found["constriction_y"] == largest and found["constriction_x"] == 0
+
+
+def scene(comm, seed: int, n: int = 64):
+    grid = SlabGrid(comm, (n, n))
+    return self_affine(grid, 0.8, 8.0, 0.1, seed)
+
+
+def test_a_wave_closes_at_full_contact(comm):
+    """On a wave that varies along x, paths along y end where its trough is met: p̄ = π E' A/λ (Westergaard 1939)."""
+    grid = SlabGrid(comm, (32, 16))
+    heights = 0.7 * np.cos(2 * np.pi * np.arange(32)[grid.rows, None] / 32) * np.ones(16)
+    found = pgfmd.solve(heights, percolation="gap", percolation_accuracy=1e-3, contact_modulus=2.0, comm=comm)
+    lower, upper = (found.details[f"closing_pressure_{end}"] for end in ("lower", "upper"))
+    assert lower <= np.pi * 2.0 * 0.7 / 32 * (1 + 1e-9) and np.pi * 2.0 * 0.7 / 32 <= upper * (1 + 1e-9)
+    assert 0 < upper / lower - 1 <= 1.01e-3 and found.mean_pressure == pytest.approx(lower, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_gap_closes_between_the_two_loads(comm, seed):
+    """Contacts solved anew at 1 ± 2 accuracies of that load: a path winds around the cell below, none above."""
+    heights = scene(comm, seed)
+    found = pgfmd.solve(heights, percolation="gap", percolation_accuracy=1e-3, comm=comm)
+    whole = np.concatenate(comm.allgather(found.pressure))
+    assert any(flood(whole == 0, 4))
+    for factor, winds in ((0.998, True), (1.002, False)):
+        other = pgfmd.solve(heights, factor * found.mean_pressure, tolerance=1e-11, comm=comm)
+        whole = np.concatenate(comm.allgather(other.pressure))
+        assert any(flood(whole == 0, 4)) == winds
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [({"boundary": "open"}, "needs a period"), ({"percolation": "contact"}, 'must be one of "gap"'),
+     ({"zeta": 0.1}, "touches everywhere"), ({"percolation_accuracy": 0.0}, "must be a number > 0 and < 1"),
+     ({"pressure": 0.1}, "give exactly one of")],
+)  # fmt: skip
+def test_what_has_no_closing_load_is_refused(comm, keywords, words):
+    """One line says what is allowed."""
+    with pytest.raises(InputError, match=words):
+        pgfmd.solve(scene(comm, 1), comm=comm, **({"percolation": "gap"} | keywords))
+
+
+def test_flat_heights_do_not_close_a_gap(comm):
+    """There is no gap at any load: refused, as for an area."""
+    with pytest.raises(InputError):
+        pgfmd.solve(np.zeros((16, 16))[SlabGrid(comm, (16, 16)).rows], percolation="gap", comm=comm)
+
+
+def test_a_run_writes_both_loads(comm, tmp_path):
+    """In the table, with the constrictions if these are asked for; a restart finds it complete."""
+    if comm.size > 1:
+        pytest.skip("once is enough")
+    job = tmp_path / "job.toml"
+    job.write_text(rough_job(48, load={"percolation": "gap"}, output={"observables": ["percolation"]}))
+    results = pgfmd.run(job, tmp_path / "out")
+    numbers = {name: values[0] for name, values in results.loads.items()}
+    assert numbers["closing_pressure_lower"] == numbers["mean_pressure"] < numbers["closing_pressure_upper"]
+    assert max(numbers["constriction_x"], numbers["constriction_y"]) > 0
+    assert len(pgfmd.run(job, tmp_path / "out", restart=True)) == 1

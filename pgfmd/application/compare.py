@@ -85,7 +85,7 @@ class Side:
             run = Results(folder)
             self.loads = [_numbers(load.numbers) for load in run]
         self.job = parse(run.provenance["effective_toml"], str(run.directory))
-        self.imposed = next(name for name, value in run.job["load"].items() if isinstance(value, list))
+        self.imposed = self.job.load.control
         self.units = run.units
 
 

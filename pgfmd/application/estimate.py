@@ -32,8 +32,8 @@ SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with
 THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
-# several solutions (2.2 … 2.8).
-SEARCH_WORK = {"pressure": 1.0, "contact_area": 2.0, "mean_gap": 1.4, "displacement": 1.4}
+# several solutions (2.2 … 2.8).  Closure to 1e-3 took 6 … 9 at 256² and 512², to 1e-4 9 … 14.
+SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.8, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
 SOLUTIONS_WORK = 2.4
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 TABLE_BYTES = 12.0  # per quarter of the torus' modes: their compliance in double and in single precision
@@ -155,9 +155,9 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
 
 
 def in_several_solutions(job: Job) -> bool:
-    """Whether a load is searched by solutions at one mean pressure after another."""
+    """Whether a target is searched by secants, on solutions at one mean pressure after another."""
     by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
-    return job.imposed.control != "pressure" and not by_level
+    return job.imposed.control not in ("pressure", "percolation") and not by_level
 
 
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
