@@ -177,8 +177,8 @@ class LoadControl:
         return best[1]
 
     def _closure(self, target: float) -> ContactSolution:
-        """The contact at the highest p̄ found at which the gap percolates; its details hold that p̄ and the least at which
-        it does not.  Contact grows with the load, so that bisection finds them.  Collective.
+        """The contact at the highest p̄ found at which the gap percolates.  Its details hold that p̄, and the least at
+        which it does not.  Contact grows with the load, so that bisection finds them.  Collective.
         """
         assert self.percolates is not None
         accuracy, asked = self.control.options.percolation_accuracy, self.control.asked(target)
