@@ -19,7 +19,7 @@ about .03 of the points, is gathered on rank 0.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -88,6 +88,10 @@ class Halo:
             aggregate[part] = count + sum(copies[:-1]) + places[part]
             begin = part.stop
         return Halo(self.comm, count, [unique for unique, _ in sent], copies)
+
+
+Step = tuple[np.ndarray, np.ndarray, float]
+"""A direction, A · direction, and its energy."""
 
 
 class Level:
@@ -243,19 +247,23 @@ class Level:
             step = self.advance(x, r, self.cycle(r), step)
         return x
 
-    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Any) -> Any:
-        """One step along z made conjugate to the last one, `step`; returns (direction, A · direction, its energy).
-        Collective.
-        """
-        if step is not None:
-            z -= (self.dot(z, step[1]) / step[2]) * step[0]
-        product = -self.rest(np.zeros_like(z), z)
-        energy = self.dot(z, product)
+    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Step | None) -> Step:
+        """One step along z made conjugate to the last one, whose memory is used.  Collective."""
+        if step is None:
+            direction, product = z, self.new()
+        else:
+            direction, product, energy = step
+            add_scaled(z, -self.dot(z, product) / energy, direction, z)
+            direction[:] = z
+        if self.halo is not None:
+            self.halo.fill(direction)
+        apply(self.graph, direction, product)
+        energy = self.dot(direction, product)
         if energy > 0:
-            length = self.dot(z, r) / energy
-            x += length * z
-            r -= length * product
-        return z, product, energy or math.inf
+            length = self.dot(direction, r) / energy
+            add_scaled(x, length, direction, x)
+            add_scaled(r, -length, product, r)
+        return direction, product, energy or math.inf
 
     def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[np.ndarray, float]:
         """A flux f_ij on the faces with Σ_j f_ij = r_i, and Σ f²/T over the faces of this rank's points, each counted
@@ -425,7 +433,7 @@ def grid_graph(
                     border[at] = 2
                 at += 1
             first[number[i, j] + 1] = at
-    return Graph(first, other[:at].copy(), weight[:at].copy(), border[:at].copy()), sides[:at].copy()
+    return Graph(first, other[:at], weight[:at], border[:at]), sides[:at]  # what is not written takes no memory
 
 
 @compiled()
@@ -476,6 +484,23 @@ def residual(graph: Graph, target: np.ndarray, x: np.ndarray, out: np.ndarray) -
 
 
 @compiled()
+def apply(graph: Graph, x: np.ndarray, out: np.ndarray) -> None:
+    """out = Ax."""
+    for i in range(len(graph.first) - 1):
+        total = 0.0
+        for k in range(graph.first[i], graph.first[i + 1]):
+            total += graph.weight[k] * (x[i] - x[graph.other[k]])
+        out[i] = total
+
+
+@compiled()
+def add_scaled(a: np.ndarray, factor: float, b: np.ndarray, out: np.ndarray) -> None:
+    """out = a + factor · b."""
+    for i in range(len(a)):
+        out[i] = a[i] + factor * b[i]
+
+
+@compiled()
 def relax(graph: Graph, diagonal: np.ndarray, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
     """A sweep of Gauss–Seidel over own points, forward or backward."""
     count = len(diagonal)
@@ -515,7 +540,7 @@ def match(graph: Graph, sizes: np.ndarray, most: int, over_border: bool) -> tupl
     Faces over which points cannot join count too: a point of a pool on both sides must not join what is around it.
     """
     count, found = 0, np.full(len(sizes), -1, np.int32)
-    whole = np.zeros(len(sizes), np.int64)
+    whole = np.zeros(len(sizes), np.int32)
     for i in range(len(sizes)):
         largest, best, partner = 0.0, 0.0, -1
         for k in range(graph.first[i], graph.first[i + 1] if found[i] < 0 else graph.first[i]):
@@ -577,7 +602,7 @@ def coarsened(graph: Graph, aggregate: np.ndarray, count: int) -> Graph:
                 if graph.border[k] == 0:
                     border[seen[b]] = 0
         first[a + 1] = at
-    return Graph(first, other[:at].copy(), weight[:at].copy(), border[:at].copy())
+    return Graph(first, other[:at], weight[:at], border[:at])
 
 
 @compiled()
@@ -639,13 +664,17 @@ def shared_flux(
     point, and the points ordered by it.
     """
     aggregate, members = groups
-    total, begin, place = 0.0, 0, np.zeros(len(graph.first), np.int32)
+    total, begin, place, largest = 0.0, 0, np.zeros(len(graph.first), np.int32), 0
+    for m in range(len(members)):
+        begin = m if m == 0 or aggregate[members[m]] != aggregate[members[m - 1]] else begin
+        place[members[m]] = m - begin
+        largest = max(largest, m - begin + 1)
+    table, target, begin = np.empty((largest, largest)), np.empty(largest), 0
     while begin < len(members):
         a, stop = aggregate[members[begin]], begin
         while stop < len(members) and aggregate[members[stop]] == a:
-            place[members[stop]] = stop - begin
             stop += 1
-        table, target = np.zeros((stop - begin, stop - begin)), np.empty(stop - begin)
+        table[: stop - begin, : stop - begin] = 0.0
         for m in range(stop - begin):
             i = members[begin + m]
             target[m] = r[i]
