@@ -147,6 +147,17 @@ FOUND_BY_CAMPAIGNS = {
         "load": {"mean_gap": [1.229665009296971, 1.2811472679665914, 0.01970366060821797]},
         "solver": {"tolerance": 4.802640813005076e-12},
     },
+    "a response that single precision does not hold, open": {
+        "grid": {"n": 23, "length": [1.0371894400447691e22, 1.0371894400447691e22], "boundary": "open"},
+        "surface": rough(0.8178688094154262, 0.007454706037356808, 1), "load": {"displacement": 9.816e52},
+        "solid": {"lame_lambda": 1.13, "lame_mu": 0.303, "thickness": 387679525.3},
+    },
+    "attraction that has ended": {
+        "grid": {"n": [15, 2], "spacing": [578202.7462119024, 578202.7462119024]}, "solid": {"contact_modulus": 1.0},
+        "surface": {"kind": "sinusoid", "amplitude": 18509.10147762364, "two_dimensional": True},
+        "wall": {"kind": "dugdale", "range": 2389.1836154813072, "work": 2.2130949900382757},
+        "load": {"mean_gap": 50072.67957950608, "gap_tolerance": 3.847e-06},
+    },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
         "load": {"displacement": 1e23},

@@ -23,7 +23,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
 from pgfmd.surfaces.rigid_surface import coordinates
-from pgfmd.surfaces.self_affine import self_affine
+from pgfmd.surfaces.self_affine import SelfAffine, self_affine
 from pgfmd.theory import exact
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
@@ -256,3 +256,11 @@ def test_a_wrong_second_body_is_named(second, message):
     """No table, a key that is missing, a third body, an ensemble: one line says which."""
     with pytest.raises(InputError, match=message):
         pgfmd.surface({"grid": {"n": 8}, "surface": {"kind": "cone", "slope": 0.1, "second": second}})
+
+
+@pytest.mark.parametrize("lambda_s", [5e-324, 1e-300, 1e-160])
+def test_a_wavelength_lost_in_rounding_is_no_cut_off(comm, lambda_s):
+    """λ_s times a small spacing underflows: the surface is that of λ_s = 1 pixel, with modes up to the corners."""
+    grid = SlabGrid(comm, (8, 8), (5e-10, 5e-10))
+    made = [SelfAffine(hurst=0.8, lambda_s=value, rms_slope=0.1, seed=1).heights(grid) for value in (lambda_s, 1.0)]
+    np.testing.assert_array_equal(*made)

@@ -259,7 +259,7 @@ class Contact(ContactSolution):
 
     @cached_property
     def likely_pressure_error(self) -> float:
-        """‖p − p*‖/‖p*‖, estimated by the solver or, where it gives none, from its certified error.
+        """‖p − p*‖/‖p*‖, estimated by the solver or, where it gives none, from its certified error; NaN if p = 0.
 
         ‖p − p*‖² is at most the largest stiffness times ‖p − p*‖²_G ≤ 2B, B the certified energy error; the solver's
         estimate is 1/TYPICAL of this bound.
@@ -269,7 +269,7 @@ class Contact(ContactSolution):
             return 0.0 if math.isnan(estimate) else estimate
         highest = np.array(math.hypot(*(math.pi / step for step in self.grid.spacing)))
         bound = 4 * energy * self.certified_error * float(self.problem.solid.stiffness(highest))
-        return math.sqrt(bound / self.mean_square_pressure) / TYPICAL
+        return math.sqrt(bound / (self.mean_square_pressure or math.nan)) / TYPICAL
 
     @cached_property
     def mean_square_pressure(self) -> float:

@@ -20,6 +20,7 @@ from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
+HIGHEST = 1e150  # wave number of a wavelength that is lost in rounding: its square is finite
 log = logging.getLogger("pgfmd")
 
 
@@ -124,7 +125,7 @@ def _heights(
     from pgfmd.surfaces.random_modes import RandomModes  # compiled code, which only a run needs
 
     side = max(grid.lengths)
-    k_s, k_l, k_r = (side / length for length in wavelengths)
+    k_s, k_l, k_r = (min(side / length, HIGHEST) if length else HIGHEST for length in wavelengths)
     if wavelengths[0] <= max(grid.spacing) * (1 + SLACK):
         k_s = math.inf
 

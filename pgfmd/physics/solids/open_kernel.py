@@ -173,9 +173,9 @@ def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndar
     real = np.dtype(dtype)
     unit, held = 1.0, table
     if real != table.dtype:  # kept, as compliance and stiffness use it
-        name, unit = ("single", id(table)), math.ldexp(1.0, math.frexp(max(grid.period))[1])
+        name, unit = ("single", id(table)), math.ldexp(1.0, math.frexp(float(np.max(table, initial=0.0)))[1])
         if name not in grid.tables:
-            grid.tables[name] = (table / unit).astype(real)  # single precision ends at 3e38, lengths do not
+            grid.tables[name] = (table / unit).astype(real)  # single precision ends at 3e38, responses do not
         held = grid.tables[name]
     number = real.type(factor / unit if divide else factor * unit)
     has_mean = divide and grid.columns.start == 0
