@@ -1,6 +1,7 @@
 """Metadata of a release agree with the package; the reference set and what reads it."""
 
 import csv
+import hashlib
 import json
 import re
 import sys
@@ -75,6 +76,12 @@ def test_outside_of_the_set_is_refused(asked):
     """One line that names what is allowed."""
     with pytest.raises(InputError, match=f"{next(iter(asked))} = .*: must"):
         pgfmd.reference(**{"hurst": 0.8, "scales": 16, "pressure": 0.02, "rolloff": 4} | asked)
+
+
+def test_the_table_is_the_one_that_its_description_names():
+    """The checksum in jobs/reference/reference.json is that of the table in the package."""
+    about = json.loads((TOP / "jobs/reference/reference.json").read_text())
+    assert hashlib.sha256((TOP / "pgfmd/theory/reference.csv").read_bytes()).hexdigest() == about["sha256"]
 
 
 def test_the_table_is_made_from_the_runs(tmp_path, capsys):
