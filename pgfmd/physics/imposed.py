@@ -94,12 +94,12 @@ class Imposed:
 class Aim:
     """What is prescribed in place of a given load while a target is sought: the level, or for an area a mean pressure.
 
-    slopes: rms slope of the heights of each grid by its number of points, at least of this and of the finest one.
-    solved: `Aim.loaded` at the end of each coarser one.
+    stresses: rms stress of full contact (Persson's s), up to a factor, by the number of points of a grid, at least of
+    this and of the finest.  solved: `Aim.loaded` at the end of each coarser one.
     """
 
     target: Imposed
-    slopes: Mapping[int, float] = field(default_factory=dict)
+    stresses: Mapping[int, float] = field(default_factory=dict)
     level: float = 0.0
     pressure: float = 0.0
     solved: Sequence[float] = ()
@@ -130,19 +130,19 @@ class Aim:
         return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)])
 
     def loaded(self, at: Measured) -> float:
-        """ln of the mean pressure that Persson's theory has at this area, over the one there is: the same on all grids,
-        but for what pixels change.
+        """ln of the mean pressure of Persson's theory, area = erf(p̄/√2 s), for this area over the one there is: the
+        same on all grids, but for what pixels change.
         """
-        return at.log_load + math.log(self.slopes[at.size] / at.pressure)
+        return at.log_load + math.log(self.stresses[at.size] / at.pressure)
 
     def _change(self, at: Measured) -> float:
         """The change of ln p̄ to where the finest grid has the area, if `loaded` changes further as it did over coarser
         grids; at most `STEP`.
         """
-        values, size = [*self.solved, self.loaded(at)], max(self.slopes)
+        values, size = [*self.solved, self.loaded(at)], max(self.stresses)
         changes = [b - a for a, b in itertools.pairwise(values)]
         ahead = changes[-1] * (1 - math.sqrt(at.size / size)) if changes else 0.0
-        wanted = math.log(quantile(self.target.area, size) * self.slopes[size]) - values[-1] - ahead
+        wanted = math.log(quantile(self.target.area, size) * self.stresses[size]) - values[-1] - ahead
         return max(-STEP, min(wanted - math.log(at.pressure), STEP))
 
 

@@ -27,7 +27,7 @@ from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.second_order import Rounding
 from pgfmd.solvers.solution import Monitor
 
-MOST_ROWS = 512  # of which a slope is measured: a part of a hundred of a transform at 8192²
+MOST_ROWS = 512  # of which a stress is measured: a part of a hundred of a transform at 8192²
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
 
 
@@ -70,19 +70,19 @@ def _full_contact(problem: ContactProblem) -> State | None:
     return State(pressure, gap, clipped=True, energy=energy, error=error, contact=grid.size, between=grid.size)
 
 
-def rms_slope(problem: ContactProblem, rms: float) -> float:
-    """Rms slope of the heights, whose rms is `rms`, along y, of some of the rows; heights that hardly change along y
-    count as waves of the length of the cell, 1/30 as high.  Collective.
+def stress_of_rows(problem: ContactProblem, rms: float) -> float:
+    """Rms of Kh along some of the rows of heights, whose rms is `rms`; heights that hardly change along rows count as
+    waves of the length of the cell, 1/30 as high.  Collective.
     """
     grid, (nx, ny) = problem.grid, problem.grid.shape
     every = max(1, nx // MOST_ROWS)
     rows = problem.heights[-grid.rows.start % every :: every]
     if not grid.domain.wraps:
         rows = rows * np.hanning(ny)
-    q = 2 * math.pi / grid.lengths[1] * np.arange(ny // 2 + 1)
-    squares = math.fsum(float(np.sum(np.abs(q * np.fft.rfft(row)) ** 2)) for row in rows)
+    stiffness = problem.solid.stiffness(2 * math.pi / grid.lengths[1] * np.arange(max(ny // 2, 1) + 1))
+    squares = math.fsum(float(np.sum(np.abs(stiffness[: ny // 2 + 1] * np.fft.rfft(row)) ** 2)) for row in rows)
     total, count = grid.reduction.sums(squares, len(rows))
-    return math.sqrt(2 * float(total) / float(count) / ny**2 + 1e-3 * (2 * math.pi * rms / grid.lengths[1]) ** 2)
+    return math.sqrt(2 * float(total) / float(count) / ny**2 + 1e-3 * float(stiffness[1] * rms) ** 2)
 
 
 class ActiveSetIteration(NestedIteration[State]):
@@ -90,12 +90,12 @@ class ActiveSetIteration(NestedIteration[State]):
 
     def __init__(self, tolerance: float, monitor: Monitor | None) -> None:
         super().__init__(tolerance, monitor)
-        self.slopes: dict[int, float] = {}  # rms slope by number of points, if an area is imposed
+        self.stresses: dict[int, float] = {}  # `stress_of_rows` by number of points, if an area is imposed
 
     def coarser(self, problem: ContactProblem) -> Coarse | None:
         """The next coarser grid, or None if the solution there would be no good start.  Collective."""
         if problem.imposed is not None and problem.imposed.area:
-            self.slopes[problem.grid.size] = rms_slope(problem, self.rms)
+            self.stresses[problem.grid.size] = stress_of_rows(problem, self.rms)
         return super().coarser(problem)
 
     def resume(self, problem: ContactProblem, start: np.ndarray) -> State:
@@ -121,7 +121,7 @@ class ActiveSetIteration(NestedIteration[State]):
             state = self.coarsest(problem.imposing(None, guess), True)
             state.clipped = False
             if problem.imposed.area:
-                state.aim = Aim(problem.imposed, self.slopes, pressure=guess)
+                state.aim = Aim(problem.imposed, self.stresses, pressure=guess)
             return self.relax(problem, state, exact)
         if (full := _full_contact(problem)) is not None:
             return full
@@ -174,7 +174,7 @@ class ActiveSetIteration(NestedIteration[State]):
         falling at a given load, by steps that lower the energy each time.  Collective.
         """
         if problem.imposed is not None and problem.imposed.area:
-            known = self.slopes or {problem.grid.size: 1.0}
+            known = self.stresses or {problem.grid.size: 1.0}
             state.aim = state.aim or Aim(problem.imposed, known, pressure=problem.mean_pressure)
             problem = problem.imposing(None, state.aim.pressure)
         given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
