@@ -54,6 +54,11 @@ class ExponentialWall(ContactLaw):
         """`UNDERFLOW` ζ."""
         return UNDERFLOW * self.zeta
 
+    @property
+    def length_scale(self) -> float:
+        """ζ."""
+        return self.zeta
+
     def softness(self, pressure: np.ndarray) -> float:
         """ζ Σ p."""
         return self.zeta * float(pressure.sum())

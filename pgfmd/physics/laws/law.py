@@ -81,6 +81,11 @@ class ContactLaw(Section):
         """By how much the gaps of two points that bear pressure may differ; 0 for a wall that is hard."""
         return 0.0
 
+    @property
+    def length_scale(self) -> float:
+        """The length by which Newton's method divides gaps: that of the law, if it has a single one, else the unit."""
+        return 1.0
+
     def softness(self, pressure: np.ndarray) -> float:
         """Σ p² φ''(p) of rows of points, which is Σ p × range, with the range −p/(dp/dgap) at each pressure."""
         return 0.0

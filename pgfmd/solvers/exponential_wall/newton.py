@@ -51,7 +51,7 @@ class Newton(LawOperations):
 
     def __init__(self, problem: ContactProblem):
         super().__init__(problem)
-        self.zeta, self.alpha = getattr(self.law, "zeta", 1.0), local_compliance(problem, REACH)
+        self.zeta, self.alpha = self.law.length_scale, local_compliance(problem, REACH)
         if self.alpha > STIFF_LOAD:
             self.precision = np.float64
 
