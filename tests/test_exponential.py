@@ -14,13 +14,17 @@ from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.elementary import exponential, logarithm
 from pgfmd.physics.laws.exponential_law import ExponentialWall, wright_omega
+from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers import dispatch
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.exponential_wall.newton import Newton
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
 from pgfmd.solvers.gfmd import solve_gfmd
+from pgfmd.solvers.law_operations import LawState
 from pgfmd.solvers.options import Solver
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -339,3 +343,25 @@ def test_a_start_whose_residual_vanishes_in_single_precision(comm):
     plain = solve_exponential_wall(problem, 1e-12)
     found = solve_exponential_wall(problem, 1e-12, start[grid.rows].copy())
     assert norm(grid, found.pressure - plain.pressure) < 1e-5 * norm(grid, plain.pressure)
+
+
+def test_a_wall_without_pressure_anywhere_is_refused(comm):
+    """Where exp(−gap/ζ) underflows in every point, as for a range that underflows itself, Newton's merits say so."""
+    grid = SlabGrid(comm, (8, 8))
+    heights = np.random.default_rng(1).standard_normal((8, 8))[grid.rows].copy()
+    newton = Newton(ContactProblem(grid, heights, SOLID, ExponentialWall(zeta=0.1), 1.0))
+    state = LawState(np.ones_like(heights), np.empty_like(heights))
+    newton.compute_gap(state)
+    assert np.isfinite(newton.merits(state)).all()
+    newton.zeta = 0.0
+    with pytest.raises(SolverError, match="pressure is 0 in every point; take a larger range or load"):
+        newton.merits(state)
+
+
+def test_newton_divides_gaps_by_the_length_of_the_law():
+    """ζ of an exponential wall, which changes with its units; 1 of a law without a single length."""
+    wall = ExponentialWall(zeta=0.5)
+    assert wall.length_scale == 0.5
+    assert wall.in_units(Units(height=2.0, pressure=1.0, offset=0.0)).length_scale == 0.25
+    formula = FormulaWall(pressure="exp(-gap)", gaps=(0.0, 5.0))
+    assert formula.length_scale == formula.in_units(Units(2.0, 1.0, 0.0)).length_scale == 1.0
