@@ -126,20 +126,27 @@ def is_m_matrix(grid: SlabGrid, action: ColumnAction, added: np.ndarray, diagona
     def least(field: np.ndarray) -> float:
         return -grid.reduction.max(-field)
 
-    jacobi = 1 / np.maximum(diagonal / 2 + added, diagonal / 10)
-    v, residual, search, before = np.zeros_like(added), np.ones_like(added), np.zeros_like(added), math.inf
+    jacobi = (1 / np.maximum(diagonal / 2 + added, diagonal / 10)).astype(np.float32)
+    # In single precision: any v will do if the test at the end, in double, passes.
+    v, residual, search, before = np.zeros_like(jacobi), np.ones_like(jacobi), np.zeros_like(jacobi), math.inf
     for _ in range(MOST_PROOF):
         z = jacobi * residual
         square = grid.reduction.dot(residual, z)
-        search *= square / before
+        search *= np.float32(square / before)
         search += z
-        image = times(grid, action, search) + added * search
+        del z
+        image = times(grid, action, search)
+        np.add(image, added * search, out=image, casting="same_kind")
         bend = grid.reduction.dot(search, image)
         if not bend > 0:
             return False
-        v += square / bend * search
-        residual -= square / bend * image
+        v += np.float32(square / bend) * search
+        image *= np.float32(square / bend)
+        residual -= image
+        del image
         before = square
         if least(v) > 0 and least(-residual) > 2 * POSITIVE - 1:
-            return least(times(grid, action, v) + added * v) > POSITIVE
+            proof = times(grid, action, v.astype(np.float64))
+            proof += added * v
+            return least(proof) > POSITIVE
     return False
