@@ -12,7 +12,7 @@ from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set import block_stiffness, preconditioner
+from pgfmd.solvers.active_set import block_stiffness, continuation, preconditioner
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.dual import GapSteps, near_compliance
 from pgfmd.solvers.active_set.feasible import Feasible
@@ -244,6 +244,30 @@ def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, sm
     mask = random_set(one, 0.4)[1]
     assert abs(np.vdot(a * mask, images[1]) - np.vdot(b * mask, images[0])) < 1e-4 * np.vdot(a * mask, images[0])
     assert np.vdot(a * mask, images[0]) > 0
+
+
+@pytest.mark.parametrize("shape", [(64, 300), (37, 41), (600, 20), (5, 3)])
+def test_means_over_blocks_of_the_residual(shape):
+    """Blocks of 16, 64 and 256 pixels, by their definition on the whole grid; the rows beside a slab too, where they
+    lie in the same block whatever the number of ranks."""
+    grid, rng = SlabGrid(comm, shape), np.random.default_rng(4)
+    p = rng.choice([0.0, 0.5, 1.0], shape, p=[0.9, 0.08, 0.02])
+    p[:, 64:200] = 0
+    gap = rng.standard_normal(shape)
+    values, start = continuation.BlockMeans(grid).of((p[grid.rows], gap[grid.rows]), (0.3, 1.0, np.inf))
+    expected = np.zeros(shape)
+    for side in (256, 64, 16):
+        for i, j in np.ndindex(-(-shape[0] // side), -(-shape[1] // side)):
+            part = slice(i * side, (i + 1) * side), slice(j * side, (j + 1) * side)
+            own = (gap[part] - 0.3)[p[part] == 0.5]
+            if own.size:
+                weight = min(continuation.TRUST * np.sqrt(own.size) / side, 1)
+                expected[part] += weight * (own.mean() - expected[part])
+    low, high = -continuation.BESIDE, grid.local_shape[0] + continuation.BESIDE
+    rows = np.arange(max(low, -grid.rows.start), min(high, shape[0] - grid.rows.start))
+    found = np.repeat(values, 16, axis=1)[(start + rows) // 16, : shape[1]]
+    assert np.allclose(found, expected[grid.rows.start + rows], rtol=0, atol=1e-6)
+    assert len(values) * 16 >= start + high
 
 
 @pytest.mark.parametrize("shape", [(128, 96), (67, 41), (5, 40)])

@@ -9,6 +9,7 @@ from pgfmd.solvers.active_set import (
     active_set,
     conjugate_gradients,
     contact_from_coarse,
+    continuation,
     feasible,
     particle_mesh,
     preconditioner,
@@ -193,15 +194,19 @@ def test_sums_of_a_state(fields):
 
 @pytest.mark.parametrize("spare", [np.inf, 0.5])
 def test_limits_of_the_field_of_the_certificate(fields, spare):
-    """g − λ between the bounds; at most that where p = 0, at least that where p = top; first 0; nothing elsewhere.
+    """g − λ between the bounds; at most that where p = 0, at least that where p = top; first the value of the block,
+    as far as it is allowed; nothing elsewhere.
     A point counts as at a bound from which g − λ is farther than `spare` times its distance in pressure."""
     p, gap, _ = fields
     p, out = np.clip(p, 0, 1), np.full((4, 12, 11), np.nan, np.float32)
-    active_set.residual_limits((p, gap), (0.1, 1.0, spare), (1, 2), out)
+    values = np.array([[-0.3], [0.2]], np.float32)  # of blocks of 16 rows; the first row here is row 10 of the first
+    continuation.residual_limits((p, gap), (0.1, 1.0, spare), (1, 2), (values, 10), out)
     away, most = (gap - 0.1).astype(np.float32), np.finfo(np.float32).max
     with np.errstate(invalid="ignore"):  # inf · 0, at the bounds
         above, below = (p > 0) & (away <= spare * p), (p < 1) & (-away <= spare * (1 - p))
-    expected = np.where(above, away, -most), np.where(below, away, most), np.where(above & below, away, 0)
+    least, largest = np.where(above, away, -most), np.where(below, away, most)
+    value = np.repeat(values, 16, axis=0)[10 : 10 + len(p)]
+    expected = least, largest, np.minimum(np.maximum(value, least), largest)
     assert np.array_equal(out[:3, 1:10, 2:-2], expected)
     assert np.count_nonzero(np.isfinite(out)) == 3 * p.size
 
@@ -217,7 +222,7 @@ def test_means_between_limits(rng, shape):
     least, most, field, _ = wide[:, :, margin:-margin].astype(float)
     steps = [(i, j) for i in (-stride, 0, stride) for j in (-stride, 0, stride) if i or j]
     expected = np.clip(sum(np.roll(field, step, (0, 1)) for step in steps) / 8, least, most)
-    active_set.average_between(wide[2], wide[:2], stride, margin, wide[3])
+    continuation.average_between(wide[2], wide[:2], stride, margin, wide[3])
     inner = slice(stride, rows - stride)
     assert np.allclose(wide[3, inner, margin:-margin], expected[inner], rtol=0, atol=1e-6)
     assert not wide[3, : inner.start].any() and not wide[3, inner.stop :].any()

@@ -6,7 +6,7 @@ K = −dp̄/dḡ (ḡ: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
 
     S − ⟨ρ, Kρ⟩/N ≤ 1/K ≤ S,        ρ = Gx − S on C,
 
-whatever ρ is outside C, since x* − x is 0 there and has mean 0.  ρ is continued as in `active_set`, without its cuts.
+whatever ρ is outside C, since x* − x is 0 there and has mean 0.  ρ is continued as for the hard wall, without its cuts.
 
 Under the exponential wall G + D takes the place of G, D = ζ/p, and C is the whole plane.  Then
 
@@ -27,8 +27,9 @@ from pgfmd.errors import InputError
 from pgfmd.grid.callbacks import sink, source
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.solvers.active_set.active_set import HUGE, Precision, Relaxation, State
+from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import FREE, ConjugateGradients
+from pgfmd.solvers.active_set.continuation import HUGE
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
 from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns

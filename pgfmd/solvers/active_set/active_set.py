@@ -11,8 +11,7 @@ The stop is a certificate, ½⟨ρ, Kρ⟩, of second order in the error of the 
 
     ρ = g − λ  where 0 < p < σ_Y,        ρ ≤ g − λ  where p = 0,        ρ ≥ g − λ  where p = σ_Y
 
-(proof in NUMERICS.md).  Where p is at a bound, ρ may be chosen; smooth fields give the lowest bound.  So ρ is continued
-from the unknowns by means over neighbours, far ones first (`STRIDES`), each time cut to what is allowed.
+(proof in NUMERICS.md).  Where p is at a bound, ρ may be chosen; smooth fields give the lowest bound (`continuation`).
 
 Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights in a unit of about their size.
 """
@@ -31,14 +30,20 @@ from pgfmd.grid.kernels import jit, u
 from pgfmd.physics.imposed import Aim, Measured
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
+from pgfmd.solvers.active_set.continuation import (
+    BESIDE,
+    STRIDES,
+    BlockMeans,
+    Limits,
+    average_between,
+    residual_limits,
+)
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
 from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
-Limits = tuple[float, float, float]
-"""λ, σ_Y and `Relaxation.spare`, for certificates."""
 
 LEAST_CUT, MOST_CUT = 0.2, 0.14  # factor on the residual in one step, at errors above 4 % and below 2 %
 CUT_POWER = 0.7  # after a step with the factor f on the error, the next one takes f^0.7 or less on the residual
@@ -52,8 +57,6 @@ WORST = 0.4  # largest error of a start that counts
 MOVED = 1e-5  # the same where the start has another load
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
-STRIDES = 6, 3, 1  # pixels, of the sweeps that continue ρ from the unknowns to the other points
-HUGE = np.finfo(np.float32).max
 UNSEEN = 0.05  # rounding below this part of the tolerance is neglected
 
 
@@ -272,13 +275,14 @@ class Relaxation:
         Sets `state.pressure_error` = ‖Kρ‖/‖p‖.  If every point is an unknown, p* − p = −Kρ; else it is an estimate: in
         144 solutions the true error was .3 to 1.0 of it, in the median .9 (`tests/test_hard_wall`).
         """
-        margin, own = sum(STRIDES), (state.pressure, state.gap)
+        margin, own = BESIDE, (state.pressure, state.gap)
         p, g = self.grid.neighbours(own, margin)
         pieces = ((p[:margin], g[:margin]), 0), (own, margin), ((p[margin:], g[margin:]), margin + len(own[0]))
         real, wide, ny = state.gap.dtype.type, STRIDES[0], self.grid.shape[1]
         limits, paid = (real(state.level), real(self.highest), real(self.spare)), dict[int, float]()
         edges, wraps = np.r_[:wide, wide + ny : 2 * wide + ny], self.grid.domain.wraps
         within = wide + self.grid.domain.indices(edges - wide, ny)
+        values, start = BlockMeans(self.grid).of(own, limits)
 
         def make(first: int, stop: int) -> np.ndarray:
             stop, at = min(stop, len(own[0])), 0
@@ -286,7 +290,7 @@ class Relaxation:
             for fields, begin in pieces:
                 part = slice(max(first - begin, 0), max(stop + 2 * margin - begin, 0))
                 piece = fields[0][part], fields[1][part]
-                residual_limits(piece, limits, (at, wide), work)
+                residual_limits(piece, limits, (at, wide), (values, start + first - margin + at), work)
                 at += len(piece[0])
             if not wraps:  # ρ = 0 beyond the border
                 outside = np.arange(first, stop + 2 * margin) - margin + self.grid.rows.start
@@ -348,22 +352,6 @@ def contact_sums(
 
 
 @jit
-def residual_limits(fields: Fields, limits: Limits, place: tuple[int, int], out: np.ndarray) -> None:
-    """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into
-    out[0 … 2].  place: row and column of `out` where the first point goes.
-    """
-    (pressure, gap), (level, highest, spare), (at, margin) = fields, limits, place
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            p, rest, k = pressure[i, u(j)], np.float32(gap[i, u(j)] - level), u(j + margin)
-            above = (p > 0) & (rest <= spare * p)
-            below = (p < highest) & (-rest <= spare * (highest - p))
-            out[0, at + i, k] = rest if above else -HUGE
-            out[1, at + i, k] = rest if below else HUGE
-            out[2, at + i, k] = rest if above and below else np.float32(0)
-
-
-@jit
 def excess(fields: Fields, limits: Limits, residual: np.ndarray) -> float:
     """Σ p (g − λ − ρ) of points that pay for ρ < g − λ, and Σ (σ_Y − p)(ρ − g + λ) of those for ρ > g − λ."""
     (pressure, gap), (level, highest, spare) = fields, limits
@@ -377,19 +365,3 @@ def excess(fields: Fields, limits: Limits, residual: np.ndarray) -> float:
             elif p < highest and -rounded > spare * (highest - p):
                 total += (highest - p) * (rho - rest)
     return total
-
-
-@jit
-def average_between(field: np.ndarray, limits: np.ndarray, stride: int, margin: int, out: np.ndarray) -> None:
-    """out = the mean of a field over the eight points one stride away, cut to limits (2, rows, columns).  Not set:
-    `stride` rows at either end, and `margin` columns, which in `field` repeat the other side's.
-    """
-    for i in range(stride, field.shape[0] - stride):
-        a, b, c = field[i - stride], field[i], field[i + stride]
-        least, most, target = limits[0, i], limits[1, i], out[i]
-        for j in range(margin, field.shape[1] - margin):
-            left, here, right = u(j - stride), u(j), u(j + stride)
-            sides = (a[left] + b[left] + c[left]) + (a[right] + b[right] + c[right])
-            mean = (sides + (a[here] + c[here])) * np.float32(0.125)
-            mean = mean if mean > least[here] else least[here]
-            target[here] = mean if mean < most[here] else most[here]
