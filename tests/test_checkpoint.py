@@ -16,9 +16,9 @@ from mpi4py import MPI
 from pgfmd.application import files
 from pgfmd.application import job as config
 from pgfmd.application import writer as output
-from pgfmd.application.checkpoint import Checkpoints
 from pgfmd.application.info import damage
-from pgfmd.application.provenance import Origin
+from pgfmd.application.loads import Checkpoints
+from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.parallel.collectives import slab

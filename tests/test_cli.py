@@ -26,7 +26,7 @@ STAND_IN = """
 import sys, types
 import numpy as np
 from pgfmd.errors import InputError, SolverError
-from pgfmd.application.provenance import Origin
+from pgfmd.application.machine import Origin
 from pgfmd.application.files import Form
 from pgfmd.application.writer import ResultWriter
 from pgfmd.application.job import as_toml

@@ -15,7 +15,7 @@ import pgfmd
 from pgfmd.application import job
 from pgfmd.application.files import Form
 from pgfmd.application.info import as_csv, summary
-from pgfmd.application.provenance import Origin
+from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
 from pgfmd.application.writer import ResultWriter
 from pgfmd.grid.slab_grid import SlabGrid

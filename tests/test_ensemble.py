@@ -18,8 +18,8 @@ from pgfmd.application.estimate import rank_groups
 from pgfmd.application.files import Form
 from pgfmd.application.info import as_json, summary_of_ensemble
 from pgfmd.application.job import as_toml, parse, tables_as_toml
-from pgfmd.application.provenance import Origin
-from pgfmd.application.reachability import doubts
+from pgfmd.application.machine import Origin
+from pgfmd.application.one_process import doubts
 from pgfmd.application.results import Results
 from pgfmd.application.writer import ResultWriter
 from pgfmd.errors import InputError, SolverError, Stopped

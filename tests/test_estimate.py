@@ -13,7 +13,7 @@ from conftest import ROOT, broad
 from job_texts import rough_job
 
 from pgfmd.application import estimate, job
-from pgfmd.grid.holders import holders, largest_shares
+from pgfmd.grid.grid_cost import holders, largest_shares
 from pgfmd.options.text import readable
 
 

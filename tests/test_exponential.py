@@ -12,8 +12,7 @@ from solids import elastic
 
 from pgfmd.errors import InputError, SolverError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.elementary import exponential, logarithm
-from pgfmd.physics.laws.exponential_law import ExponentialWall, wright_omega
+from pgfmd.physics.laws.exponential_law import ExponentialWall, exponential, logarithm, wright_omega
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import Units

@@ -14,8 +14,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options import expressions as formula
 from pgfmd.physics.laws.exponential_law import ExponentialWall
-from pgfmd.physics.laws.formula import FormulaWall
-from pgfmd.physics.laws.graph import tabulate
+from pgfmd.physics.laws.formula import FormulaWall, tabulate
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem

@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid import aligned, holders, transpose
+from pgfmd.grid import aligned, grid_cost, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
 from pgfmd.grid.transfer import Interpolation, interpolate, restrict, restrict_locally
@@ -260,7 +260,7 @@ def test_rows_cross_the_ranks(comm, shared, shape, dtype):
 @pytest.mark.parametrize("least", [1, 16])
 def test_restriction_keeps_the_long_waves(comm, monkeypatch, fine, coarse, least):
     """Waves that both grids resolve come through exactly, shorter ones vanish; on any number of ranks."""
-    monkeypatch.setattr(holders, "SMALL", 0)
+    monkeypatch.setattr(grid_cost, "SMALL", 0)
     big = SlabGrid(comm, fine, (3.0, 4.0))
     small = SubGrid(big, coarse, big.lengths, least)
 
@@ -297,7 +297,7 @@ def test_local_restriction_is_the_adjoint_of_interpolation(comm, monkeypatch, fi
     """Each coarse point is the mean of the fine ones with the weights by which interpolation takes a peak there to
     them, here from `Interpolation` itself; in single precision, on any number of ranks, the field far from 0 or not.
     """
-    monkeypatch.setattr(holders, "SMALL", 0)
+    monkeypatch.setattr(grid_cost, "SMALL", 0)
     big = SlabGrid(comm, fine, (3.0, 4.0))
     small = SubGrid(big, coarse, big.lengths, least)
     whole = 3 + field(fine)
@@ -341,11 +341,11 @@ def test_coarser_grids_lie_on_fewer_ranks(comm):
     rows learn what the others found, or its failure.
     """
     fine = SlabGrid(comm, (1024, 300))
-    shares, place = holders.largest_shares(fine.shape, comm.size), SubGrid.coarse(fine)
+    shares, place = grid_cost.largest_shares(fine.shape, comm.size), SubGrid.coarse(fine)
     for share in shares[1:]:
         points = place.comm.allgather(place.local_shape[0] * place.local_shape[1])
         assert sum(points) == place.size and max(points) == points[0] == share
-        assert place.on_all(lambda grid: grid.comm.size) == holders.holders(place.shape, place.comm.size)
+        assert place.on_all(lambda grid: grid.comm.size) == grid_cost.holders(place.shape, place.comm.size)
         if place.grid is None:
             break
         place = SubGrid.coarse(place.grid)

@@ -5,7 +5,7 @@ import pytest
 from mpi4py import MPI
 from solids import elastic
 
-from pgfmd.grid import holders
+from pgfmd.grid import grid_cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel import layout
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
@@ -216,12 +216,12 @@ def test_near_compliance_is_positive(lengths):
 
 @pytest.mark.parametrize("shape", [(512, 384), (387, 386), (20, 20)])
 @pytest.mark.parametrize("fewest", [64, 8])
-@pytest.mark.parametrize("small", [holders.SMALL, 0])
+@pytest.mark.parametrize("small", [grid_cost.SMALL, 0])
 def test_preconditioner_is_symmetric_and_positive(monkeypatch, shape, fewest, small):
     """⟨a, M b⟩ = ⟨M a, b⟩ and ⟨a, M a⟩ > 0; and the same on any number of ranks, for any number of levels."""
     monkeypatch.setattr(block_stiffness, "FEWEST", fewest)
     monkeypatch.setattr(preconditioner, "FEWEST", fewest)
-    monkeypatch.setattr(holders, "SMALL", small)
+    monkeypatch.setattr(grid_cost, "SMALL", small)
     grid, one = SlabGrid(comm, shape), SlabGrid(MPI.COMM_SELF, shape)
     kernels = (lambda q: q / 2,) * 2
 

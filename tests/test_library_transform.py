@@ -10,8 +10,8 @@ import pytest
 from job_texts import SOLID
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import sink, source
 
 pytest.importorskip("mpi4py_fft")
 

@@ -13,9 +13,9 @@ from mpi4py import MPI
 from solids import elastic
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import source
 from pgfmd.observables import binning, histogram, rough_surface, schema
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import contact_area, line_of

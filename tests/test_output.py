@@ -20,7 +20,7 @@ from job_texts import SOLID
 from pgfmd.application import files, hdf5_slabs, job
 from pgfmd.application import writer as output
 from pgfmd.application.info import summary
-from pgfmd.application.provenance import Origin
+from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.observables import schema

@@ -121,11 +121,11 @@ def test_nowhere_to_keep_anything():
 
 KEEP = """
 import numpy as np
-from pgfmd.grid import fftw
+from pgfmd.grid import transforms
 from pgfmd.observables.histogram import histogram
 counts, a = np.zeros(2, int), np.empty((4, 96), complex)
 histogram(np.ones((4, 8)), np.arange(3.0), 0, 4, counts)
-transform = fftw.plan(a, a, True)
+transform = transforms.plan(a, a, True)
 a[...] = 1
 transform()
 print(*counts, a[0, 0].real)
@@ -190,32 +190,32 @@ def test_a_damaged_file_counts_as_missing(tmp_path):
 
 def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
     """A pickle in the place of the wisdom is not executed, and what was learnt comes back as it was."""
-    from pgfmd.grid import fftw
+    from pgfmd.grid import transforms
 
-    monkeypatch.setattr(fftw, "private_folder", lambda: tmp_path)
+    monkeypatch.setattr(transforms, "private_folder", lambda: tmp_path)
     mark = tmp_path / "executed"
 
     class Evil:
         def __reduce__(self):
             return os.mkdir, (str(mark),)
 
-    fftw.wisdom_file().write_bytes(pickle.dumps(Evil()))
-    fftw.pyfftw.forget_wisdom()
+    transforms.wisdom_file().write_bytes(pickle.dumps(Evil()))
+    transforms.pyfftw.forget_wisdom()
     a = np.empty((4, 96), complex)
-    fftw.plan(a, a, True)
+    transforms.plan(a, a, True)
     assert not mark.exists()
-    before = fftw.pyfftw.export_wisdom()
+    before = transforms.pyfftw.export_wisdom()
     assert len(before[0]) > 60
-    fftw.pyfftw.forget_wisdom()
-    monkeypatch.setattr(fftw, "_loaded", None)
-    fftw._load_wisdom(fftw.wisdom_file())
-    assert set(before[0].split()) == set(fftw.pyfftw.export_wisdom()[0].split())
+    transforms.pyfftw.forget_wisdom()
+    monkeypatch.setattr(transforms, "_loaded", None)
+    transforms._load_wisdom(transforms.wisdom_file())
+    assert set(before[0].split()) == set(transforms.pyfftw.export_wisdom()[0].split())
 
 
 PLAN = """
 import sys
 import numpy as np
-from pgfmd.grid import fftw
+from pgfmd.grid import transforms
 
 def made(*arguments, **options):
     found = make(*arguments, **options)
@@ -223,13 +223,13 @@ def made(*arguments, **options):
         print("plan of", len(arguments[0][0]), options["direction"])
     return found
 
-make, fftw.pyfftw.FFTW = fftw.pyfftw.FFTW, made
+make, transforms.pyfftw.FFTW = transforms.pyfftw.FFTW, made
 print("ready", flush=True)
 sys.stdin.readline()
 for n in map(int, sys.argv[1:]):
     a = np.empty((4, n), complex)
     for forward in (True, False):
-        fftw.plan(a, a, forward)
+        transforms.plan(a, a, forward)
 """
 
 

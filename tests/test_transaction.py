@@ -15,9 +15,9 @@ import pytest
 from conftest import broad
 from mpi4py import MPI
 
-from pgfmd.application.checkpoint import Checkpoints
 from pgfmd.application.files import Form, holder, read_sums, sha256
-from pgfmd.application.provenance import Origin
+from pgfmd.application.loads import Checkpoints
+from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
 from pgfmd.application.writer import ResultWriter
 from pgfmd.errors import InputError, SolverError, Stopped

@@ -151,7 +151,7 @@ def _folder(text: str) -> str:
 
 def _new(options: argparse.Namespace) -> str:
     if options.heights:
-        from pgfmd.application.new_job import job_on_file
+        from pgfmd.application.one_process import job_on_file
 
         return job_on_file(options.heights)
     from pgfmd.application.job import SECTIONS
@@ -167,7 +167,7 @@ def _check(options: argparse.Namespace) -> str:
     from pgfmd.application import estimate
     from pgfmd.application.job import load
     from pgfmd.application.machine import largest_memory
-    from pgfmd.application.reachability import doubts
+    from pgfmd.application.one_process import doubts
 
     job = load(options.job, options.set)
     nx, surfaces = job.grid.n[0], max(1, len(job.surface.seeds))
@@ -224,7 +224,7 @@ def _compare(options: argparse.Namespace) -> str:
 
 def _cite(options: argparse.Namespace) -> str:
     from pgfmd.application import ensemble
-    from pgfmd.application.cite import bibtex
+    from pgfmd.application.info import bibtex
     from pgfmd.application.results import Results
 
     runs = ensemble.folders(options.directory)
@@ -234,7 +234,7 @@ def _cite(options: argparse.Namespace) -> str:
 
 
 def _certify(options: argparse.Namespace) -> str:
-    from pgfmd.application.certification import as_json, certify_file, job_on, line
+    from pgfmd.application.one_process import as_json, certify_file, job_on, line
 
     job, mean = job_on(options.heights, options.set), options.mean_pressure
     if mean is not None and not 0 < mean < float("inf"):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pgfmd.application import ensemble, machine, provenance, restart
+from pgfmd.application import ensemble, machine, restart
 from pgfmd.application.estimate import rank_groups
 from pgfmd.application.files import (
     ENSEMBLE_FILE,
@@ -59,8 +59,8 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
             if comm.rank == 0:
                 held.callback(OutputFolder(path).release)
                 before = _refuse_others(job, path, mode)
-        origin = provenance.Origin(job.text, as_toml(job), len(job.load.targets))
-        about: dict[str, Any] = from_root(comm, provenance.gather, comm.size, {"MPI": library()}, origin)
+        origin = machine.Origin(job.text, as_toml(job), len(job.load.targets))
+        about: dict[str, Any] = from_root(comm, machine.gather, comm.size, {"MPI": library()}, origin)
         about |= {"seeds": np.array(seeds)}
         from_root(comm, ensemble.write, path, about, {}, "running")
         machine.report(comm, memory)

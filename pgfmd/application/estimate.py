@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pgfmd.application.job import Job
 from pgfmd.application.results import size_in_words
 from pgfmd.grid.cell import WORKSPACE
-from pgfmd.grid.grid_cost import Cost
-from pgfmd.grid.holders import largest_shares
+from pgfmd.grid.grid_cost import Cost, largest_shares
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, readable
 from pgfmd.parallel.mpi import shared_memory

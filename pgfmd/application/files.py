@@ -34,7 +34,7 @@ LIBVER = ("v108", "v110")
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
 VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `field_files`
-CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `checkpoint`
+CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `loads`
 ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 SUMS_FILE = "SHA256SUMS"
 LARGEST_LISTED = 2**26  # bytes of a file of fields that rank 0 reads and hashes alone: 30 ms at 2 GB/s

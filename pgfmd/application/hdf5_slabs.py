@@ -19,9 +19,8 @@ import numpy as np
 
 from pgfmd.application import files
 from pgfmd.application.files import BLOCK_BYTES
-from pgfmd.parallel.collectives import from_root, raise_together, slab
+from pgfmd.parallel.collectives import from_root, node_of, raise_together, slab
 from pgfmd.parallel.mpi import MPI
-from pgfmd.parallel.teams import node_of
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer

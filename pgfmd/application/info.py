@@ -1,4 +1,4 @@
-"""What `pgfmd info` prints of result folders and ensembles: summaries, CSV, JSON, damage."""
+"""What `pgfmd info` prints of result folders and ensembles: summaries, CSV, JSON, damage; and `pgfmd cite`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pgfmd import __version__
 from pgfmd.application import ensemble
 from pgfmd.application.ensemble import Ensemble
 from pgfmd.application.files import (
@@ -142,3 +144,34 @@ def _origin(about: Mapping[str, Any]) -> dict[str, str]:
 def _listed(lines: Mapping[str, str]) -> str:
     width = max(map(len, lines))
     return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
+
+
+def cited(job: Mapping[str, Any]) -> list[str]:
+    """Keys of the entries for the methods and observables of a job, given as nested tables."""
+    observables = job["output"].get("observables", [])
+    method, wall = job["solver"].get("method", "auto"), job.get("wall", {}).get("kind", "hard")
+    used = {
+        "pgfmd": True,
+        "Campana2008": job["surface"]["kind"] == "self-affine",
+        "Campana2006": method == "gfmd",
+        "Polonsky1999": method in ("auto", "active-set") and wall in ("hard", "hardness"),
+        "Persson2001": "histogram" in observables,
+        "Barber2003": "stiffness" in observables,
+        "Patir1978": "leakage" in observables,
+        "Ciavarella1998": "partial_slip" in observables,
+    }
+    return [key for key, needed in used.items() if needed]
+
+
+def bibtex(results: Results) -> str:
+    """BibTeX of the version that ran, and of the sources of what its job used."""
+    about, entries = results.provenance, _entries()
+    version = f"  version = {{{about.get('softwareVersion', __version__)}, commit {about.get('commit', 'unknown')}}},"
+    entries["pgfmd"] = entries["pgfmd"].removesuffix("}") + version + "\n}"
+    return "\n\n".join(entries[key] for key in cited(results.job))
+
+
+def _entries() -> dict[str, str]:
+    """The entries of references.bib by their keys."""
+    text = Path(__file__).with_name("references.bib").read_text(encoding="utf-8")
+    return {entry[1]: entry[0] for entry in re.finditer(r"^@\w+\{(\w+),.*?^\}", text, re.MULTILINE | re.DOTALL)}

@@ -1,23 +1,109 @@
-"""Where a run runs: ranks, nodes, cores, threads, memory, libraries.  Logged once, at its start."""
+"""Where a run runs and a result comes from: ranks, nodes, cores, memory, libraries; version, commit, command, date."""
 
 from __future__ import annotations
 
+import functools
+import json
 import logging
 import math
 import os
 import platform
+import shlex
+import subprocess
+import sys
 from collections import Counter
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
 
 from pgfmd import __version__
 from pgfmd.application import hdf5_slabs
 from pgfmd.application.estimate import estimate
+from pgfmd.application.files import FORMAT_VERSION
 from pgfmd.application.job import Job
-from pgfmd.application.provenance import git_commit, versions
 from pgfmd.errors import InputError
 from pgfmd.options.text import counted, readable
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
+
+LIBRARIES = ("numpy", "scipy", "numba", "pyfftw", "mpi4py", "mpi4py-fft", "h5py")
+
+
+def command_line() -> str:
+    """The command that started this process, quoted for a shell."""
+    return shlex.join(sys.orig_argv)
+
+
+@functools.cache
+def git_commit() -> str:
+    """The commit of the checkout that the package lies in, with "+" if it was changed since; else "unknown"."""
+    root = Path(__file__).resolve().parents[2]
+
+    def git(*arguments: str) -> str:
+        done = subprocess.run(
+            ["git", "-C", str(root), *arguments], capture_output=True, text=True, timeout=10, check=True
+        )
+        return done.stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")) != root:
+            return "unknown"
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
+def now() -> str:
+    """The time in ISO 8601, to the second, with the zone."""
+    return datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+@functools.cache
+def versions() -> str:
+    """Versions of Python and of the libraries, one per line: "name version"."""
+    lines = [f"python {platform.python_version()}"]
+    for name in LIBRARIES:
+        try:
+            lines.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            continue
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a run was asked for: the TOML text, the effective job, the number of its loads, digests of the files that it
+    names, and the command (None: that of this process).
+    """
+
+    job_toml: str = ""
+    effective_toml: str = ""
+    loads: int = 0
+    inputs: dict[str, str] = field(default_factory=dict)
+    command: str | None = None
+
+
+def gather(ranks: int, extra_versions: dict[str, str], origin: Origin) -> dict[str, str | int]:
+    """Everything as attributes of a result file's root."""
+    extra = "".join(f"\n{name} {version}" for name, version in extra_versions.items())
+    return {
+        "software": "pgfmd",
+        "softwareVersion": __version__,
+        "format_version": FORMAT_VERSION,
+        "commit": git_commit(),
+        "command": command_line() if origin.command is None else origin.command,
+        "job_toml": origin.job_toml,
+        "effective_toml": origin.effective_toml,
+        "inputs": json.dumps(origin.inputs),
+        "libraries": versions() + extra,
+        "ranks": ranks,
+        "threads": threads_per_rank(),
+        "host": platform.node(),
+        "date": now(),
+    }
+
 
 log = logging.getLogger("pgfmd")
 

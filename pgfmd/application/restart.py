@@ -25,7 +25,7 @@ from pgfmd.application.files import (
     sha256,
 )
 from pgfmd.application.job import Job, differences, parse
-from pgfmd.application.provenance import Origin
+from pgfmd.application.machine import Origin
 from pgfmd.errors import InputError
 from pgfmd.options.text import printable
 

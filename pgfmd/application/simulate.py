@@ -14,8 +14,8 @@ from pgfmd.application.ensemble_run import run_ensemble
 from pgfmd.application.files import Form
 from pgfmd.application.job import Job, as_toml
 from pgfmd.application.loads import Loads
+from pgfmd.application.machine import Origin, command_line
 from pgfmd.application.progress import LogFile
-from pgfmd.application.provenance import Origin, command_line
 from pgfmd.application.restart import refuse_changes
 from pgfmd.application.stop import Interruptions
 from pgfmd.application.writer import Mode, ResultWriter

@@ -4,7 +4,7 @@
     fields.h5               shows the fields together: height, load_0000/pressure, …; open this one to read them
     fields.vtkhdf           shows them to ParaView
     fields/height.h5, fields/load_0000.h5, …        where they are (`field_files`)
-    fields/checkpoint.h5    of an unfinished load (`checkpoint`)
+    fields/checkpoint.h5    of an unfinished load (`loads`)
     SHA256SUMS              checksums of all but the checkpoint and large fields, which hold checksums of their rows
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
@@ -26,7 +26,7 @@ from typing import Any, Literal
 import h5py
 import numpy as np
 
-from pgfmd.application import files, hdf5_slabs, provenance, restart, tables
+from pgfmd.application import files, hdf5_slabs, machine, restart, tables
 from pgfmd.application.field_files import FieldFiles
 from pgfmd.application.files import (
     ENSEMBLE_FILE,
@@ -40,7 +40,7 @@ from pgfmd.application.files import (
     Sums,
     load_name,
 )
-from pgfmd.application.provenance import Origin
+from pgfmd.application.machine import Origin
 from pgfmd.application.restart import EarlierResults
 from pgfmd.application.tables import ObservablesFile
 from pgfmd.errors import InputError, Stopped
@@ -202,7 +202,7 @@ class ResultWriter:
         self.begin()
 
         def mark(file: h5py.File) -> None:
-            file.attrs.update(status="complete", finished=provenance.now())
+            file.attrs.update(status="complete", finished=machine.now())
             file.require_group("phases").attrs.update({name: float(value) for name, value in (phases or {}).items()})
 
         with self._changing(OBSERVABLES_FILE):
@@ -276,5 +276,5 @@ class ResultWriter:
 
     def _gather(self) -> dict[str, Any]:
         libraries = {"HDF5": hdf5_slabs.version(), "MPI": library()}
-        about = provenance.gather(self.comm.size, libraries, self.origin)
+        about = machine.gather(self.comm.size, libraries, self.origin)
         return about | {"shape": self.form.shape, "lengths": self.form.lengths, "fields_folder": self._fields.folder}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import ColumnAction, RowAction
+from pgfmd.grid.transforms import ColumnAction, RowAction
 from pgfmd.options.text import printable
 from pgfmd.parallel.mpi import MPI, for_library
 from pgfmd.parallel.threads import Threads

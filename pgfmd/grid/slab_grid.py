@@ -20,10 +20,9 @@ from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError
 from pgfmd.grid.aligned import new_field
-from pgfmd.grid.callbacks import ColumnAction, RowAction, sink, source
 from pgfmd.grid.domain import PERIODIC, Domain
 from pgfmd.grid.library_transform import LibraryTransform
-from pgfmd.grid.transforms import Transform
+from pgfmd.grid.transforms import ColumnAction, RowAction, Transform, sink, source
 from pgfmd.grid.transpose import Strips, make_strips
 from pgfmd.parallel.collectives import Reduction, shared, slab, slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan

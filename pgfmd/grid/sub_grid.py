@@ -8,11 +8,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.grid.holders import LEAST_ROWS, holders
+from pgfmd.grid.grid_cost import LEAST_ROWS, holders
 from pgfmd.grid.slab_grid import SlabGrid, transform_work
-from pgfmd.parallel.collectives import await_all, mark_shared, shared
+from pgfmd.parallel.collectives import await_all, mark_shared, shared, team_of
 from pgfmd.parallel.layout import Layout, Range, RowWindow
-from pgfmd.parallel.teams import team_of
 
 T = TypeVar("T")
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import new_field
-from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.domain import Domain
 from pgfmd.grid.kernels import TAPS
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.grid.transforms import sink, source
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 

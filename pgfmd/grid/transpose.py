@@ -23,9 +23,8 @@ import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import ALIGNMENT, aligned_bytes, row_stride
-from pgfmd.parallel.collectives import slab_starts
+from pgfmd.parallel.collectives import node_of, peers_of, slab_starts
 from pgfmd.parallel.mpi import MPI, datatype, shared_memory
-from pgfmd.parallel.teams import node_of, peers_of
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part

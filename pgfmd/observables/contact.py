@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import source
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import source
 from pgfmd.observables.contact_area import Area, ContactLine, contact_area, line_of
 from pgfmd.observables.contact_line import staircase
 from pgfmd.observables.labelling import Labels, label_patches

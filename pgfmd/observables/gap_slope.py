@@ -32,7 +32,7 @@ class GapSlope(Observable):
 
     def measure(self, contact: Contact) -> Groups:
         """One forward transform.  Collective."""
-        from pgfmd.grid.callbacks import source
+        from pgfmd.grid.transforms import source
         from pgfmd.observables.rough_surface import squared
 
         grid, parts = contact.grid, dict[int, tuple[float]]()

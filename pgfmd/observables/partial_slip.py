@@ -129,7 +129,7 @@ class PartialSlip(Observable):
         """Rms variation of the relative displacement over the stick area: of traction along x a mode q moves the
         surfaces by 2/(E'(1 − ν)q) (1 − ν q_x²/q²) along x and −2ν q_x q_y/(E'(1 − ν)q³) along y.  Collective.
         """
-        from pgfmd.grid.callbacks import sink, source
+        from pgfmd.grid.transforms import sink, source
 
         grid, nu = problem.grid, float(problem.solid.poisson or 0.0)
         scale = 2 / (problem.solid.contact_modulus * (1 - nu) * grid.size)

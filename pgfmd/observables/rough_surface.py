@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid.callbacks import ColumnAction, RowAction, source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction, RowAction, source
 from pgfmd.observables.contact_area import RESOLVED
 from pgfmd.observables.observable import OBSERVABLES, Observable, Spectrum
 from pgfmd.observables.schema import Groups

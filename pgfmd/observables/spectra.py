@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.grid.callbacks import source
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.grid.transforms import source
 from pgfmd.observables.binning import lag_bins
 from pgfmd.observables.observable import Observable, Spectrum, correlation_layout, spectrum_layout
 from pgfmd.observables.rough_surface import correlate

@@ -1,18 +1,161 @@
-"""What is to be solved: a rough surface pressed against an elastic solid."""
+"""What is to be solved: a rough surface pressed against an elastic solid at a mean pressure, an area or an approach.
+
+For an approach the solver prescribes the level λ of contact, the value of g = u − h there, and reads off the load.  For
+an area it prescribes a load, and corrects it.  Heights are counted from their mean, so that the mean gap is −λ.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.imposed import Imposed
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
+
+SURE = 0.7  # part of the tolerance of an approach that the certified error may take
+NOISE = 4.0  # error of ln p̄ for an area over √(relative error of the energy): up to 3.6 in 12 solves, 512² … 8192²
+STEP = 0.5  # largest change of ln p̄ at once; a level that falls by more may lose contact
+
+
+class Measured(NamedTuple):
+    """Numbers of a feasible pressure: its level λ, mean, elastic energy per point, number of points in contact, and
+    number of all points.
+    """
+
+    level: float
+    pressure: float
+    energy: float
+    contact: int
+    size: int
+
+    @property
+    def range(self) -> float:
+        """About dλ/d ln p̄, the length γ in p̄ ∝ exp(λ/γ): E_el/p̄ (Akarapu, Sharp, Robbins 2011,
+        doi:10.1103/PhysRevLett.106.204301).
+        """
+        return self.energy / self.pressure
+
+    @property
+    def log_load(self) -> float:
+        """ln of the mean pressure of Persson's theory for the area, area = erf(p̄/√2 s), up to a constant."""
+        return math.log(quantile(self.contact / self.size, self.size))
+
+
+@dataclass(frozen=True)
+class Imposed:
+    """The target: an approach to `allowed`, level + compliance · p̄ with the level counted from first contact; or a
+    relative area, to the part `allowed` of it or to one pixel.  compliance: of the mean mode, displacement per mean
+    pressure.
+    """
+
+    allowed: float
+    approach: float = 0.0
+    compliance: float = 0.0
+    area: float = 0.0
+
+    def in_units(self, height: float, pressure: float, top: float) -> Imposed:
+        """The same in other units, the approach counted from the mean height, which is `top` below the highest."""
+        if self.area:
+            return self
+        return Imposed(self.allowed / height, self.approach / height - top, self.compliance * pressure / height)
+
+    def guess(self, stress: float, rms: float, size: int) -> float:
+        """A mean pressure to begin with, from the rms stress of full contact: Persson's theory; or its logarithm falls
+        about linearly with the gap over the rms height.
+        """
+        if self.area:
+            return stress * quantile(self.area, size)
+        return stress * math.exp(max(-20.0, min(3.0, 2 * self.approach / rms)))
+
+    @property
+    def tolerance(self) -> float:
+        """The error of the energy over 2 E_el with which an area is known to half of what is allowed (`NOISE`); no
+        certificate tells that.  At least 1e-8, from where on single points change.
+        """
+        return max((self.allowed / 2 / NOISE) ** 2, 1e-8) if self.area else math.inf
+
+    def missed(self, at: Measured) -> float:
+        """Distance to the target over what is allowed beside the certified error."""
+        if self.area:
+            return abs(at.contact / at.size - self.area) / max(self.allowed * self.area, 1 / at.size)
+        return abs(at.level - self.approach + self.compliance * at.pressure) / ((1 - SURE) * self.allowed)
+
+    def needed(self, at: Measured) -> float:
+        """The certified error over 2 E_el with which the level is known to `SURE` of what is allowed: the error of the
+        level is at most (2√(AB) + B)/p̄ with A = E_el and B the certified error (`quantities.MeanGap.bound`).
+        """
+        return math.inf if self.area else (SURE * self.allowed / at.range / (2 + SURE)) ** 2 / 2
+
+
+@dataclass
+class Aim:
+    """What is prescribed in place of a given load while a target is sought: the level, or for an area a mean pressure.
+
+    stresses: rms stress of full contact (Persson's s), up to a factor, by the number of points of a grid, at least of
+    this and of the finest.  solved: `Aim.loaded` at the end of each coarser one.
+    """
+
+    target: Imposed
+    stresses: Mapping[int, float] = field(default_factory=dict)
+    level: float = 0.0
+    pressure: float = 0.0
+    solved: Sequence[float] = ()
+
+    def follow(self, at: Measured, least: float) -> None:
+        """Sets the level of an imposed approach, which depends on the load at most; at least to `least`."""
+        level = self.target.approach - self.target.compliance * at.pressure
+        self.level = max(least, level, at.level - STEP * at.range)
+
+    def moves(self, at: Measured, error: float) -> bool:
+        """Changes the mean pressure if the area misses its target, and is known well enough; returns whether.
+
+        error: of the energy, relative to 2 E_el.  An area that may be right stays; a change shall leave it right, or a
+        fifth as far off.
+        """
+        change, unsure = self._change(at), NOISE * math.sqrt(error)
+        allowed = self.target.allowed
+        if self.target.missed(at) <= 1 or abs(change) < allowed + unsure or unsure > max(allowed / 2, abs(change) / 5):
+            return False
+        self.pressure = at.pressure * math.exp(change)
+        return True
+
+    def refine(self, at: Measured) -> Aim:
+        """The aim on the next finer grid."""
+        if not self.target.area:
+            return dataclasses.replace(self)
+        pressure = at.pressure * math.exp(self._change(at))
+        return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)])
+
+    def loaded(self, at: Measured) -> float:
+        """ln of the mean pressure of Persson's theory, area = erf(p̄/√2 s), for this area over the one there is: the
+        same on all grids, but for what pixels change.
+        """
+        return at.log_load + math.log(self.stresses[at.size] / at.pressure)
+
+    def _change(self, at: Measured) -> float:
+        """The change of ln p̄ to where the finest grid has the area, if `loaded` changes further as it did over coarser
+        grids; at most `STEP`.
+        """
+        values, size = [*self.solved, self.loaded(at)], max(self.stresses)
+        changes = [b - a for a, b in itertools.pairwise(values)]
+        ahead = changes[-1] * (1 - math.sqrt(at.size / size)) if changes else 0.0
+        wanted = math.log(quantile(self.target.area, size) * self.stresses[size]) - values[-1] - ahead
+        return max(-STEP, min(wanted - math.log(at.pressure), STEP))
+
+
+def quantile(area: float, size: int) -> float:
+    """x with area = erf(x/√2); the area is kept half a point away from 0 and 1."""
+    half = 0.5 / size
+    return NormalDist().inv_cdf((1 + min(max(area, half), 1 - half)) / 2)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from pgfmd.grid.callbacks import ColumnAction, sink
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction, sink
 from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction
 from pgfmd.solvers.adhesive_model import AdhesiveModel, Hold
 
 MOST_INNER = 200

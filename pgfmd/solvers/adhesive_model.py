@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pgfmd.grid.callbacks import ColumnAction, sink
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction, sink
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import mean_compliance

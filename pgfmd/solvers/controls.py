@@ -10,9 +10,8 @@ from statistics import NormalDist
 import numpy as np
 
 from pgfmd.errors import InputError, Unreachable
-from pgfmd.grid.callbacks import source
-from pgfmd.physics.imposed import Imposed
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.grid.transforms import source
+from pgfmd.physics.problem import ContactProblem, Imposed
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import ContactSolution
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import sink, source
+from pgfmd.grid.transforms import sink, source
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State

@@ -21,7 +21,7 @@ import math
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.grid.callbacks import source
+from pgfmd.grid.transforms import source
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.law_operations import LawOperations, LawState
 from pgfmd.solvers.nondimensional import Dimensionless

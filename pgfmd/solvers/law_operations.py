@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from pgfmd.grid.callbacks import source
+from pgfmd.grid.transforms import source
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.patience import uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual, last_digits

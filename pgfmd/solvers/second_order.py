@@ -18,8 +18,8 @@ import math
 
 import numpy as np
 
-from pgfmd.grid.callbacks import ColumnAction, RowAction
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction, RowAction
 from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid

@@ -184,7 +184,7 @@ def memory(path: Path, n: int, nodes: int) -> None:
     from pgfmd.application.job import parse
     from pgfmd.grid import transpose
     from pgfmd.grid.sub_grid import SubGrid
-    from pgfmd.parallel.teams import node_of
+    from pgfmd.parallel.collectives import node_of
     from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgfmd.grid.holders import holders
+from pgfmd.grid.grid_cost import holders
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "plots"))
 from plotting import COLOURS, GREY, MARKERS, PAGE, plt  # noqa: E402

@@ -23,8 +23,8 @@ from pgfmd.options.section import key, wrong
 from pgfmd.physics.solids.solid import Solid
 
 if TYPE_CHECKING:
-    from pgfmd.grid.callbacks import ColumnAction
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.grid.transforms import ColumnAction
 
 SERIES, TERMS = 1.5, 12  # t below which series take over, and their terms after the first: the next is below 1e-17
 THICK = 25.0  # t from which F is 1 to the last digit

@@ -22,10 +22,10 @@ from typing import Protocol
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.domain import SPLIT
 from pgfmd.grid.kernels import scale_even
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction
 from pgfmd.parallel.collectives import slab_starts
 
 CLOSE = 6.0  # α r from which erf is 1 in double precision

@@ -23,9 +23,9 @@ from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 
 if TYPE_CHECKING:
-    from pgfmd.grid.callbacks import ColumnAction
     from pgfmd.grid.cell import Cell
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.grid.transforms import ColumnAction
 
 SOFT = 0.3  # `Solid.softest` of a solid below which contacts need sets of their own kind (`solvers.active_set.thin`)
 POISSON = number(above=-1, below=0.5)

@@ -25,10 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.grid.aligned import widened
-from pgfmd.grid.callbacks import in_chunks, source
 from pgfmd.grid.kernels import jit, u
-from pgfmd.physics.imposed import Aim, Measured
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.grid.transforms import in_chunks, source
+from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.solvers.active_set.conjugate_gradients import ConjugateGradients
 from pgfmd.solvers.active_set.continuation import (
     BESIDE,

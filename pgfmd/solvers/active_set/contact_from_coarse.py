@@ -8,12 +8,11 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import SolverError, Uncertifiable
-from pgfmd.grid.callbacks import sink, source
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import Interpolation
+from pgfmd.grid.transforms import sink, source
 from pgfmd.parallel.collectives import shared
-from pgfmd.physics.imposed import Aim, Measured
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent

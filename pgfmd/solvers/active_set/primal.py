@@ -13,8 +13,7 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.physics.imposed import Aim
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.problem import Aim, ContactProblem
 from pgfmd.solvers.active_set.active_set import CUT_POWER, Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradients, Mean
 from pgfmd.solvers.active_set.feasible import Feasible

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.grid.callbacks import source
-from pgfmd.grid.holders import LEAST_MESH_ROWS
+from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.grid.transforms import source
 from pgfmd.parallel.layout import RowPlan
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.block_stiffness import BlockWindow

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from pgfmd.grid.callbacks import ColumnAction
 from pgfmd.grid.kernels import jit
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import ColumnAction
 
 NEAREST = 16
 DENSE = 400  # points of one rank up to which the whole matrix is factorised: in about the time of ten iterations on 64²

@@ -14,9 +14,8 @@ import math
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.grid.callbacks import source
-from pgfmd.physics.imposed import Aim
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.grid.transforms import source
+from pgfmd.physics.problem import Aim, ContactProblem
 from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, Mean

@@ -26,7 +26,7 @@ from functools import partial
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.grid.callbacks import sink
+from pgfmd.grid.transforms import sink
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.exponential_wall import loops

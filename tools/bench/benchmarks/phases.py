@@ -71,8 +71,8 @@ def main(arguments: list[str] | None = None) -> int:
     from pgfmd.application.job import parse, tables_as_toml
     from pgfmd.application.results import Results
     from pgfmd.application.simulate import simulate
-    from pgfmd.grid.callbacks import sink, source
     from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.grid.transforms import sink, source
 
     comm = MPI.COMM_WORLD
     start = time.perf_counter() - began
