@@ -71,8 +71,8 @@ class Look(event.Listener):
     on_end = on_start
 
 event.register("numba:compile", Look())
-from pgfmd.observables.histogram import histogram
-histogram(np.ones((4, 8)), np.arange(3.0), 0, 4, np.zeros(2, int))
+from pgfmd.observables.run_length import _flatten
+_flatten(np.zeros(4, int), np.zeros((4, 2), int))
 print(Look.seen)
 """
     environment = {"PGFMD_CACHE": str(tmp_path), "PATH": ""}

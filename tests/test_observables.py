@@ -16,13 +16,13 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import source
-from pgfmd.observables import binning, histogram, rough_surface, schema
+from pgfmd.observables import binning, histogram, schema
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import contact_area, line_of
 from pgfmd.observables.histogram import linear_edges, log_edges, pressure_groups
 from pgfmd.observables.lowpass import coarsening, lowpass, octaves, touches_fully
 from pgfmd.observables.observable_kinds import LAYOUT, OBSERVABLES
-from pgfmd.observables.rough_surface import RoughSurface, correlate, indicator, mode_rings
+from pgfmd.observables.rough_surface import Rings, RoughSurface, correlate, indicator, mode_rings
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -369,22 +369,6 @@ def test_edges_hold_all_values_and_are_decimals():
     assert linear_edges(0.0, 0.0, 5)[-1] == 1.0
 
 
-def test_histogram_loops():
-    """The compiled histograms are NumPy's for values on, beside and beyond every edge."""
-    even, logarithmic = linear_edges(-1.0, 2.0, 13), log_edges(1e-4, 1.0, 7)
-    for edges in (even, logarithmic):
-        values = np.concatenate([edges, np.nextafter(edges, -9), np.nextafter(edges, 9), [0, 1e9, -1e9]])[None, :]
-        counts = np.zeros(len(even) - 1, np.int64)
-        histogram.histogram(values, even, 0, 1, counts)
-        np.testing.assert_array_equal(counts, np.histogram(values[values != 0], even)[0])
-        both = tuple((each, np.zeros(len(each) - 1, np.int64)) for each in (even, logarithmic))
-        powers = np.zeros(2)
-        histogram.contact_sums(values, 0.5, 0, 1, both, powers)
-        for each, found in both:
-            np.testing.assert_array_equal(found, np.histogram(values[values > 0], each)[0])
-        np.testing.assert_allclose(powers, [np.sum((values[values > 0] / 0.5) ** n) for n in (1, 2)], rtol=1e-14)
-
-
 def test_fit_of_many_bins(comm):
     """The fit of a histogram of 64,000 bins is that of 1000, to which they are merged; a minimum is found to 1e-8."""
     grid = SlabGrid(comm, (160, 150))
@@ -395,19 +379,17 @@ def test_fit_of_many_bins(comm):
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 8])
-def test_bin_loops(n):
+def test_sums_over_rings(n):
     """Sums over bins are those of searchsorted and bincount, for even and odd counts."""
     rng = np.random.default_rng(n)
     along = np.minimum(np.arange(n), n - np.arange(n)) ** 2 * 1.7
     across, weight, values = np.array([0.0, 1.0, 9.0]), rng.random(3), rng.normal(size=(3, n))
-    edges = np.array([-1.0, 0.5, 1.7, 4.0, 20.0])
-    place = along + across[:, None]
-    index = np.searchsorted(edges, place.ravel())
-    sums, counts, roots = np.zeros((3, 6))
-    rough_surface.bin_rows(values, along, across, weight, edges, sums)
-    rough_surface.bin_geometry(along, across, weight, edges, counts, roots)
-    for got, terms in ((sums, values), (counts, 1 + 0 * place), (roots, np.sqrt(place))):
-        np.testing.assert_allclose(got, np.bincount(index, (terms * weight[:, None]).ravel(), 6), atol=1e-14)
+    edges = np.sqrt([0.5, 1.7 * (1 + 1e-9), 4.0, 20.0])
+    rings = Rings(SlabGrid(MPI.COMM_SELF, (4, 4)), along, across, weight, edges)
+    place = np.sqrt(along + across[:, None])
+    for got, terms in ((rings.sums(values, 0, 3), values), (rings.count, 1 + 0 * place), (rings.roots, place)):
+        index = np.searchsorted(edges, place.ravel())
+        np.testing.assert_allclose(got, np.bincount(index, (terms * weight[:, None]).ravel(), 5), atol=1e-14)
 
 
 # ---- f(q) ------------------------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import integer
 from pgfmd.options.section import key
-from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
 if TYPE_CHECKING:
@@ -67,92 +66,11 @@ class Histogram(Observable):
         return groups | gap_groups(contact.grid, contact.gap, self.bins)
 
 
-FAST = {"contract", "nsz"}
-_jit = compiled(fastmath=FAST)
-
-
-@_jit
-def survey(field: np.ndarray, first: int, stop: int) -> tuple[int, float, float, float, float]:
-    """(number of values > 0, sum, least value > 0 or inf, least value, largest value) of rows first … stop−1."""
-    positive, total, least_positive, least, largest = 0, 0.0, np.inf, np.inf, -np.inf
-    for i in range(first, stop):
-        sum_of_row = 0.0
-        for j in range(field.shape[1]):
-            value = field[i, j]
-            sum_of_row += value
-            least = value if value < least else least
-            largest = value if value > largest else largest
-            if value > 0:
-                positive += 1
-                least_positive = value if value < least_positive else least_positive
-        total += sum_of_row
-    return positive, total, least_positive, least, largest
-
-
-@compiled(fastmath=FAST, no_cpython_wrapper=True)
-def find_bin(value: float, at: float, edges: np.ndarray, origin: float, scale: float) -> int | np.int64:
-    """The bin that holds a value: its lower edge belongs to it, and the last bin holds both of its edges.
-
-    at: the value, or its logarithm if that is what the edges are evenly spaced in; `origin` is the first edge there and
-    `scale` the number of bins per unit.  (at − origin)·scale is the first guess.
-    """
-    guess, last = (at - origin) * scale, edges.size - 2
-    b = 0 if guess < 0 else np.int64(guess) if guess < last else last
-    while b > 0 and value < edges[b]:  # rounding of the guess
-        b -= 1
-    while b < last and value >= edges[b + 1]:
-        b += 1
-    return b
-
-
-@_jit
-def histogram(field: np.ndarray, edges: np.ndarray, first: int, stop: int, counts: np.ndarray) -> None:
-    """counts += numpy.histogram(rows[rows != 0], edges), for evenly spaced edges."""
-    scale = counts.size / (edges[counts.size] - edges[0])
-    for i in range(first, stop):
-        for j in range(field.shape[1]):
-            value = field[i, j]
-            if value != 0 and edges[0] <= value <= edges[counts.size]:
-                counts[find_bin(value, value, edges, edges[0], scale)] += 1
-
-
-@_jit
-def contact_sums(
-    field: np.ndarray,
-    mean: float,
-    first: int,
-    stop: int,
-    bins: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    powers: np.ndarray,
-) -> None:
-    """Over the points p > 0 of rows first … stop−1: histograms, added to the counts in `bins`, and Σ (p/mean)^(n+1),
-    added to powers[n].
-
-    bins: (edges, counts), evenly spaced, and the same again evenly spaced in the logarithm.
-    """
-    (even, count), (logarithmic, log_count) = bins
-    scale = count.size / (even[count.size] - even[0])
-    origin = math.log10(logarithmic[0])
-    log_scale = log_count.size / (math.log10(logarithmic[log_count.size]) - origin)
-    for i in range(first, stop):
-        for j in range(field.shape[1]):
-            p = field[i, j]
-            if not p > 0:
-                continue
-            if even[0] <= p <= even[count.size]:
-                count[find_bin(p, p, even, even[0], scale)] += 1
-            if logarithmic[0] <= p <= logarithmic[log_count.size]:
-                log_count[find_bin(p, math.log10(p), logarithmic, origin, log_scale)] += 1
-            x, power = p / mean, 1.0
-            for n in range(powers.size):
-                power *= x
-                powers[n] += power
-
-
 ORDERS = 4  # moments ⟨σⁿ⟩_c from n = 1 to this
 DECADES = 12  # at most covered by the logarithmic bins, below the largest pressure
 LEAST_RANGE = 1e-290  # of values that edges tell apart: the density in a bin of a smaller one would overflow
 LINEAR_PER_LOG = 10  # linear bins for each logarithmic bin of a decade
+ROWS = 64  # that are binned at a time
 FIT_BINS = 1000  # most bins of the fit, which passes over them hundreds of times; finer bins are merged
 
 Group = dict[str, np.ndarray]
@@ -169,11 +87,11 @@ def pressure_groups(grid: SlabGrid, pressure: np.ndarray, bins: int) -> dict[str
     logarithmic = log_edges(seen.least_positive, seen.largest, max(1, bins // LINEAR_PER_LOG))
     mean = seen.total / seen.positive if seen.positive else math.nan  # over the contact
 
-    def part(first: int, stop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        count, log_count = (np.zeros(len(edges) - 1, np.int64) for edges in (linear, logarithmic))
-        powers = np.zeros(ORDERS)
-        contact_sums(pressure, mean, first, stop, ((linear, count), (logarithmic, log_count)), powers)
-        return count, log_count, powers
+    def part(first: int, stop: int) -> tuple[np.ndarray, ...]:
+        rows = pressure[first:stop]
+        inside = rows[rows > 0]
+        counts = (np.histogram(inside, edges)[0] for edges in (linear, logarithmic))
+        return *counts, np.array([np.sum((inside / mean) ** order) for order in range(1, ORDERS + 1)])
 
     count, log_count, powers = _totals(grid, part)
     fit = {"persson_fit": persson_fit(linear, count, seen.total / grid.size, grid.size)} if grid.comm.rank == 0 else {}
@@ -197,9 +115,8 @@ def gap_groups(grid: SlabGrid, gap: np.ndarray, bins: int) -> dict[str, Group]:
     edges = linear_edges(min(seen.least, 0.0), max(seen.largest, 0.0), bins)
 
     def part(first: int, stop: int) -> tuple[np.ndarray]:
-        counts = np.zeros(len(edges) - 1, np.int64)
-        histogram(gap, edges, first, stop, counts)
-        return (counts,)
+        rows = gap[first:stop]
+        return (np.histogram(rows[rows != 0], edges)[0],)
 
     (count,) = _totals(grid, part)
     return {"gap_histogram": _histogram(edges, count, grid.size)}
@@ -232,7 +149,14 @@ class Survey(NamedTuple):
 
 def look_over(grid: SlabGrid, field: np.ndarray) -> Survey:
     """Count, sum and extreme values of a slab (nx_local, ny).  Collective."""
-    parts = grid.threads.collect(lambda first, stop: survey(field, first, stop), len(field))
+
+    def part(first: int, stop: int) -> tuple[float, ...]:
+        rows = field[first:stop]
+        positive = rows > 0
+        least_positive = rows.min(where=positive, initial=np.inf)
+        return int(np.count_nonzero(positive)), rows.sum(), least_positive, rows.min(), rows.max()
+
+    parts = grid.threads.collect(part, len(field))
     positive, total, least_positive, least, largest = zip(*parts, strict=True)
     reduction = grid.reduction
     count, total = reduction.sums(sum(positive), math.fsum(total))
@@ -242,9 +166,15 @@ def look_over(grid: SlabGrid, field: np.ndarray) -> Survey:
 
 
 def _totals(grid: SlabGrid, part: Callable[[int, int], tuple[np.ndarray, ...]]) -> list[np.ndarray]:
-    """Sums over threads and ranks of the arrays that part(first, stop) returns for rows of this rank.  Collective."""
-    found: dict[int, tuple[np.ndarray, ...]] = {}
-    grid.threads.split(lambda first, stop: found.update({first: part(first, stop)}), grid.local_shape[0])
+    """Sums over blocks and ranks of the arrays that part(first, stop) returns for rows of this rank.  Collective."""
+    found: dict[int, list] = {}
+
+    def sum_up(first: int, stop: int) -> None:
+        for begin in range(first, stop, ROWS):
+            arrays = part(begin, min(begin + ROWS, stop))
+            found[first] = [total + array for total, array in zip(found.get(first, [0] * 9), arrays, strict=False)]
+
+    grid.threads.split(sum_up, grid.local_shape[0])
     totals = [np.sum(arrays, axis=0) for arrays in zip(*(found[first] for first in sorted(found)), strict=True)]
     for total in totals:
         grid.comm.Allreduce(MPI.IN_PLACE, total)

@@ -34,8 +34,7 @@ log = logging.getLogger("pgfmd")
 def compiled(**options: Any) -> Callable[[Callable], Any]:
     """A decorator: the function is compiled, and releases the GIL.
 
-    options: of `numba.njit`.  To compile faster: inline="always" for a function that loops call in one place each, and
-    no_cpython_wrapper=True for one that they call in several; called from Python that would crash.
+    options: of `numba.njit`.  To compile faster: inline="always" for a function that loops call in one place each.
     """
 
     settings: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options
