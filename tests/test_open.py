@@ -267,6 +267,15 @@ def test_a_cropped_contact_is_that_of_the_patch(monkeypatch):
     assert abs(again.certified_error / cropped.certified_error - 1) < 0.3 and cropped.certified_error < 1e-12
 
 
+def test_a_high_punch_under_a_light_load():
+    """Coarse heights overshoot beside its edge, by far more than it sinks in: F/(E' δ) is that of a low one."""
+    x, y = np.indices((256, 256)) - 127.5
+    inside = x**2 + y**2 < 42**2
+    low, high = (solved(np.where(inside, 0.0, depth), 30.0, 1e-8) for depth in (-1.0, -500.0))
+    assert high.displacement == pytest.approx(low.displacement, rel=1e-6)
+    assert high.contact_points == low.contact_points == np.count_nonzero(inside)
+
+
 @pytest.mark.parametrize("margin", [0.4, 0.7])
 def test_a_rectangle_is_enlarged_until_it_is_proved(margin, monkeypatch):
     """A rectangle that cuts off contact (.4), or might (.7), is not taken; no point outside the last one touches."""

@@ -112,12 +112,15 @@ def _estimate(problem: ContactProblem) -> tuple[float, float]:
 
 
 def _level(problem: ContactProblem, halvings: int) -> tuple[float, float]:
-    """λ on a grid of half as many points each way, so many times; and transforms times points.  Collective."""
+    """Depth of λ below height 0, the highest of the finest grid, on a grid of half as many points each way, so many
+    times; and transforms times points.  Collective.
+    """
     grid = problem.grid
     if not halvings:
         with grid.freed():
             found = ActiveSetIteration.contact(problem, LOOSE)
-        return found.approach - grid.reduction.max(problem.heights), found.transforms * grid.size
+        highest = min(grid.reduction.max(problem.heights), 0.0)  # above 0 beside cliffs, where coarse heights overshoot
+        return found.approach - highest, found.transforms * grid.size
     place = SubGrid.coarse(grid)
     heights = restrict_locally(grid, place, problem.heights)
     return place.on_all(lambda coarse: _level(problem.on(coarse, heights), halvings - 1))
