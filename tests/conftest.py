@@ -79,6 +79,25 @@ def shared_tmp_path(tmp_path) -> Path:
     return tmp_path if SIZE == 1 else WORLD.bcast(tmp_path)
 
 
+def whole(grid, field):
+    """The complete field on every rank.  Collective."""
+    return grid.fetch(field, 0, grid.shape[0])
+
+
+def saved(comm, path: Path, write) -> Path:
+    """The path of a file that rank 0 has made by write(path).  Collective."""
+    if comm.rank == 0:
+        write(path)
+    comm.Barrier()
+    return path
+
+
+def apart(grid, one, two) -> float:
+    """‖one − two‖/‖two‖ of the pressures of two contacts.  Collective."""
+    difference = one.pressure - two.pressure
+    return (grid.reduction.dot(difference, difference) / grid.reduction.dot(two.pressure, two.pressure)) ** 0.5
+
+
 @pytest.fixture
 def mpirun():
     """mpirun(ranks, *arguments, timeout=300): `python -m mpi4py *arguments` on that many ranks, for tests run serially.

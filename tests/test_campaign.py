@@ -81,7 +81,6 @@ SOUND = {
         (lambda answer: answer.pressure.__setitem__(..., answer.pressure[::-1].copy()), "gap in contact|true error"),
     ],
 )
-@pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_the_judge_sees_what_is_wrong(tmp_path, monkeypatch, spoil, said):
     """An answer that is spoilt on purpose is called wrong; a sound one is not."""
     heights = np.random.default_rng(1).standard_normal((6, 5))
@@ -166,7 +165,6 @@ FOUND_BY_CAMPAIGNS = {
 
 
 @pytest.mark.parametrize("name", FOUND_BY_CAMPAIGNS)
-@pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_what_campaigns_found_stays_mended(tmp_path, name):
     """No traceback, no warning, no wrong number: an answer, or one line."""
     document = {"output": SOUND["output"]} | FOUND_BY_CAMPAIGNS[name]
@@ -178,7 +176,6 @@ def test_what_campaigns_found_stays_mended(tmp_path, name):
 
 
 @pytest.mark.parametrize("kind", ["layered", "table"])
-@pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_the_judge_knows_other_solids(tmp_path, monkeypatch, kind):
     """A contact on a layer, and on a table of F(q), is right by the slow reference, whose F is its own."""
     solid = {"kind": kind, "contact_modulus": 1.0}
@@ -199,7 +196,6 @@ def test_the_judge_knows_other_solids(tmp_path, monkeypatch, kind):
     assert judge(job, heights, answers, factor)[0] == cases.WRONG
 
 
-@pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_a_minimal_job_is_found(tmp_path, monkeypatch):
     """Of a job of many keys that goes wrong through one of them, little more than that one is left."""
     document = SOUND | {

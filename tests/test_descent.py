@@ -5,6 +5,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from conftest import whole
 from reference import Contact, Solid
 from solids import elastic
 
@@ -25,11 +26,6 @@ from pgfmd.surfaces.self_affine import self_affine
 pytestmark = pytest.mark.mpi
 
 TOLERANCE = 1e-10
-
-
-def whole(grid, slab):
-    """The complete field on every rank."""
-    return grid.fetch(slab, 0, grid.shape[0])
 
 
 def awkward(seed: int):

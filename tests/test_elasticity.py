@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
+import reference
 from solids import elastic
 
+import pgfmd
+from pgfmd.application.estimate import report
+from pgfmd.application.job import load, parse
+from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
+from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.physics.laws.hard import HardWall
+from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.graded import Graded
+from pgfmd.physics.solids.layered import Layered
+from pgfmd.solvers.dispatch import solve_contact
+from pgfmd.solvers.options import Solver
 
 DIGITS = 80
 BASES = ("bonded", "free", "sliding")
@@ -143,3 +156,234 @@ def test_solids_that_cannot_be_are_refused(wrong):
     """Moduli, thickness, base and Poisson's ratio outside their range."""
     with pytest.raises(InputError, match="must"):
         elastic(**wrong)
+
+
+RATIOS = [1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6]
+POISSONS = [(0.0, 0.0), (0.25, 0.25), (0.4999, 0.1), (-0.5, 0.4999)]
+T = [1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 0.7, 1.0, 1.4, 1.6, 3.0, 10.0, 30.0, 49.0, 51.0]
+
+
+def layered(ratio: float, poisson: tuple[float, float] = (0.25, 0.25), thickness: float = 1.0) -> Layered:
+    """A layer of contact modulus 1 whose shear modulus is `ratio` times that of the half-space."""
+    base = (1 - poisson[0]) / (1 - poisson[1]) / ratio
+    return Layered(
+        contact_modulus=1.0, poisson=poisson[0], thickness=thickness, base_modulus=base, base_poisson=poisson[1]
+    )
+
+
+def stresses(wave: tuple[list, ...], poisson: Decimal, modulus: Decimal) -> tuple[list, list]:
+    """σzz, and σxz but for a factor −i, of waves (u, w, u', w') of q = 1 in a solid of that contact modulus."""
+    u, w, du, dw = wave
+    mu = modulus * (1 - poisson) / 2
+    lam = 2 * mu * poisson / (1 - 2 * poisson)
+    normal = [(lam + 2 * mu) * slope + lam * along for slope, along in zip(dw, u, strict=True)]
+    return normal, [mu * (slope - up) for slope, up in zip(du, w, strict=True)]
+
+
+def direct_factor(t: float, solid: Layered) -> float:
+    """F of one wave, q = 1, d = t, from Navier's equations in layer and half-space: four waves in one, the two that
+    decay in the other; displacements and stresses are continuous, no shear stress and W = 1 at the top.
+    """
+    with localcontext() as context:
+        context.prec = DIGITS
+        nu, below = Decimal(solid.poisson), Decimal(solid.base_poisson)
+        bottom = combinations(Decimal(0), Decimal(1), nu)
+        decaying = tuple([four[0] + four[1], four[2] + four[3]] for four in combinations(Decimal(0), Decimal(1), below))
+        top = combinations(Decimal(t), Decimal(1), nu)
+        layer = [*bottom[:2], *stresses(bottom, nu, Decimal(1))]
+        base = [*decaying[:2], *stresses(decaying, below, Decimal(solid.base_modulus))]
+        rows = [[*one, *(-value for value in two)] for one, two in zip(layer, base, strict=True)]
+        normal, shear = stresses(top, nu, Decimal(1))
+        rows += [[*shear, Decimal(0), Decimal(0)], [*top[1], Decimal(0), Decimal(0)]]
+        coefficients = solve(rows, [Decimal(0)] * 5 + [Decimal(1)])
+        return float(2 * sum(a * b for a, b in zip(normal, coefficients, strict=False)))  # over E' q/2
+
+
+@pytest.mark.parametrize("poisson", POISSONS)
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_the_symbol_is_that_of_plane_strain(ratio, poisson):
+    """(E'/2) q F(qd) solves the six boundary conditions, to 1e-13: soft on stiff and stiff on soft, thin and thick,
+    nearly incompressible and auxetic."""
+    solid = layered(ratio, poisson)
+    assert solid.factor(np.array(T)) == pytest.approx([direct_factor(t, solid) for t in T], rel=1e-13, abs=0)
+
+
+def test_published_values():
+    """1/F(.5) of layers 10 and .1 times as stiff as the half-space, ν = 1/4."""
+    found = [1 / float(layered(ratio).factor(np.array(0.5))) for ratio in (10.0, 0.1)]
+    assert found == pytest.approx([6.662598255148012, 0.305849009274627], rel=1e-14, abs=0)
+
+
+@pytest.mark.parametrize("poisson", [-0.5, 0.0, 0.25, 0.4999])
+def test_limits_of_the_half_space(poisson):
+    """Equal moduli: no layer.  A rigid one: the bonded slab.  A soft one: the slab with a free base.  The first is
+    exact to rounding; the others differ by the ratio of the moduli over t³, below 1e-13 of F here."""
+    q = np.geomspace(1e-3, 100, 200)
+    assert np.abs(layered(1.0, (poisson, poisson)).factor(q) - 1).max() < 1e-15
+    for ratio, base in ((1e-26, "bonded"), (1e26, "free")):
+        expected = elastic(1.0, 1.0, base, poisson).factor(q)
+        assert layered(ratio, (poisson, 0.3)).factor(q) == pytest.approx(expected, rel=1e-13, abs=0)
+
+
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_limits_of_the_wave(ratio):
+    """Long waves meet the half-space below, short ones that of the layer; nothing overflows.  Neither stops at rest."""
+    solid = layered(ratio, (0.4, 0.1))
+    longest, shortest = solid.stiffness(np.array([1e-12 * min(1, 1 / ratio), 1e12]))
+    assert longest == pytest.approx(solid.base_modulus / 2 * 1e-12 * min(1, 1 / ratio), rel=1e-5)
+    assert shortest == solid.half_space_stiffness(1e12) == 0.5e12
+    assert solid.mean_stiffness() == solid.mean_stiffness(periodic=False) == 0
+    scaled = solid.in_units(3.0, 0.1)
+    assert scaled.stiffness(np.array(0.7)) == pytest.approx(30 * solid.stiffness(np.array(0.7)), rel=1e-14)
+
+
+class Direct:
+    """A solid for `reference.Contact`, by `direct_factor`."""
+
+    def __init__(self, solid: Layered) -> None:
+        self.solid, self.modulus, self.mean_compliance = solid, solid.contact_modulus, reference.Real(0)
+
+    def stiffness(self, q: np.ndarray) -> np.ndarray:
+        """Pressure per displacement."""
+        values, where = np.unique(q, return_inverse=True)
+        factors = [direct_factor(float(value) * self.solid.thickness, self.solid) for value in values]
+        return q / 2 * np.array(factors, reference.Real)[where].reshape(q.shape)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("transform", ["blocked", "mpi4py-fft"])
+@pytest.mark.parametrize("ratio", [0.1, 30.0])
+def test_a_contact_is_that_of_brute_force(comm, ratio, transform):
+    """Pressures on 9 × 8 points against the quadratic program with the direct symbol: to the root of the tolerance."""
+    if transform == "mpi4py-fft":
+        pytest.importorskip("mpi4py_fft")
+    heights, solid = np.random.default_rng(7).standard_normal((9, 8)), layered(ratio, (0.3, 0.2), thickness=2.0)
+    grid = SlabGrid(comm, heights.shape, transform=transform)
+    problem = ContactProblem(grid, heights[grid.rows].copy(), solid, HardWall(), 0.1)
+    found = solve_contact(problem, Solver(tolerance=1e-20))
+    exact = reference.Contact(heights, (1.0, 1.0), Direct(solid)).hard(0.1)
+    exact = 0.1 * exact.x.astype(float).reshape(heights.shape)
+    assert np.abs(found.pressure - exact[grid.rows]).max() < 1e-8 * np.abs(exact).max()
+
+
+def test_a_job_needs_poisson():
+    """The moduli of the layer must fix Poisson's ratio; the rest of the job reads as ever."""
+    text = (
+        'grid.n = 8\nsurface = {kind = "sinusoid", amplitude = 1.0}\nload.pressure = 0.1\n'
+        '[solid]\nkind = "layered"\nthickness = 2.0\nbase_modulus = 3.0\nbase_poisson = 0.2\n'
+    )
+    assert parse(text + "young = 1.0\npoisson = 0.3\n").solid.contact_modulus == pytest.approx(1 / 0.91, rel=1e-15)
+    with pytest.raises(InputError, match=r"solid.contact_modulus = 1.0: .* needs poisson"):
+        parse(text + "contact_modulus = 1.0\n")
+
+
+JOB = """
+grid.n = [12, 10]
+surface = {kind = "self-affine", hurst = 0.8, lambda_s = 4.0, rms_slope = 0.1}
+load.pressure = 0.01
+solid = {kind = "table", path = "factor.csv", contact_modulus = 2.0}
+"""
+
+
+def tabulated(comm, path, q: np.ndarray, factor: np.ndarray) -> Graded:
+    """The table, written by rank 0, as a solid of contact modulus 2."""
+    if comm.rank == 0:
+        np.savetxt(path, np.column_stack([q, factor]), delimiter=",", fmt="%.17g", header="q, F")
+    comm.Barrier()
+    return Graded(path=str(path), contact_modulus=2.0)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("transform", ["blocked", "mpi4py-fft"])
+@pytest.mark.parametrize("base", ["bonded", "free"])
+def test_a_slab_by_its_values_at_the_grid_s_waves(comm, shared_tmp_path, base, transform):
+    """With an entry for each |q| of the grid the stiffness is that of the slab to 1e-12, and so is the contact, to the
+    root of its tolerance; on a rank's modes alike, though rank 0 alone reads the file."""
+    if transform == "mpi4py-fft":
+        pytest.importorskip("mpi4py_fft")
+    grid, slab = SlabGrid(comm, (24, 20), (24.0, 30.0), transform=transform), elastic(2.0, 4.0, base, 0.3)
+    waves = SlabGrid(comm, grid.shape, grid.lengths)
+    q = np.unique(np.concatenate(comm.allgather(np.sqrt(waves.q_squared()).ravel())))[1:]
+    graded = tabulated(comm, shared_tmp_path / "factor.csv", q, slab.factor(q))
+    graded.prepare(grid)
+    if comm.rank == 0:
+        (shared_tmp_path / "factor.csv").unlink()  # no rank reads it again
+    assert graded.stiffness(q) == pytest.approx(slab.stiffness(q), rel=1e-12, abs=0)
+    heights = np.random.default_rng(3).standard_normal(grid.shape)[grid.rows].copy()
+    found, expected = (
+        solve_contact(ContactProblem(grid, heights, solid, HardWall(), 0.1), Solver(tolerance=1e-20))
+        for solid in (graded, slab)
+    )
+    assert np.abs(found.pressure - expected.pressure).max() < 1e-9 * grid.reduction.max(expected.pressure)
+    assert found.mean_gap == pytest.approx(expected.mean_gap, rel=1e-9)
+
+
+@pytest.mark.parametrize("poisson", [0.25, 0.49])
+@pytest.mark.parametrize("thickness", [2.0, 20.0, 200.0])
+@pytest.mark.parametrize("base", ["bonded", "free", "sliding"])
+def test_a_slab_by_four_thousand_values(comm, tmp_path, base, thickness, poisson):
+    """Between entries at equal ratios the cubic differs by 3e-10 from the slab, on all waves of a 512² grid; with a
+    quarter of the entries by 4³ times that, as a third power."""
+    slab, ends = elastic(2.0, thickness, base, poisson), (2 * np.pi / 512, np.sqrt(2) * np.pi)
+    waves = np.linspace(*ends, 50_000)
+    for count, close in ((4000, 1e-9), (1000, 6.4e-8)):
+        q = np.geomspace(*ends, count)
+        graded = tabulated(comm, tmp_path / "factor.csv", q, slab.factor(q))
+        assert np.abs(graded.factor(waves) / slab.factor(waves) - 1).max() < close
+
+
+def test_beyond_its_ends_it_is_a_half_space(comm, tmp_path, caplog):
+    """F is that of the end, and the log says so if the grid has such waves; between entries it is monotone."""
+    solid = tabulated(comm, tmp_path / "factor.csv", np.array([0.1, 0.2, 0.9, 1.0]), np.array([5.0, 5.0, 0.5, 0.1]))
+    assert solid.factor(np.array([1e-9, 0.1, 0.15, 1.0, 1e9])) == pytest.approx([5, 5, 5, 0.1, 0.1], rel=1e-14)
+    assert (np.diff(solid.factor(np.linspace(0.2, 1.0, 500))) < 0).all()
+    assert solid.stiffness(1e9) == pytest.approx(solid.half_space_stiffness(1e9), rel=1e-14)
+    assert solid.surface_modulus == pytest.approx(0.2, rel=1e-15) and solid.mean_stiffness() == 0
+    assert solid.in_units(2.0, 0.5).stiffness(0.3) == pytest.approx(4 * solid.stiffness(0.3), rel=1e-14)
+    with caplog.at_level(logging.INFO, "pgfmd"):
+        solid.prepare(SlabGrid(comm, (32, 32)))
+        assert "q = 0.19635 to 4.44288; below 0.1 F is 5, above 1 it is 0.1" in caplog.text
+        caplog.clear()
+        solid.prepare(SlabGrid(comm, (10, 10), (60.0, 60.0)))
+        assert not caplog.text
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ("1, 1\n2, 0\n", "all q and F(q) must be > 0"), ("1, 1\n2, -1\n", "> 0"), ("0, 1\n2, 1\n", "> 0"),
+        ("2, 1\n1, 1\n", "larger than the one before"), ("1, 1\n1, 1\n", "larger"), ("1, nan\n2, 1\n", "finite"),
+        ("1, 1\n", "at least two lines"), ("1 2 3\n1 2 3\n", "two columns"), ("words\n", "two columns"), (None, "read"),
+    ],
+)  # fmt: skip
+def test_a_table_that_is_none_is_refused(comm, shared_tmp_path, lines, words):
+    """One line that names the file, on all ranks."""
+    path, rows = shared_tmp_path / "factor.csv", np.zeros((8, 8))[SlabGrid(comm, (8, 8)).rows].copy()
+    if comm.rank == 0 and lines is not None:
+        path.write_text(lines)
+    comm.Barrier()
+    with pytest.raises(InputError, match="factor.csv") as caught:
+        pgfmd.solve(rows, 0.1, comm=comm, solid={"kind": "table", "path": str(path), "contact_modulus": 1.0})
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.mpi
+def test_a_job_s_table_is_found_checked_and_compared(comm, shared_tmp_path):
+    """Its path counts from the job's folder; `check` describes it; a restart refuses a table that has changed."""
+    folder = shared_tmp_path / "jobs"
+    if comm.rank == 0:
+        folder.mkdir()
+        (folder / "job.toml").write_text(JOB)
+    comm.Barrier()
+    if comm.rank == 0:
+        with pytest.raises(InputError, match=r"solid.path: no such file: .*jobs/factor.csv"):
+            load(folder / "job.toml")
+    tabulated(comm, folder / "factor.csv", np.array([0.5, 5.0]), np.array([2.0, 1.0]))
+    job = load(folder / "job.toml")
+    assert "solid      table: table of 2 entries, q from 0.5 to 5, F from 2 to 1" in report(job, 1)
+    simulate(job, comm, shared_tmp_path / "out")
+    simulate(job, comm, shared_tmp_path / "out", restart=True)
+    tabulated(comm, folder / "factor.csv", np.array([0.5, 5.0]), np.array([2.0, 1.1]))
+    with pytest.raises(InputError, match=r"the content of .*factor.csv has changed"):
+        simulate(job, comm, shared_tmp_path / "out", restart=True)

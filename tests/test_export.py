@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SIZE
 from scipy.io import netcdf_file
 
 import pgfmd
@@ -12,7 +11,6 @@ from pgfmd.application.cli import main
 from pgfmd.application.export import export
 from pgfmd.errors import InputError
 
-pytestmark = pytest.mark.skipif(SIZE > 1, reason="serial")
 ROUGH = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1, "seed": 2}
 FIELDS = ["height", "pressure", "gap", "displacement"]
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import apart
 from reference import Contact, Real
 from solids import elastic
 
@@ -32,12 +33,6 @@ def solved(grid, heights, law, load, tolerance=1e-12, method="auto"):
     """The contact with a solid of modulus 1."""
     problem = ContactProblem(grid, heights, elastic(1.0), law, load)
     return solve_contact(problem, Solver(tolerance=tolerance, method=method))
-
-
-def apart(grid, one, two) -> float:
-    """‖one − two‖/‖two‖ of the pressures.  Collective."""
-    difference = one.pressure - two.pressure
-    return math.sqrt(grid.reduction.dot(difference, difference) / grid.reduction.dot(two.pressure, two.pressure))
 
 
 @pytest.mark.parametrize("zeta", [0.02, 0.3])

@@ -9,11 +9,14 @@ from collections import Counter
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE
+from conftest import ROOT
 from job_texts import SOLID
 
 from pgfmd.errors import InputError
 from pgfmd.surfaces.file import FromFile
+
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
+import campaign_heights  # noqa: E402
 
 SHAPE = (12, 10)
 SAID = "cannot be read as heights (.npy or HDF5), perhaps truncated: "
@@ -90,7 +93,6 @@ def damaged(content: bytes, chance: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-@pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_damaged_height_files(tmp_path, request):
     """Bytes changed, lost, inserted anywhere in .npy and HDF5 files: each ends in finite heights or one line."""
     good = originals(tmp_path)
@@ -158,7 +160,6 @@ def _virtual(file):
     file.create_virtual_dataset("height", layout)
 
 
-@pytest.mark.skipif(SIZE > 1, reason="once is enough")
 def test_whole_files_that_are_no_heights(tmp_path):
     """Each is refused with what is wrong with it."""
     cases = [*odd_npy(tmp_path), *odd_hdf5(tmp_path)]
@@ -213,3 +214,29 @@ def test_symbolic_link_as_output_folder(comm, shared_tmp_path):
     job = config.parse(SOLID + '[grid]\nn = 16\n[surface]\nkind = "sinusoid"\namplitude = 1\n[load]\npressure = 0.01\n')
     simulate(job, comm, link)
     assert link.is_symlink() and Results(target).status == "complete"
+
+
+pytest.importorskip("mpi4py")
+
+
+def test_random_files(tmp_path):
+    """300 of them: the heights that were written, to the rounding of their format, or one line."""
+    verdicts, bad = campaign_heights.campaign(7, range(300), tmp_path)
+    assert not bad, "\n".join(bad[:5])
+    assert verdicts["right"] > 150 and verdicts["refused"] > 20
+
+
+@pytest.mark.parametrize(
+    "spoil", [np.transpose, lambda heights: heights * (1 + 1e-12), lambda heights: np.nan_to_num(heights) * 1e6]
+)
+def test_wrong_heights_are_seen(tmp_path, monkeypatch, spoil):
+    """A reader that turns its heights, rounds them or mistakes their unit is called wrong."""
+    read = FromFile.heights
+
+    def spoilt(self, grid, unit):
+        found = spoil(read(self, grid, unit))
+        return found if found.shape == grid.shape else np.resize(found, grid.shape)
+
+    monkeypatch.setattr(FromFile, "heights", spoilt)
+    _, bad = campaign_heights.campaign(7, range(20), tmp_path)
+    assert len(bad) > 5

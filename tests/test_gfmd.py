@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import apart
 from solids import elastic
 
 from pgfmd.errors import InputError, SolverError
@@ -26,12 +27,6 @@ from pgfmd.surfaces.sinusoid import sinusoid
 pytestmark = pytest.mark.mpi
 
 SOLID = elastic(8 / 3)
-
-
-def apart(grid, one, two) -> float:
-    """‖one − two‖/‖two‖.  Collective."""
-    difference = one.pressure - two.pressure
-    return math.sqrt(grid.reduction.dot(difference, difference) / grid.reduction.dot(two.pressure, two.pressure))
 
 
 def test_westergaard(comm):

@@ -13,11 +13,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE
+from conftest import ROOT
 
 import pgfmd
-
-pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
 
 STATE = """
 import gc, locale, logging, os, signal, sys, threading, warnings

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import whole
 from mpi4py import MPI
 from solids import elastic
 
@@ -24,11 +25,6 @@ from pgfmd.theory.lattice_edge import STAIRCASE
 pytestmark = pytest.mark.mpi
 
 MODULUS = 8 / 3
-
-
-def whole(grid, slab):
-    """The complete field on every rank."""
-    return grid.fetch(slab, 0, grid.shape[0])
 
 
 def corrected_area(pressure):

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from conftest import whole
 from job_texts import rough_job
 from reference import Contact, Real, Solid, Unable
 from solids import elastic
@@ -36,11 +37,6 @@ def solved(grid, heights, load, hardness, tolerance=1e-20, solid=None, method="a
     law = Hardness(hardness=hardness) if hardness < math.inf else HardWall()
     problem = ContactProblem(grid, heights, solid or elastic(MODULUS), law, load)
     return solve_contact(problem, Solver(tolerance=tolerance, method=method))
-
-
-def whole(grid, slab):
-    """The complete field on every rank."""
-    return grid.fetch(slab, 0, grid.shape[0])
 
 
 def random_contact(seed: int):

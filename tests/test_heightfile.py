@@ -12,7 +12,7 @@ from functools import partial
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE
+from conftest import ROOT, SIZE, saved, whole
 from job_texts import SOLID
 from mpi4py import MPI
 
@@ -45,19 +45,6 @@ def tilted():
     return np.random.default_rng(5).normal(size=SHAPE) + 3.0 * x - 7.0 * y + 100
 
 
-def saved(comm, folder, name, make):
-    """Path of a file that rank 0 makes."""
-    path = folder / name
-    if comm.rank == 0:
-        make(path)
-    comm.Barrier()
-    return path
-
-
-def whole(grid, heights):
-    return grid.fetch(heights, 0, grid.shape[0])
-
-
 def without_plane(heights):
     """By a general least-squares solver."""
     x, y = np.indices(heights.shape).reshape(2, -1)
@@ -81,7 +68,7 @@ def test_rows_of_every_rank(comm, shared_tmp_path, tilted, suffix, periodic):
             with h5py.File(path, "w") as file:
                 file["heights"] = tilted
 
-    path = saved(comm, shared_tmp_path, f"a.{suffix}", make)
+    path = saved(comm, shared_tmp_path / f"a.{suffix}", make)
     expected = tilted if periodic == "as-is" else four_images(tilted)
     grid = SlabGrid(comm, expected.shape)
     assert np.array_equal(whole(grid, read_heights(grid, path, periodic=periodic)), expected)
@@ -90,7 +77,7 @@ def test_rows_of_every_rank(comm, shared_tmp_path, tilted, suffix, periodic):
 @pytest.mark.parametrize("periodic", ["as-is", "mirror"])
 def test_plane(comm, shared_tmp_path, tilted, periodic):
     """The plane is that of the measurement, also where its images follow; to rounding of heights up to 300."""
-    path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, tilted))
+    path = saved(comm, shared_tmp_path / "a.npy", lambda path: np.save(path, tilted))
     expected = without_plane(tilted) if periodic == "as-is" else four_images(without_plane(tilted))
     grid = SlabGrid(comm, expected.shape)
     found = whole(grid, read_heights(grid, path, detrend="plane", height_scale=-2.0, periodic=periodic))
@@ -99,7 +86,7 @@ def test_plane(comm, shared_tmp_path, tilted, periodic):
 
 def test_taper(comm, shared_tmp_path, tilted):
     """The inner four fifths are the measured heights; at the edges nothing is left but their mean."""
-    path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, np.kron(tilted, np.ones((8, 8)))))
+    path = saved(comm, shared_tmp_path / "a.npy", lambda path: np.save(path, np.kron(tilted, np.ones((8, 8)))))
     grid = SlabGrid(comm, (88, 192))
     before = whole(grid, read_heights(grid, path, detrend="plane"))
     after = whole(grid, read_heights(grid, path, detrend="plane", periodic="taper"))
@@ -113,7 +100,7 @@ def test_taper(comm, shared_tmp_path, tilted):
 
 def test_mirror_images_need_twice_the_points(comm, shared_tmp_path, tilted):
     """Odd grids cannot be halved, by a job neither; what the file holds is said."""
-    path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, tilted))
+    path = saved(comm, shared_tmp_path / "a.npy", lambda path: np.save(path, tilted))
     with pytest.raises(InputError, match="11 x 24 points cannot be halved"):
         read_heights(SlabGrid(comm, SHAPE), path, periodic="mirror")
     with pytest.raises(InputError, match="holds 22 x 48 points, with its mirror images, the grid has 24 x 48"):
@@ -124,7 +111,7 @@ def test_text_is_what_npy_is(comm, shared_tmp_path, tilted):
     """A bare matrix of numbers, as `numpy.savetxt` writes it, is bit for bit the surface that .npy gives: line i is at
     x = i aₓ, in the job's units.
     """
-    path = saved(comm, shared_tmp_path, "a.txt", lambda path: np.savetxt(path, tilted))
+    path = saved(comm, shared_tmp_path / "a.txt", lambda path: np.savetxt(path, tilted))
     grid = SlabGrid(comm, SHAPE, (1.0, 2.0))
     assert np.array_equal(whole(grid, read_heights(grid, path, length_unit="length")), tilted)
 
@@ -149,7 +136,7 @@ def made(path, heights, **attributes):
 @pytest.mark.parametrize("suffix", ["npy", "h5", "txt", "xyz"])
 def test_first_axis(comm, shared_tmp_path, tilted, suffix, periodic):
     """first_axis = "y" is the transposed array, bit for bit, whatever the format; the other shape is hinted at."""
-    path = saved(comm, shared_tmp_path, f"a.{suffix}", lambda path: made(path, tilted))
+    path = saved(comm, shared_tmp_path / f"a.{suffix}", lambda path: made(path, tilted))
     expected = tilted.T if periodic == "as-is" else four_images(tilted.T)
     grid = SlabGrid(comm, expected.shape)
     assert np.array_equal(whole(grid, read_heights(grid, path, first_axis="y", periodic=periodic)), expected)
@@ -164,7 +151,7 @@ UNITS = [("m", "µm", 1e6), (b"nm", "nm", 1.0), ("micrometers", "m", 1e-6), ("st
 @pytest.mark.parametrize(("given", "wanted", "factor"), UNITS)
 def test_unit_of_a_dataset(comm, shared_tmp_path, tilted, name, given, wanted, factor):
     """The attribute is honoured; "length", which results without a unit say, is none."""
-    path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, tilted, **{name: given}))
+    path = saved(comm, shared_tmp_path / "a.h5", lambda path: made(path, tilted, **{name: given}))
     grid = SlabGrid(comm, SHAPE)
     assert np.array_equal(whole(grid, read_heights(grid, path, wanted)), tilted * factor)
 
@@ -174,7 +161,7 @@ def test_unit_of_a_dataset(comm, shared_tmp_path, tilted, name, given, wanted, f
 )
 def test_units_that_cannot_be_converted(comm, shared_tmp_path, tilted, given, wanted, words):
     """Never taken as they are."""
-    path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, tilted, units=given))
+    path = saved(comm, shared_tmp_path / "a.h5", lambda path: made(path, tilted, units=given))
     with pytest.raises(InputError, match=words):
         read_heights(SlabGrid(comm, SHAPE), path, wanted)
 
@@ -195,7 +182,7 @@ def test_packed_dataset(comm, shared_tmp_path):
     """Integers with scale_factor, add_offset and _FillValue, as netCDF packs them."""
     packed = np.arange(24, dtype=np.int16).reshape(4, 6)
     attributes = {"scale_factor": 0.5, "add_offset": 100.0, "_FillValue": np.int16(7)}
-    path = saved(comm, shared_tmp_path, "a.h5", lambda path: made(path, packed, **attributes))
+    path = saved(comm, shared_tmp_path / "a.h5", lambda path: made(path, packed, **attributes))
     grid = SlabGrid(comm, (4, 6))
     with pytest.raises(InputError, match=r"\[1, 1\] is nan"):
         read_heights(grid, path, missing="refuse")
@@ -232,7 +219,7 @@ def test_missing_points(comm, shared_tmp_path, suffix, seed):
     gone = chance.random(SHAPE) < (0.02, 0.3, 0.45)[seed]
     gone[0], gone[:, 0], gone[-1, -1] = False, False, False
     heights[gone] = np.nan
-    path = saved(comm, shared_tmp_path, f"a.{suffix}", lambda path: made(path, heights))
+    path = saved(comm, shared_tmp_path / f"a.{suffix}", lambda path: made(path, heights))
     spacing = (1.0, 1.0) if suffix == "xyz" else (0.3, 1.7)
     lengths = tuple(count * step for count, step in zip(SHAPE, spacing, strict=True))
     expected = filled(heights, spacing)
@@ -269,10 +256,10 @@ def test_holes_are_filled_in_any_unit(comm, exponent):
 
 def test_nothing_measured_or_not_finite(comm, shared_tmp_path):
     """Infinite heights are no holes, and a file of holes is no surface."""
-    nothing = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, np.full(SHAPE, np.nan)))
+    nothing = saved(comm, shared_tmp_path / "a.npy", lambda path: np.save(path, np.full(SHAPE, np.nan)))
     with pytest.raises(InputError, match="no point was measured"):
         read_heights(SlabGrid(comm, SHAPE), nothing, missing="interpolate")
-    endless = saved(comm, shared_tmp_path, "b.npy", lambda path: np.save(path, np.full(SHAPE, -np.inf)))
+    endless = saved(comm, shared_tmp_path / "b.npy", lambda path: np.save(path, np.full(SHAPE, -np.inf)))
     with pytest.raises(InputError, match=r"\[\d, 0\] is -inf; all must be finite$"):
         read_heights(SlabGrid(comm, SHAPE), endless, missing="interpolate")
 
@@ -281,7 +268,7 @@ def test_log_says_what_was_understood(comm, shared_tmp_path, tilted, caplog):
     """Format, shape, orientation, size, unit, range; a slope that a wrong unit gives is warned of, on rank 0."""
     caplog.set_level(logging.INFO, "pgfmd")
     logging.getLogger("pgfmd").propagate = True
-    path = saved(comm, shared_tmp_path, "a.xyz", lambda path: made(path, tilted))
+    path = saved(comm, shared_tmp_path / "a.xyz", lambda path: made(path, tilted))
     grid = SlabGrid(comm, SHAPE)
     read_heights(grid, path, height_scale=1e-2)
     words = (
@@ -313,7 +300,7 @@ BAD = {
 @pytest.mark.parametrize("name", BAD)
 def test_check_finds_what_a_run_finds(comm, shared_tmp_path, name):
     """Without MPI, before the run, in the same words; nothing where the run finds nothing."""
-    path = saved(comm, shared_tmp_path, name, lambda path: made(path, BAD[name], units="V"))
+    path = saved(comm, shared_tmp_path / name, lambda path: made(path, BAD[name], units="V"))
     surface, outcome = FromFile(path=str(path)), []
     for attempt in (
         lambda: surface.check_inputs(Cell(n=SHAPE), "m"),
@@ -354,15 +341,15 @@ def test_fingerprint(comm, shared_tmp_path, tilted):
         heights = tilted.copy()
         if number:
             heights[chance.integers(11), chance.integers(24)] *= 1 + 2.2e-16 * number
-        path = saved(comm, shared_tmp_path, f"{number}.h5", partial(made, heights=heights, units="m"))
+        path = saved(comm, shared_tmp_path / f"{number}.h5", partial(made, heights=heights, units="m"))
         found.add(digest(comm, FromFile(path=f"{path}:heights").source))
         assert digest(MPI.COMM_SELF, FromFile(path=f"{path}:heights").source) in found
     assert len(found) == 6
-    other = saved(comm, shared_tmp_path, "same.h5", lambda path: made(path, tilted, units="m", note="new"))
+    other = saved(comm, shared_tmp_path / "same.h5", lambda path: made(path, tilted, units="m", note="new"))
     assert digest(comm, FromFile(path=f"{other}:heights").source) in found
-    other = saved(comm, shared_tmp_path, "unit.h5", lambda path: made(path, tilted, units="nm"))
+    other = saved(comm, shared_tmp_path / "unit.h5", lambda path: made(path, tilted, units="nm"))
     assert digest(comm, FromFile(path=f"{other}:heights").source) not in found
-    path = saved(comm, shared_tmp_path, "a.txt", lambda path: made(path, tilted))
+    path = saved(comm, shared_tmp_path / "a.txt", lambda path: made(path, tilted))
     assert digest(comm, FromFile(path=str(path)).source) == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -392,11 +379,11 @@ def test_fields_behind_a_link_are_part_of_the_job(comm, shared_tmp_path):
         with h5py.File(path, "w") as file:
             file["height"] = h5py.ExternalLink("linked.h5", "heights")
 
-    saved(comm, shared_tmp_path, "linked.h5", lambda path: made(path, np.eye(8)))
-    saved(comm, shared_tmp_path, "fields.h5", link)
+    saved(comm, shared_tmp_path / "linked.h5", lambda path: made(path, np.eye(8)))
+    saved(comm, shared_tmp_path / "fields.h5", link)
     text = SOLID + f"[grid]\nn = 8\n[surface]\nkind = 'file'\npath = '{pieces[1]}:height'\n[load]\npressure = 0.01\n"
     simulate(job.parse(text), comm, shared_tmp_path / "out")
-    saved(comm, shared_tmp_path, "linked.h5", lambda path: made(path, 2 * np.eye(8)))
+    saved(comm, shared_tmp_path / "linked.h5", lambda path: made(path, 2 * np.eye(8)))
     with pytest.raises(InputError, match=r"content of .*fields\.h5 has changed"):
         simulate(job.parse(text), comm, shared_tmp_path / "out", restart=True)
 
@@ -459,7 +446,7 @@ def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, leng
 )
 def test_files_that_hold_no_surface(comm, package, shared_tmp_path, content, words):
     """Cut off, of no known format, with a hole, a profile: one line on every rank."""
-    path = saved(comm, shared_tmp_path, "a.dat", lambda path: path.write_bytes(content))
+    path = saved(comm, shared_tmp_path / "a.dat", lambda path: path.write_bytes(content))
     with pytest.raises(InputError, match=words) as caught:
         read_heights(SlabGrid(comm, SDF_SHAPE, SDF_LENGTHS), path, length_unit="m")
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)
@@ -471,7 +458,7 @@ def test_want_of_memory_is_no_fault_of_the_file(comm, shared_tmp_path, monkeypat
     def rows(self, first, stop):
         raise MemoryError("no room")
 
-    path = saved(comm, shared_tmp_path, "a.npy", lambda path: np.save(path, np.ones((8, 8))))
+    path = saved(comm, shared_tmp_path / "a.npy", lambda path: np.save(path, np.ones((8, 8))))
     monkeypatch.setattr(measurement.Measurement, "rows", rows)
     with pytest.raises(MemoryError, match="no room"):
         read_heights(SlabGrid(comm, (8, 8)), path)
@@ -487,77 +474,6 @@ def test_text_sdf_of_either_standard(comm, package, shared_tmp_path):
     grid = SlabGrid(comm, (5, 4), (5e-7, 8e-7))
     for word in ("aISO-1.0", "aBCR-1.0"):
         content = f"{word}\n{head}*\n{body}\n*\n"
-        path = saved(comm, shared_tmp_path, f"{word}.sdf", lambda path, content=content: path.write_text(content))
+        path = saved(comm, shared_tmp_path / f"{word}.sdf", lambda path, content=content: path.write_text(content))
         found = whole(grid, read_heights(grid, path, "m", missing="interpolate"))
         assert np.allclose(found, 1e-9 * values.T, rtol=1e-9, atol=0)
-
-
-def random_file(chance, folder, heights):
-    """A file of these heights in a random format, number type and layout; path, what it really holds (rounded), and
-    the unit that it says.
-    """
-    kind = chance.choice(["npy", "h5", "txt", "xyz"])
-    path, holes = folder / f"a.{kind}", np.isnan(heights).any()
-    if kind in ("npy", "h5"):
-        kinds = ["<f8", ">f8", "<f4", ">f4", "<f2"] + ["<i2", ">i4", "i1", "u1"] * (not holes)
-        dtype = np.dtype(chance.choice(kinds))
-        heights = np.abs(np.round(heights)) if dtype.kind in "iu" else heights
-        array = np.array(heights, dtype, order=chance.choice(["C", "F"]))
-        heights = array.astype(float)
-    if kind == "npy":
-        np.save(path, array)
-        return path, heights, None
-    if kind == "h5":
-        packing = {"scale_factor": 0.25, "add_offset": -3.0} if chance.random() < 0.3 else {}
-        unit = {"units": str(chance.choice(["m", "µm", "nm"]))} if chance.random() < 0.5 else {}
-        with h5py.File(path, "w") as file:
-            how = {"chunks": (2, 3), "compression": "gzip"} if chance.random() < 0.5 and min(array.shape) > 2 else {}
-            file.create_dataset("a/b", data=array, **how).attrs.update(packing | unit)
-        return path, heights * packing.get("scale_factor", 1) + packing.get("add_offset", 0), unit.get("units")
-    delimiter = str(chance.choice([" ", "\t", ",", ";"]))
-    if kind == "xyz":
-        points = np.stack([*np.indices(heights.shape), heights], axis=2)[~np.isnan(heights)]
-        np.savetxt(path, chance.permutation(points), fmt="%.17g", delimiter=delimiter)
-    else:
-        np.savetxt(path, heights, fmt="%.17g", delimiter=delimiter)
-    return path, heights, None
-
-
-@pytest.mark.skipif(SIZE > 1, reason="once is enough; what ranks read is tested above")
-def test_random_files_and_options(tmp_path, request):
-    """Files of every format, number type and layout, with and without holes, read with random options of every key:
-    what plain NumPy makes of the same heights, to 1e-9 of their range, or refused just where a hole is.
-    """
-    for seed in range(5000 if request.config.getoption("--long") else 150):
-        chance = np.random.default_rng(seed)
-        shape = tuple(int(count) for count in chance.integers([4, 4], [9, 10]))
-        heights = 100 * chance.normal(size=shape)
-        if chance.random() < 0.4:
-            gone = chance.random(shape) < 0.3
-            gone[:2, :2] = gone[-1, -1] = False
-            heights[gone] = np.nan
-        path, expected, unit = random_file(chance, tmp_path, heights)
-        options = {
-            "first_axis": str(chance.choice(["x", "y"])),
-            "missing": str(chance.choice(["refuse", "interpolate"])),
-            "detrend": str(chance.choice(["none", "mean", "plane"])),
-            "periodic": str(chance.choice(["as-is", "mirror"])),
-            "height_scale": float(chance.choice([-2.0, 1.0, 1e-3])),
-        }
-        expected = expected.T if options["first_axis"] == "y" else expected
-        spacing = (1.0, 1.0) if path.suffix == ".xyz" else tuple(chance.uniform(1, 3, 2))
-        copies = 2 if options["periodic"] == "mirror" else 1
-        points = tuple(copies * count for count in expected.shape)
-        grid = SlabGrid(MPI.COMM_SELF, points, tuple(n * step for n, step in zip(points, spacing, strict=True)))
-        if np.isnan(expected).any() and options["missing"] == "refuse":
-            with pytest.raises(InputError, match="is nan"):
-                read_heights(grid, path, "nm", **options)
-            continue
-        found = read_heights(grid, path, "nm", **options)
-        expected = filled(expected, spacing) * {None: 1, "nm": 1, "µm": 1e3, "m": 1e9}[unit] * options["height_scale"]
-        if options["detrend"] == "mean":
-            expected = expected - expected.mean()
-        elif options["detrend"] == "plane":
-            expected = without_plane(expected)
-        expected = four_images(expected) if copies == 2 else expected
-        assert np.allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max()), f"seed {seed}"

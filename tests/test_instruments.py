@@ -11,7 +11,7 @@ import zipfile
 import h5py
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE
+from conftest import ROOT, saved
 
 import pgfmd
 from pgfmd.application import job
@@ -28,14 +28,6 @@ REST = "[solid]\ncontact_modulus = 1e9\n[load]\npressure = 1e6\n"
 def asked(path, more="", rest=REST):
     """The job on a file of heights that says nothing of points, size and unit but what `more` does."""
     return job.parse(f'[surface]\nkind = "file"\npath = "{path}"\n{more}\n{rest}', folder=str(ROOT))
-
-
-def saved(comm, path, write):
-    """The path of a file that rank 0 has written."""
-    if comm.rank == 0:
-        write(path)
-    comm.Barrier()
-    return path
 
 
 @pytest.mark.parametrize(
@@ -159,7 +151,6 @@ def test_holes_are_counted_in_the_log(comm, shared_tmp_path, caplog, monkeypatch
         assert [record.levelno for record in said] == [level] * (comm.rank == 0)
 
 
-@pytest.mark.skipif(SIZE > 1, reason="serial")
 def test_missing_files_are_named_before_they_are_read(tmp_path):
     """Of any section, with the key."""
     with pytest.raises(InputError, match=r"surface\.path: no such file"):
@@ -201,7 +192,6 @@ def test_a_topography_is_solved_as_its_heights(comm, caplog, monkeypatch):
             pgfmd.solve(wrong, 0.1, comm=comm, **options)
 
 
-@pytest.mark.skipif(SIZE > 1, reason="serial")
 def test_a_new_job_on_a_file(tmp_path, monkeypatch, capsys):
     """`pgfmd new --heights` prints a job that runs as it is; missing points and edges that do not match are treated."""
     monkeypatch.chdir(tmp_path)
@@ -223,7 +213,6 @@ def test_a_new_job_on_a_file(tmp_path, monkeypatch, capsys):
     assert main(["new", "--heights", "none.npy"]) == 2
 
 
-@pytest.mark.skipif(SIZE > 1, reason="serial")
 def test_a_folder_of_instruments_files(tmp_path, capsys):
     """Each file that SurfaceTopography reads is solved from path, modulus and load, also packed, with the package's
     heights, size and unit, which the export and the page of figures keep; other files do not count."""

@@ -11,12 +11,9 @@ import time
 import launching
 import numpy as np
 import pytest
-from conftest import SIZE
 
 from pgfmd.application.ensemble import Ensemble
 from pgfmd.application.results import Results
-
-pytestmark = pytest.mark.skipif(SIZE > 1, reason="starts mpirun itself")
 
 SAME = 1e-10  # relative L2 of the pressure; solved to a certified energy error of 1e-12, measured 1e-12
 

@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 import pytest
+from conftest import saved
 
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import OPEN
@@ -31,14 +32,6 @@ def read(comm, path, shape=SHAPE, **options):
     """The heights of all ranks."""
     grid = SlabGrid(comm, shape)
     return grid.fetch(FromFile(path=str(path), **options).heights(grid, None), 0, shape[0])
-
-
-def saved(comm, path, write):
-    """The path of a file that rank 0 has written."""
-    if comm.rank == 0:
-        write(path)
-    comm.Barrier()
-    return path
 
 
 @pytest.mark.parametrize("periodic", ["as-is", "mirror"])

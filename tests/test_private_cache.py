@@ -11,12 +11,10 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import ROOT, SIZE
+from conftest import ROOT
 
 from pgfmd.parallel import private_cache
 from pgfmd.parallel.private_cache import is_private, private_folder
-
-pytestmark = pytest.mark.skipif(SIZE > 1, reason="one process is what matters")
 
 SOLVE = """
 import numpy as np, pgfmd

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, whole
 from job_texts import SOLID
 from mpi4py import MPI
 from solids import elastic
@@ -31,10 +31,6 @@ pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
 MODULUS = 8 / 3
 STRETCHED = ((48, 80), (1.0, 3.1))  # points, cell: pixels 0.021 × 0.039
 JOB = ROOT / "jobs" / "measured.toml"
-
-
-def whole(grid, slab):
-    return grid.fetch(slab, 0, grid.shape[0])
 
 
 def frequencies(shape, lengths):

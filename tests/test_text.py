@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import SIZE
 
 from pgfmd.errors import InputError
 from pgfmd.surfaces import plain_text as text
-
-pytestmark = pytest.mark.skipif(SIZE > 1, reason="serial")
 
 STYLES = [(" ", "."), ("\t", "."), (",", "."), (", ", "."), (";", "."), (";", ","), ("\t", ","), (" ", ",")]
 

@@ -85,7 +85,7 @@ def factor_of(solid: dict, table: np.ndarray | None) -> Callable[[float], float]
     if table is not None:
         (first, last), (low, high) = np.log(table.T)
         return lambda q: math.exp(low + (high - low) * min(max((math.log(q) - first) / (last - first), 0.0), 1.0))
-    from test_layered import direct_factor
+    from test_elasticity import direct_factor
 
     layer = SimpleNamespace(**solid | {"base_modulus": solid["base_modulus"] / solid["contact_modulus"]})
     return lambda q: direct_factor(q * solid["thickness"], layer) if q * solid["thickness"] < 45 else 1.0
