@@ -37,8 +37,7 @@ from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl, load_control
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
-from pgfmd.surfaces.file import warn_of_edges
-from pgfmd.surfaces.heights_file import fill_holes
+from pgfmd.surfaces.file import fill_holes, warn_of_edges
 from pgfmd.surfaces.measurement import is_topography, measured_heights
 
 log = logging.getLogger("pgfmd")

@@ -14,7 +14,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.contact_area import LARGEST_RATIO, contact_line
 from pgfmd.observables.contact_line import Tables, edge_table, locate
-from pgfmd.observables.labelling import label_patches
+from pgfmd.observables.patch_table import label_patches
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem

@@ -15,8 +15,7 @@ from pgfmd.application.job import parse
 from pgfmd.application.results import Results, table
 from pgfmd.application.simulate import simulate
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict
+from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.discretisation import MODES, change_at_equal_load, long_waves
 from pgfmd.observables.observable_kinds import OBSERVABLES

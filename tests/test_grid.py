@@ -11,8 +11,7 @@ from mpi4py import MPI
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid import aligned, grid_cost, transpose
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import Interpolation, interpolate, restrict, restrict_locally
+from pgfmd.grid.transfer import Interpolation, SubGrid, interpolate, restrict, restrict_locally
 from pgfmd.parallel import collectives, mpi
 from pgfmd.parallel.collectives import await_all, raise_together, shared, slab_starts
 from pgfmd.parallel.layout import Layout

@@ -23,8 +23,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.surfaces import measurement
-from pgfmd.surfaces.file import FromFile
-from pgfmd.surfaces.heights_file import digest, fill_missing
+from pgfmd.surfaces.file import FromFile, digest, fill_missing
 from pgfmd.surfaces.sinusoid import Sinusoid
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]

@@ -18,8 +18,7 @@ from pgfmd.application import job
 from pgfmd.application.cli import main
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.surfaces.file import FromFile
-from pgfmd.surfaces.heights_file import fill_missing
+from pgfmd.surfaces.file import FromFile, fill_missing
 
 SDF = ROOT / "jobs" / "data" / "measured.sdf"
 REST = "[solid]\ncontact_modulus = 1e9\n[load]\npressure = 1e6\n"

@@ -118,7 +118,7 @@ sys.modules.update(h5py=None, tomllib=None)
 import numpy as np
 import pgfmd
 import pgfmd.surfaces.surface_kinds, pgfmd.observables.observable_kinds
-from pgfmd.surfaces.heights_file import read_heights
+from pgfmd.surfaces.file import read_heights
 wave = np.cos(2 * np.pi * np.arange(32) / 32)
 contact = pgfmd.solve(wave[:, None] * wave, 0.01)
 assert contact.certified_error < 1e-8

@@ -13,7 +13,7 @@ from pgfmd.grid.domain import OPEN
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.surfaces import readers
 from pgfmd.surfaces.file import FromFile
-from pgfmd.surfaces.plain_text import read as read_text
+from pgfmd.surfaces.readers import read_text
 
 pytestmark = pytest.mark.mpi
 

@@ -13,10 +13,9 @@ from pgfmd.application.job import load
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import OPEN
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import Interpolation, restrict_locally
+from pgfmd.grid.transfer import Interpolation, SubGrid, restrict_locally
 from pgfmd.grid.transforms import sink, source
-from pgfmd.observables.labelling import label_patches
+from pgfmd.observables.patch_table import label_patches
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids import open_kernel

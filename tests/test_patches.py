@@ -14,8 +14,7 @@ import pytest
 from scipy import ndimage, sparse
 
 from pgfmd.errors import InputError
-from pgfmd.observables.labelling import label_patches
-from pgfmd.observables.patch_table import patch_table
+from pgfmd.observables.patch_table import label_patches, patch_table
 from pgfmd.observables.run_length import find_fragments, find_runs
 from pgfmd.parallel.collectives import slab_starts
 

@@ -12,7 +12,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import bottleneck
 from pgfmd.observables.bottleneck import bottlenecks, percolates
-from pgfmd.observables.labelling import label_patches
+from pgfmd.observables.patch_table import label_patches
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi

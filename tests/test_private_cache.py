@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from pgfmd.parallel import private_cache
-from pgfmd.parallel.private_cache import is_private, private_folder
+from pgfmd.parallel import compiled
+from pgfmd.parallel.compiled import is_private, private_folder
 
 SOLVE = """
 import numpy as np, pgfmd
-from pgfmd.parallel.private_cache import private_folder
+from pgfmd.parallel.compiled import private_folder
 x = np.cos(2 * np.pi * np.arange(16) / 16)
 print(pgfmd.solve(x[:, None] + x, 0.1).certified_error < 1e-6, private_folder())
 """
@@ -112,7 +112,7 @@ def test_a_user_without_home_can_solve(tmp_path):
 @pytest.mark.breadth
 def test_nowhere_to_keep_anything():
     """Where no folder can be had nothing is kept, and the answer is the same."""
-    code = "import pgfmd.parallel.private_cache as cache\ncache.is_private = lambda _: False\n" + SOLVE
+    code = "import pgfmd.parallel.compiled as cache\ncache.is_private = lambda _: False\n" + SOLVE
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout == "True None\n", done.stderr
 
@@ -155,7 +155,7 @@ def test_no_space_for_temporary_files(found, tmp_path, monkeypatch):
 
     monkeypatch.setattr("tempfile.gettempdir", full)
     (tmp_path / "home").write_text("")
-    assert found() in (None, private_cache.Path(f"/dev/shm/pgfmd-{os.geteuid()}"))
+    assert found() in (None, compiled.Path(f"/dev/shm/pgfmd-{os.geteuid()}"))
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES])
@@ -167,10 +167,10 @@ def test_what_cannot_be_kept_leaves_nothing_and_is_named(tmp_path, monkeypatch, 
     def fail(*_):
         raise OSError(code, os.strerror(code))
 
-    monkeypatch.setattr(private_cache.os, "replace", fail)
+    monkeypatch.setattr(compiled.os, "replace", fail)
     for _ in range(2):
-        private_cache.keep(tmp_path / "file", b"content")
-    assert list(tmp_path.iterdir()) == [] and private_cache.kept(tmp_path / "file") is None
+        compiled.keep(tmp_path / "file", b"content")
+    assert list(tmp_path.iterdir()) == [] and compiled.kept(tmp_path / "file") is None
     (message,) = caplog.messages
     assert str(tmp_path) in message and os.strerror(code) in message
 
@@ -178,12 +178,12 @@ def test_what_cannot_be_kept_leaves_nothing_and_is_named(tmp_path, monkeypatch, 
 def test_a_damaged_file_counts_as_missing(tmp_path):
     """A byte that has changed, or an end that was not written, is noticed before the content is used."""
     path = tmp_path / "file"
-    private_cache.keep(path, b"content")
+    compiled.keep(path, b"content")
     whole = path.read_bytes()
-    assert private_cache.kept(path) == b"content"
+    assert compiled.kept(path) == b"content"
     for damaged in (whole[:-1], whole[:10], b"", whole[:-1] + b"T", b"X" + whole[1:]):
         path.write_bytes(damaged)
-        assert private_cache.kept(path) is None
+        assert compiled.kept(path) is None
 
 
 def test_wisdom_is_no_pickle(tmp_path, monkeypatch):
@@ -316,10 +316,10 @@ def test_a_loop_is_compiled_by_one_process(tmp_path, count):
 def test_nobody_waits_for_ever(tmp_path, monkeypatch):
     """A process that holds a lock may have been stopped: after LONGEST the others go on without it."""
     path = tmp_path / "file"
-    with private_cache.locked(path) as held:
-        monkeypatch.setattr(private_cache, "LONGEST", 0.05)
-        assert held is not None and private_cache.locked(path) is None
-    with private_cache.locked(path) as free:
+    with compiled.locked(path) as held:
+        monkeypatch.setattr(compiled, "LONGEST", 0.05)
+        assert held is not None and compiled.locked(path) is None
+    with compiled.locked(path) as free:
         assert free is not None
 
 

@@ -12,8 +12,7 @@ from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict
+from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.surfaces.self_affine import SelfAffine
 from pgfmd.surfaces.spectrum import FromSpectrum
 from pgfmd.theory import surface as theory

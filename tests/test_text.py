@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pgfmd.errors import InputError
-from pgfmd.surfaces import plain_text as text
+from pgfmd.surfaces.readers import read_text
 
 STYLES = [(" ", "."), ("\t", "."), (",", "."), (", ", "."), (";", "."), (";", ","), ("\t", ","), (" ", ",")]
 
@@ -33,19 +33,19 @@ def test_every_style_gives_back_the_numbers(tmp_path, separator, mark):
             table[chance.random(table.shape) < 0.3] = np.nan
             table[0, 0], table[:, -1] = 1.5, 2.5
         path = written(tmp_path / "a.txt", table, separator, mark, words[seed % len(words)])
-        assert np.array_equal(text.read(path).array, table, equal_nan=True), f"seed {seed}"
+        assert np.array_equal(read_text(path).array, table, equal_nan=True), f"seed {seed}"
 
 
 def test_comments_at_the_ends_of_lines(tmp_path):
     """They are passed over on any line, the first too."""
     (tmp_path / "a.txt").write_text("1 2 3 4  # a\n5 6 7 8 # b\n")
-    assert np.array_equal(text.read(tmp_path / "a.txt").array, [[1, 2, 3, 4], [5, 6, 7, 8]])
+    assert np.array_equal(read_text(tmp_path / "a.txt").array, [[1, 2, 3, 4], [5, 6, 7, 8]])
 
 
 def test_separators_at_the_ends_of_lines(tmp_path):
     """Spreadsheets end each line with one: no column of missing heights."""
     (tmp_path / "a.csv").write_text("1,2,3,4,\n5,6,7,8,\n")
-    assert text.read(tmp_path / "a.csv").shape == (2, 4)
+    assert read_text(tmp_path / "a.csv").shape == (2, 4)
 
 
 def test_coordinates_in_any_order(tmp_path):
@@ -64,7 +64,7 @@ def test_coordinates_in_any_order(tmp_path):
         points = np.stack([origin[0] * step[0] + i * step[0], origin[1] * step[1] + j * step[1], heights[~gone]], 1)
         points[:, :2] = np.vectorize(lambda value: float(f"{value:.5g}"))(points[:, :2])
         path = written(tmp_path / "a.xyz", chance.permutation(points), *STYLES[seed % 4])
-        found = text.read(path)
+        found = read_text(path)
         assert np.array_equal(found.array, np.where(gone, np.nan, heights), equal_nan=True), f"seed {seed}"
         assert np.allclose(found.lengths, shape * step, rtol=1e-3, atol=0), f"seed {seed}"
 
@@ -73,7 +73,7 @@ def test_units_of_points(tmp_path):
     """Units as Gwyddion exports them: heights arrive in the unit of the coordinates."""
     points = "0 0 1000\n0 2 2000\n1 0 3000\n1 2 4000\n"
     (tmp_path / "a.xyz").write_text("# Lateral units: µm\n# Value units: nm\n" + points, encoding="utf-8")
-    found = text.read(tmp_path / "a.xyz")
+    found = read_text(tmp_path / "a.xyz")
     assert np.allclose(found.array, [[1, 2], [3, 4]], rtol=1e-15, atol=0)
     assert found.unit == "µm" and found.lengths == (2, 4)
 
@@ -95,7 +95,7 @@ def test_tables_that_are_no_surface(tmp_path, content, words):
     """What is wrong with it, and where."""
     (tmp_path / "a.txt").write_text(content)
     with pytest.raises(InputError, match=words):
-        text.read(tmp_path / "a.txt")
+        read_text(tmp_path / "a.txt")
 
 
 @pytest.mark.parametrize(
@@ -104,11 +104,11 @@ def test_tables_that_are_no_surface(tmp_path, content, words):
 def test_what_is_no_table(tmp_path, content):
     """Left to other readers."""
     (tmp_path / "a").write_bytes(content)
-    assert text.read(tmp_path / "a") is None
+    assert read_text(tmp_path / "a") is None
 
 
 @pytest.mark.parametrize("comment", ["# Width: 10 µm", "# Value units: m\n# Height = 3", "# scale 1e-9 units"])
 def test_sizes_and_units_of_a_matrix_are_not_dropped(tmp_path, comment):
     """A comment that gives them is for SurfaceTopography, which understands it."""
     (tmp_path / "a.txt").write_text(comment + "\n1 2 3 4\n5 6 7 8\n", encoding="utf-8")
-    assert text.read(tmp_path / "a.txt") is None
+    assert read_text(tmp_path / "a.txt") is None

@@ -10,8 +10,7 @@ from mpi4py import MPI
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict
+from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.surfaces.paraboloid import paraboloid
 from pgfmd.surfaces.random_modes import RandomModes
 from pgfmd.surfaces.rigid_surface import coordinates

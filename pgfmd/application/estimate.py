@@ -13,8 +13,8 @@ from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, readable
 from pgfmd.parallel.mpi import shared_memory
 from pgfmd.physics.solids.solid import SOFT
-from pgfmd.solvers.cost import GAPS_FROM, MODERATE, SINGLE_TO
-from pgfmd.solvers.cost import cost as solver_cost
+from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO
+from pgfmd.solvers.options import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
 PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth

@@ -22,8 +22,7 @@ from pgfmd.options.text import as_toml_value, printable, with_error
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.load_control import LoadControl
-from pgfmd.surfaces.file import ORDERS, FromFile, jumps, subtract_trend
-from pgfmd.surfaces.heights_file import Source, fill_missing, read_heights
+from pgfmd.surfaces.file import ORDERS, FromFile, Source, fill_missing, jumps, read_heights, subtract_trend
 from pgfmd.surfaces.rigid_surface import refined_heights
 
 

@@ -28,7 +28,7 @@ from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.surfaces.heights_file import digest
+from pgfmd.surfaces.file import digest
 from pgfmd.surfaces.rigid_surface import refined_heights
 
 log = logging.getLogger("pgfmd")

@@ -33,7 +33,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import ALIGNMENT, aligned, with_padding
 from pgfmd.grid.transpose import WORD, Strips
-from pgfmd.parallel.private_cache import keep, kept, locked, private_folder
+from pgfmd.parallel.compiled import keep, kept, locked, private_folder
 from pgfmd.parallel.threads import Threads
 
 RowAction = Callable[[int, int, np.ndarray], None]

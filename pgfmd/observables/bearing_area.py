@@ -12,8 +12,8 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
-from pgfmd.observables.labelling import label_patches
 from pgfmd.observables.observable import Observable, spectrum_layout
+from pgfmd.observables.patch_table import label_patches
 from pgfmd.observables.rough_surface import indicator
 from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.observables.spectra import acf_layout

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.labelling import Labels, label_patches
+from pgfmd.observables.patch_table import Labels, label_patches
 from pgfmd.observables.run_length import PeriodicSets, paint
 
 GATHERED = 100_000  # points of the bracket that rank 0 receives

@@ -18,9 +18,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import source
 from pgfmd.observables.contact_area import Area, ContactLine, contact_area, line_of
 from pgfmd.observables.contact_line import staircase
-from pgfmd.observables.labelling import Labels, label_patches
 from pgfmd.observables.observable import OBSERVABLES, Observable
-from pgfmd.observables.patch_table import patch_table
+from pgfmd.observables.patch_table import Labels, label_patches, patch_table
 from pgfmd.observables.rough_surface import Correlations, RoughSurface, correlate, indicator
 from pgfmd.observables.schema import FIELDS, TABLE, Groups
 from pgfmd.options.section import build

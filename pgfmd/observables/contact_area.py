@@ -38,7 +38,7 @@ import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_line import EdgeTable, Lookup, Tables, edge_tables, hardening, lines_of_pixels
-from pgfmd.observables.labelling import Labels
+from pgfmd.observables.patch_table import Labels
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.solution import ContactSolution

@@ -52,8 +52,7 @@ import numpy as np
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict
+from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.observables.contact_area import Area, ContactLine, contact_line
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups

@@ -12,8 +12,7 @@ import numpy as np
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict
+from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.grid.transforms import source
 from pgfmd.observables.contact_area import RESOLVED, contact_area, line_of
 from pgfmd.observables.contact_line import staircase

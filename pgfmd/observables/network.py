@@ -25,7 +25,7 @@ import numpy as np
 
 from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.labelling import label_patches
+from pgfmd.observables.patch_table import label_patches
 from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 

@@ -26,7 +26,7 @@ SOLVERS: dict[str, Callable[..., ContactSolution]] = {
 }
 SMALLEST = 1e-290  # least sum of a start: the load over it does not overflow
 LEFT = 1e-12, 1e-9  # parts of p̄: pressures below them are taken off points in turn, until the rest is certified
-RESCUE = 4000  # steps of dynamics after another method has failed; most contacts take 150 (`cost`)
+RESCUE = 4000  # steps of dynamics after another method has failed; most contacts take 150 (`options.cost`)
 log = logging.getLogger("pgfmd")
 
 

@@ -13,7 +13,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
-from pgfmd.solvers.cost import MODERATE
+from pgfmd.solvers.options import MODERATE
 from pgfmd.solvers.second_order import last_digits
 from pgfmd.solvers.solution import Certificate, ContactSolution, SolverState
 

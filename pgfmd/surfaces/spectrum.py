@@ -12,7 +12,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key, path_key
-from pgfmd.surfaces.plain_text import read_curve
+from pgfmd.surfaces.readers import read_curve
 from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 
 if TYPE_CHECKING:

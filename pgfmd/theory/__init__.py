@@ -18,6 +18,10 @@ from __future__ import annotations
 
 import importlib
 from types import ModuleType
+from typing import Any, TypeAlias
+
+Reals: TypeAlias = Any
+"""What the formulas take and give: a float or an array; several arguments broadcast against each other."""
 
 __all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "lattice_edge", "persson", "surface"]
 

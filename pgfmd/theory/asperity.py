@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipkm1, elliprd, gamma, pbdv
 
 from pgfmd.errors import InputError
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 from pgfmd.theory.surface import SpectralMoments
 
 Model = Callable[[Reals, SpectralMoments, Reals], tuple[np.ndarray, np.ndarray]]

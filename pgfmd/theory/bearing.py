@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri, owens_t
 
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 
 
 def area(threshold: Reals, h_rms: Reals) -> np.ndarray:

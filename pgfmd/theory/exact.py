@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import xlogy
 
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 
 
 @dataclass(frozen=True)

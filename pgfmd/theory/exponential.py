@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 
 
 def response(q: Reals, mean_pressure: Reals, zeta: Reals, *, contact_modulus: Reals) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 
 # Σ' |n|^−1 (continued analytically: a neutralising background) and Σ' |n|^−3 over the square lattice without its
 # origin, 4 ζ(s) β(s) at s = 1/2 and 3/2 (β is Dirichlet's).

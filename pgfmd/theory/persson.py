@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import erf, erfinv, exp1, ndtr
 
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 
 LOW_LOAD_KAPPA = np.sqrt(8 / np.pi)
 """κ = f_c E' g/p̄ in the limit of low load."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.theory.reals import Reals
+from pgfmd.theory import Reals
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ LIMIT = 30.0  # seconds from the error to the end of the last rank
 CALLS = {  # functions, and the largest number of a call that fails
     "grid.transpose:SharedStrips.put": 60, "grid.transpose:SharedStrips.meet": 60,
     "grid.transforms:Transform.columns": 30,
-    "grid.sub_grid:SubGrid.coarse": 4, "parallel.layout:Exchange.start": 30, "parallel.layout:Exchange.carry_out": 30,
+    "grid.transfer:SubGrid.coarse": 4, "parallel.layout:Exchange.start": 30, "parallel.layout:Exchange.carry_out": 30,
     "parallel.collectives:Reduction.sums": 60, "physics.problem:ContactProblem.__init__": 8,
     "solvers.active_set.active_set:contact_sums": 20, "solvers.dispatch:_certified": 2,
     "solvers.solution:ContactSolution.__post_init__": 3, "surfaces.self_affine:SelfAffine.heights": 1,
@@ -39,10 +39,10 @@ CALLS = {  # functions, and the largest number of a call that fails
     "application.hdf5_slabs:Field.block": 6, "application.files:commit": 6, "application.files:reserve": 3,
     "application.files:OutputFolder.__init__": 1, "application.writer:ResultWriter.write_load": 2,
     "application.writer:ResultWriter._replace": 4, "application.writer:ResultWriter.finish": 1,
-    "application.checkpoint:Checkpoints.save": 3, "application.loads:Loads.solve": 2,
+    "application.loads:Checkpoints.save": 3, "application.loads:Loads.solve": 2,
     "application.loads:Loads.write": 2,
     "application.stop:Interruptions.between_steps": 10, "application.machine:report": 1,
-    "application.ensemble:write": 2, "application.ensemble_run:_Folder.finish": 1, "application.job:load": 1,
+    "application.ensemble:write": 2, "application.ensemble_run:_refuse_others": 1, "application.job:load": 1,
 }  # fmt: skip
 ERRORS = ("OSError(28, 'the last straw')", "MemoryError('the last straw')", "InputError('the last straw')",
           "KeyboardInterrupt('the last straw')")  # fmt: skip

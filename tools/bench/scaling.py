@@ -183,7 +183,7 @@ def memory(path: Path, n: int, nodes: int) -> None:
     from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
     from pgfmd.application.job import parse
     from pgfmd.grid import transpose
-    from pgfmd.grid.sub_grid import SubGrid
+    from pgfmd.grid.transfer import SubGrid
     from pgfmd.parallel.collectives import node_of
     from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
     from pgfmd.solvers.nested_iteration import NestedIteration

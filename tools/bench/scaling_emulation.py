@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from pgfmd.grid import sub_grid
+from pgfmd.grid import transfer
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel import alone
 from pgfmd.parallel.layout import RowPlan
@@ -67,7 +67,7 @@ def emulate(n: int, ranks: int) -> dict[str, float]:
     (double precision), and in one application of the mesh and of the blocks; on one rank, of its whole grid.
     """
     RowPlan.__init__ = _planned
-    sub_grid.team_of = _team
+    transfer.team_of = _team
     comm = Silent(ranks, 0) if ranks > 1 else alone.COMM_SELF
     grid = SlabGrid(comm, (n, n), threads=1, transform="exchanged")
     field = np.random.default_rng(1).standard_normal(grid.local_shape)

@@ -14,7 +14,7 @@ import numpy as np
 from pgfmd.options.section import path_key
 from pgfmd.options.text import printable
 from pgfmd.physics.solids.solid import Solid
-from pgfmd.surfaces.plain_text import read_curve
+from pgfmd.surfaces.readers import read_curve
 
 if TYPE_CHECKING:
     from pgfmd.grid.cell import Cell

@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike
 from pgfmd.grid import kernels
 from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
 from pgfmd.grid.slab_grid import SlabGrid, transform_work
-from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import scaling
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.solvers.active_set.stencil import Symbol

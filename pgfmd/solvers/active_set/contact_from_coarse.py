@@ -21,8 +21,8 @@ from pgfmd.solvers.active_set.feasible import scale_to_load
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
-from pgfmd.solvers.cost import GAPS_FROM
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
+from pgfmd.solvers.options import GAPS_FROM
 from pgfmd.solvers.second_order import Rounding
 from pgfmd.solvers.solution import Monitor
 

@@ -18,8 +18,7 @@ import numpy as np
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.domain import Cropped, Rectangle
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
-from pgfmd.grid.transfer import restrict_locally
+from pgfmd.grid.transfer import SubGrid, restrict_locally
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.open_kernel import cropped_table, positive

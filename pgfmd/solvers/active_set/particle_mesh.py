@@ -19,7 +19,7 @@ import numpy as np
 from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import ColumnAction, scaling, sink
 from pgfmd.parallel.layout import Exchange, Piece
 from pgfmd.solvers.active_set.stencil import OFFSETS, RADIUS, Stencil, Symbol, symmetric_kernel

@@ -11,7 +11,7 @@ import numpy as np
 from pgfmd.errors import SolverError
 from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit, u
-from pgfmd.grid.sub_grid import SubGrid
+from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import source
 from pgfmd.parallel.layout import RowPlan
 from pgfmd.physics.problem import ContactProblem
