@@ -53,21 +53,26 @@ def value(of: Callable[[float], float], at: float) -> float:
 @cache
 def _code(written: str, variable: str) -> CodeType:
     """The code of the function; raises ValueError for what is no formula."""
+    function = ast.parse(f"lambda {variable}: 0", mode="eval")
+    function.body.body = tree(written, variable)  # type: ignore[attr-defined]
+    return compile(function, "<formula>", "eval")
+
+
+def tree(written: str, variable: str) -> ast.expr:
+    """The syntax tree; raises ValueError for what is no formula."""
     try:
-        tree = ast.parse(written.strip(), mode="eval")
+        parsed = ast.parse(written.strip(), mode="eval")
     except (SyntaxError, RecursionError, MemoryError):
         raise ValueError from None
-    called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    operations = [node for node in ast.walk(tree) if isinstance(node, ast.BinOp)]
+    called = {id(node.func) for node in ast.walk(parsed) if isinstance(node, ast.Call)}
+    operations = [node for node in ast.walk(parsed) if isinstance(node, ast.BinOp)]
     exponents = {id(_unsigned(node.right)) for node in operations if isinstance(node.op, ast.Pow)}
-    for node in ast.walk(tree):
+    for node in ast.walk(parsed):
         if len(written) > LONGEST or not _is_allowed(node, variable, id(node) in called):
             raise ValueError
         if isinstance(node, ast.Constant):
             node.value = _number(node.value, id(node) in exponents)
-    function = ast.parse(f"lambda {variable}: 0", mode="eval")
-    function.body.body = tree.body  # type: ignore[attr-defined]
-    return compile(function, "<formula>", "eval")
+    return parsed.body
 
 
 def _unsigned(node: ast.AST) -> ast.AST:

@@ -91,11 +91,7 @@ class LawOperations:
         """
         grid, law, fields = self.grid, self.law, (state.pressure, state.gap)
         threshold = law.contact_above(1.0, self.squares[0] / grid.size)
-
-        def sums(pressure: np.ndarray, gap: np.ndarray) -> tuple[float, ...]:
-            return *law.moments(pressure, gap, threshold), law.softness(pressure)
-
-        potential, load, contact, softness = self.total(sums, *fields)
+        potential, load, contact, softness = self.total(partial(law.moments, threshold=threshold), *fields)
         level = state.level = float(potential / load) if load > 0 else state.level
         state.contact = int(contact)
         compliance, excess = local_compliance(self.problem, PIXELS), dict[int, float]()

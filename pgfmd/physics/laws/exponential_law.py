@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, the first of 32 bits
 ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
 LEAST = -708.0  # below, the exponential counts as 0; from −708.4 down it is not a normal number
+MOST = 709.0  # above, it counts as infinite; from 709.8 up it is
 # Coefficients from the highest power down: 2/(2n + 1) for zⁿ⁻¹, and 1/n! for rⁿ⁻².
 LOGARITHM = tuple(2 / (2 * n + 1) for n in range(10, 0, -1))
 EXPONENTIAL = tuple(1 / math.factorial(n) for n in range(13, 1, -1))
@@ -59,16 +60,18 @@ def logarithm(x: float) -> float:
 
 @_inlined
 def exponential(x: float) -> float:
-    """exp x of a number x ≤ 0; the error is below 1 unit of the last place (.92 at most, as measured); 0 below `LEAST`.
+    """exp x; the error is below 1 unit of the last place (.92 at most, as measured); 0 below `LEAST`, infinite above
+    `MOST`.
 
     With x = k ln 2 + r, |r| ≤ ln 2/2: the Taylor series in r, times 2ᵏ.
     """
-    within = max(x, LEAST)
+    within = min(max(x, LEAST), MOST)
     k = np.floor(within * (1 / (LN2_HIGH + LN2_LOW)) + 0.5)
     r = (within - k * LN2_HIGH) - k * LN2_LOW
     series = _polynomial(EXPONENTIAL, r)
     power = np.int64((np.int64(k) + 1023) << 52).view(np.float64)
-    return (1 + (r + r * r * series)) * power if x >= LEAST else 0.0
+    value = (1 + (r + r * r * series)) * power if x >= LEAST else 0.0
+    return value if x <= MOST else np.inf
 
 
 UNDERFLOW = 800.0  # gap over ζ at which the pressure underflows
@@ -132,9 +135,10 @@ class ExponentialWall(ContactLaw):
         """p with compliance · p + ζ ln p = target + level."""
         return respond(target, pressure, compliance, self.zeta, level)
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
-        """(Σ p (g + ζ ln p), Σ p, number of points with p > threshold)."""
-        return moments(pressure, gap, threshold, self.zeta)
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
+        """(Σ p (g + ζ ln p), Σ p, number of points with p > threshold, ζ Σ p)."""
+        potential, load, contact = moments(pressure, gap, threshold, self.zeta)
+        return potential, load, contact, self.zeta * load
 
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float

@@ -1,82 +1,189 @@
 """A user-defined wall: any pressure that decreases with the gap, as a formula.
 
 Between two gaps the graph is the function; at the smaller gap it rises to any pressure (a hard wall), at the larger one
-it falls to 0.  So it is maximal monotone: each line a p − b g = t with a, b ≥ 0, not both 0, meets it once.  Nodes with
-pressures at most 2 % apart bracket a point; the compiled function finds it.  The excess of the certificate,
+it falls to 0.  So it is maximal monotone: each line a p − b g = t with a, b ≥ 0, not both 0, meets it once.  A table
+whose pressures fall by at most 5 % from node to node brackets a point and interpolates; one step of Newton's method,
+with the formula itself, then gives it to the last digits.  The excess of the certificate,
 the integral of p − P(g) over g from the gap at p to g' (P: the formula), is bounded by |p − P(g')| |g' − gap(p)|, as P
 decreases: at most twice the excess where P is linear between.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from functools import cache
+from typing import TYPE_CHECKING, ClassVar
 
-import numba
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.options import expressions as formula
+from pgfmd.grid.kernels import u
+from pgfmd.options import expressions
 from pgfmd.options.rules import interval
 from pgfmd.options.section import key, wrong
+from pgfmd.parallel.compiled import compiled
+from pgfmd.physics.laws.derivative import compiled_pair
 from pgfmd.physics.laws.exponential_law import LAST
 from pgfmd.physics.laws.law import ContactLaw, Units
 
 if TYPE_CHECKING:
     from pgfmd.physics.solids.solid import Solid
 
-FALL = 1.02  # largest ratio of pressures at neighbouring nodes
+FALL = 1.05  # largest ratio of pressures at neighbouring nodes
 NODES, ROUNDS = 256, 60  # equal intervals to begin with; halvings of one of them, which end at its last digits
 NEGLIGIBLE = 1e-290  # pressures below it need not decrease: they underflow
 APART = 1e-6  # of the range of gaps: nodes closer than this may differ by rounding only
-CLOSE = 1e-5  # parts of the width between nodes: points closer than this give a slope no more digits
-LAST_STEP = 1e-12  # parts of that width: after so short a step, the error is below the last digit
-STEPS = 60  # to find a point; most take 5
+CLOSE = 3e-6  # parts of the width between nodes: after so short a step, of second order, the error is a last digit
+BLOCK = 8192  # points at a time, so that arrays stay in cache
+
+Line = tuple[float, float]
+
+_jit = compiled()
 
 
-@dataclass(frozen=True)
 class Graph:
-    """Nodes (m,): increasing gaps and their pressures; function: pressure from gap, for Python and for numba."""
+    """A formula of `gap` between two gaps, in units: x = (gap − offset)/height, p = P/pressure.
 
-    gaps: np.ndarray
-    pressures: np.ndarray
-    function: Callable[[float], float]
+    gaps, pressures: increasing x of the nodes and their p (m,).
+    """
+
+    def __init__(self, written: str, gaps: np.ndarray, pressures: np.ndarray, units: Units) -> None:
+        self._of, self._physical = written, (gaps, pressures)
+        self._scales = units.height, units.pressure, units.offset
+        self.gaps, self.pressures = (gaps - units.offset) / units.height, pressures / units.pressure
+        self._tables: dict[Line, tuple[np.ndarray, ...]] = {}
+
+    def scaled(self, units: Units) -> Graph:
+        """The same in other units."""
+        return Graph(self._of, *self._physical, units)
 
     @property
     def ends(self) -> tuple[float, float]:
         """The smallest gap, and the largest with a pressure, or the node after it."""
-        bearing = int(np.count_nonzero(self.pressures > NEGLIGIBLE))
+        bearing = int(np.count_nonzero(self._physical[1] > NEGLIGIBLE))
         return float(self.gaps[0]), float(self.gaps[min(bearing, len(self.gaps) - 1)])
-
-    @cached_property
-    def _between(self) -> np.ndarray:
-        """−p/(dp/dg) between neighbouring nodes, from the last gap to the first; 0 before and after (m + 1,)."""
-        falls = -np.diff(np.log(np.maximum(self.pressures, NEGLIGIBLE)))
-        lengths = np.diff(self.gaps) / np.maximum(falls, np.finfo(float).eps)
-        return np.concatenate(([0.0], lengths[::-1], [0.0]))
-
-    def ranges(self, pressure: np.ndarray) -> np.ndarray:
-        """The length over which the pressure changes with the gap, −p/(dp/dg), at pressures of any shape; 0 where the
-        graph is vertical, at both of its ends.
-        """
-        return self._between[np.searchsorted(self.pressures[::-1], pressure, side="right")]
 
     def gap(self, pressure: float) -> float:
         """The gap at that pressure."""
-        asked, point, borne = np.full((1, 1), pressure), np.empty((1, 1)), np.empty((1, 1))
-        loops(self.function)((self.gaps, self.pressures), (1.0, 0.0), asked, point, borne, (1.0, 1.0, 0.0))
-        return float(point[0, 0])
+        return float(self.points((1.0, 0.0), np.full(1, pressure))[1, 0])
+
+    def points(self, line: Line, target: np.ndarray) -> np.ndarray:
+        """The points with a p − b g = t for the targets t (m,); line: (a, b).  Returns pressure, gap and dp/dg (3, m),
+        which is −inf where the graph is vertical, and 0 beyond its end.
+        """
+        function, table = compiled_pair(self._of), self._table(line)
+        found, bracket = np.empty((2, 3, len(target)))
+        _guess(target, line, table, found[1], bracket)
+        function(found[1], self._scales, found[0], found[2])
+        left = np.flatnonzero(_correct(target, line, bracket, found))
+        while left.size:
+            t, own, new = target[left], bracket[:, left], found[:, left]
+            function(new[1], self._scales, new[0], new[2])
+            more = _correct(t, line, own, new)
+            bracket[:, left], found[:, left] = own, new
+            left = left[more]
+        return found
+
+    def _table(self, line: Line) -> tuple[np.ndarray, ...]:
+        """t, gap and dt/dg at the nodes, the first filled up to a power of 2 with −inf."""
+        if line not in self._tables:
+            (a, b), size = line, 1 << len(self.gaps).bit_length()
+            keys = np.full(size, -math.inf)
+            keys[: len(self.gaps)] = a * self.pressures - b * self.gaps
+            rates = np.empty_like(self.gaps)
+            compiled_pair(self._of)(self.gaps, self._scales, np.empty_like(rates), rates)
+            self._tables[line] = keys, self.gaps, a * rates - b
+        return self._tables[line]
 
 
-def tabulate(of: Callable[[float], float], low: float, high: float, function: Callable[[float], float]) -> Graph:
-    """The graph of a function between two gaps; raises InputError where it is not finite, negative, or does not fall.
-
-    of: the function, returning inf or NaN in place of errors.  function: the one to compile.
+@_jit
+def _guess(
+    target: np.ndarray, line: Line, table: tuple[np.ndarray, ...], gap: np.ndarray, bracket: np.ndarray
+) -> None:
+    """Brackets the points by nodes, and interpolates between these by cubic polynomials.  bracket: the lower node, the
+    upper one, and their distance (3, m); a point at an end of the graph has both there.
     """
-    gaps = np.linspace(low, high, NODES + 1)
-    pressures = np.array([of(float(gap)) for gap in gaps])
+    (_, b), (keys, gaps, rates), (low, high, width) = line, table, bracket
+    last = gaps.size - 1
+    place = np.zeros(target.size, np.uint32)
+    size = keys.size // 2
+    while size:  # without branches, so that the steps of several points overlap
+        for i in range(target.size):
+            other = place[u(i)] + np.uint32(size)
+            place[u(i)] = other if keys[u(other)] > target[u(i)] else place[u(i)]
+        size //= 2
+    for i in range(target.size):
+        t, k = target[i], place[u(i)]
+        if keys[u(0)] <= t or k >= last:
+            end = gaps[u(0)] if keys[u(0)] <= t else gaps[u(last)]
+            low[i] = high[i] = end
+            gap[i] = -t / b if b > 0 and t + b * end <= 0 else end
+            width[i] = 0.0
+            continue
+        x, y, at_x, at_y = gaps[u(k)], gaps[u(k + 1)], keys[u(k)], keys[u(k + 1)]
+        part, mean = (t - at_x) / (at_y - at_x), (at_y - at_x) / (y - x)
+        bent = (1 - part) * (mean / rates[u(k)] - 1) - part * (mean / rates[u(k + 1)] - 1)
+        g, straight = x + (y - x) * part * (1 + (1 - part) * bent), x + (y - x) * part
+        low[i], high[i], width[i] = x, y, y - x
+        gap[i] = g if x < g < y else straight
+
+
+@_jit
+def _correct(target: np.ndarray, line: Line, bracket: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """One step of Newton's method for each point, from the function at its gap; a half of the bracket where that leaves
+    it.  found: pressure, gap and dp/dg (3, m).  Returns which points need another step (m,).
+    """
+    (a, b), (low, high, width), (pressure, gap, slope) = line, bracket, found
+    more = np.zeros(target.size, np.bool_)
+    for i in range(target.size):
+        t, x, y, g, p, d = target[i], low[i], high[i], gap[i], pressure[i], slope[i]
+        if x == y:
+            pressure[i] = max((t + b * x) / a, 0.0)
+            slope[i] = -np.inf if pressure[i] > 0 else 0.0
+            continue
+        off, rate = a * p - b * g - t, a * d - b
+        if off > 0:
+            low[i] = x = g
+        else:
+            high[i] = y = g
+        step = off / rate
+        new = g - step
+        if rate < 0 and abs(step) <= CLOSE * width[i]:
+            gap[i] = new
+            pressure[i] = (t + b * new) / a if -a * d > b or b == 0 else p - d * step
+            continue
+        if not x < new < y:
+            new = (x + y) / 2
+        gap[i] = new
+        more[i] = x < new < y
+        if not more[i]:  # a jump
+            pressure[i], slope[i] = (t + b * new) / a, -np.inf
+    return more
+
+
+@_jit
+def response(line: Line, pressure: np.ndarray, slope: np.ndarray) -> tuple[float, float]:
+    """Σ p and Σ dp/dt."""
+    a, b = line
+    total = rates = 0.0
+    for i in range(pressure.size):
+        total += pressure[u(i)]
+        rates += slope[u(i)] / (a * slope[u(i)] - b) if slope[u(i)] > -np.inf else 1 / a
+    return total, rates
+
+
+@cache
+def tabulate(written: str, ends: tuple[float, float]) -> Graph:
+    """The graph of a formula between two gaps; raises InputError where it is not finite, negative, or does not fall."""
+    function = expressions.function(written, "gap")
+
+    def at(gaps: np.ndarray) -> np.ndarray:
+        return np.array([expressions.value(function, float(gap)) for gap in gaps])
+
+    gaps = np.linspace(*ends, NODES + 1)
+    pressures = at(gaps)
     for _ in range(ROUNDS):
         _check(gaps, pressures)
         middles = (gaps[1:] + gaps[:-1]) / 2
@@ -86,8 +193,8 @@ def tabulate(of: Callable[[float], float], low: float, high: float, function: Ca
             break
         where, added = np.flatnonzero(steep) + 1, middles[steep]
         gaps = np.insert(gaps, where, added)
-        pressures = np.insert(pressures, where, [of(float(gap)) for gap in added])
-    return Graph(gaps, pressures, function)
+        pressures = np.insert(pressures, where, at(added))
+    return Graph(written, gaps, pressures, Units(1.0, 1.0, 0.0))
 
 
 def _check(gaps: np.ndarray, pressures: np.ndarray) -> None:
@@ -110,77 +217,6 @@ def _check(gaps: np.ndarray, pressures: np.ndarray) -> None:
         raise InputError(f"is 0 at gap {gaps[0]:g}, the smallest of gaps: must be > 0 there")
 
 
-@cache
-def loops(function: Callable[[float], float]) -> Any:
-    """The compiled loop `meet` for a function of the gap; kept in this process only, as the function is."""
-    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
-
-    @numba.njit(nogil=True, error_model="numpy")
-    def meet(table, line, target, gap, pressure, units):  # type: ignore[no-untyped-def]
-        """The points of the graph with a p − b g = t for the targets t of rows (ny); line: (a, b).
-
-        table: gaps and pressures, in the units of targets.  units: height, pressure and offset by which those of the
-        function differ.  Fills `gap` and `pressure`; returns Σ p and Σ dp/dt.
-        """
-        (gaps, pressures), (a, b) = table, line
-        height, unit, offset = units
-        last = gaps.shape[0] - 1
-        total = slopes = 0.0
-        for i in range(target.shape[0]):
-            for j in range(target.shape[1]):
-                t = target[i, j]
-                low, high = 0, last
-                at_low, at_high = a * pressures[0] - b * gaps[0] - t, a * pressures[last] - b * gaps[last] - t
-                if at_low <= 0:  # closed
-                    g, p = gaps[0], (t + b * gaps[0]) / a
-                    slope = 1 / a
-                elif at_high >= 0:  # at the end of the range, or beyond
-                    p = max((t + b * gaps[last]) / a, 0.0)
-                    g = gaps[last] if p > 0 or b == 0 else -t / b
-                    slope = 1 / a if p > 0 else 0.0
-                else:
-                    while high - low > 1:
-                        middle = (low + high) // 2
-                        value = a * pressures[middle] - b * gaps[middle] - t
-                        if value > 0:
-                            low, at_low = middle, value
-                        else:
-                            high, at_high = middle, value
-                    x, y, at_x, at_y = gaps[low], gaps[high], at_low, at_high
-                    left, right, width, rate = x, y, y - x, (at_y - at_x) / (y - x)
-                    g = x - at_x / rate
-                    p = pressures[low]
-                    for _ in range(STEPS):  # secants, halves where they leave the bracket
-                        if not left < g < right:
-                            g = (left + right) / 2
-                            if not left < g < right:
-                                break
-                        p = compiled(offset + height * g) / unit
-                        at_g = a * p - b * g - t
-                        if at_g > 0:
-                            left = g
-                        else:
-                            right = g
-                        x, at_x, y, at_y = y, at_y, g, at_g
-                        if abs(y - x) > CLOSE * width and (at_y - at_x) * (y - x) < 0:
-                            rate = (at_y - at_x) / (y - x)
-                        step = at_g / rate
-                        g -= step
-                        if abs(step) <= LAST_STEP * width:
-                            p += (rate + b) / a * -step
-                            break
-                    steep = -(rate + b) / a  # −dp/dg, infinite at a jump
-                    slope = 1 / (a + b / steep)
-                    if b > 0 and a * steep > b:
-                        p = (t + b * g) / a  # with more digits there
-                gap[i, j], pressure[i, j] = g, p
-                total += p
-                slopes += slope
-        return total, slopes
-
-    return meet
-
-
 @dataclass(frozen=True, kw_only=True)
 class FormulaWall(ContactLaw):
     """A user-defined wall: `pressure` is a formula that decreases with `gap`.  The gap is at least the first of `gaps`;
@@ -190,11 +226,11 @@ class FormulaWall(ContactLaw):
     kind: ClassVar[str] = "formula"
     methods: ClassVar[tuple[str, ...]] = ("newton", "gfmd")
     releases: ClassVar[bool] = False
-    effort: ClassVar[float] = 26.0
-    newton_effort: ClassVar[float] = 4.0  # 2.5 … 7 at 128², ζ of .03 … .3 of the rms height
+    effort: ClassVar[float] = 3.4
+    newton_effort: ClassVar[float] = 1.4  # 1.05 … 1.5 for exponentials, 1.2 … 1.5 for power laws and springs (256²)
 
     pressure: str = key(
-        formula.formula("gap"), about="p(gap), in the units of both", needed=True, example="0.1 * (0.5 / gap)**9"
+        expressions.formula("gap"), about="p(gap), in the units of both", needed=True, example="0.1 * (0.5 / gap)**9"
     )
     gaps: tuple[float, float] = key(
         interval(), about="smallest and largest gap", unit="length", needed=True, example=[0.1, 10.0]
@@ -210,7 +246,7 @@ class FormulaWall(ContactLaw):
     @property
     def graph(self) -> Graph:
         """The formula as a table."""
-        return _graph(self.pressure, self.gaps)
+        return tabulate(self.pressure, self.gaps)
 
     @property
     def ends(self) -> tuple[float, float]:
@@ -223,8 +259,8 @@ class FormulaWall(ContactLaw):
         return self.ends[1] - self.ends[0]
 
     def softness(self, pressure: np.ndarray) -> float:
-        """From the table."""
-        return sum(float(p @ self.graph.ranges(p)) for p in pressure)
+        """From the formula."""
+        return _softness(self.graph, pressure)
 
     def gap(self, pressure: float, solid: Solid) -> float:
         """The gap at which the formula gives that pressure."""
@@ -239,64 +275,48 @@ class FormulaWall(ContactLaw):
         return _InUnits(self.graph, units)
 
 
-@cache
-def _graph(pressure: str, gaps: tuple[float, float]) -> Graph:
-    of = formula.function(pressure, "gap")
-    return tabulate(partial(formula.value, of), *gaps, of)
-
-
 class _InUnits(ContactLaw):
     """The law of a graph between p̂ and ĝ."""
 
     kind, releases = FormulaWall.kind, FormulaWall.releases
 
     def __init__(self, graph: Graph, units: Units) -> None:
-        self.graph, self.units = graph, units
+        self.whole, self.graph, self.units = graph, graph.scaled(units), units
         self.away = abs(units.offset) / units.height  # of ĝ = 0 from the gap 0, from where rounding counts
-        table = (graph.gaps - units.offset) / units.height, graph.pressures / units.pressure
-        loop, scales = loops(graph.function), (units.height, units.pressure, units.offset)
-
-        def meet(line: tuple[float, float], *rows: np.ndarray) -> tuple[float, float]:
-            return loop(table, line, *rows, scales)
-
-        self.meet = meet
 
     def softness(self, pressure: np.ndarray) -> float:
-        """From the table."""
-        return sum(float(p @ self._ranges(p)) for p in pressure)
-
-    def _ranges(self, pressure: np.ndarray) -> np.ndarray:
-        """−p/(dp/dgap) at each pressure."""
-        return self.graph.ranges(pressure * self.units.pressure) / self.units.height
+        """From the formula."""
+        return _softness(self.graph, pressure)
 
     def softer(self, factor: float) -> ContactLaw:
         """As `ContactLaw.softer`."""
-        return _InUnits(self.graph, self.units._replace(height=self.units.height / factor))
+        return _InUnits(self.whole, self.units._replace(height=self.units.height / factor))
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
-        """The gap to the last digits, where p = 0 the least of them; the slope of the table, right to 2 %."""
-        released = (self.graph.ends[1] - self.units.offset) / self.units.height
-        for row, own in enumerate(self._gaps(pressure)):
-            np.minimum(own, released, out=gap[row])
-        ranges = self._ranges(pressure)
-        slope[...] = np.where(pressure > 0, np.inf, 0.0)
-        np.divide(pressure, ranges, out=slope, where=ranges > 0)
+        """Where p = 0 the least of the gaps."""
+        for rows, own, rate in _of_pressures(self.graph, pressure):
+            np.minimum(own, self.graph.ends[1], out=gap[rows])
+            np.negative(rate, out=slope[rows])
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
         """The point of the graph with compliance · p − gap = target + level."""
-        total = slope = 0.0
-        gap = np.empty((1, target.shape[1]))
-        for row in range(len(target)):
-            p, rate = self.meet((compliance, 1.0), target[row : row + 1] + level, gap, pressure[row : row + 1])
-            total, slope = total + p, slope + rate
-        return total, slope
+        total = slopes = 0.0
+        line = compliance, 1.0
+        for rows in _blocks(target):
+            p, gap, slope = _points(self.graph, line, target[rows] + level)
+            pressure[rows] = p
+            part = response(line, p.ravel(), slope.ravel())
+            total, slopes = total + part[0], slopes + part[1]
+        return total, slopes
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
-        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold)."""
-        potential = 0.0
-        for p, g, own in zip(pressure, gap, self._gaps(pressure), strict=True):
-            potential += float(p @ (g - own))
-        return potential, float(pressure.sum()), int(np.count_nonzero(pressure > threshold))
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
+        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold, Σ p × range)."""
+        potential = softness = 0.0
+        for rows, own, slope in _of_pressures(self.graph, pressure):
+            p = pressure[rows]
+            potential += float(np.vdot(p, gap[rows] - own))
+            softness += float(np.vdot(p, _ranges(p, slope)))
+        return potential, float(pressure.sum()), int(np.count_nonzero(pressure > threshold)), softness
 
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
@@ -304,32 +324,52 @@ class _InUnits(ContactLaw):
         """ρ is the distance of g − level from the gap of p⁺, so that the excess lies between two points of the graph;
         what rounding may leave in both factors of its bound is added to them.
         """
-        total, shape = 0.0, (1, pressure.shape[1])
-        answer, there = np.empty(shape), np.empty(shape)
-        for p, g, rest, own in zip(pressure, gap, residual, self._gaps(pressure), strict=True):
-            away = g - level
-            self.meet((compliance, 1.0), np.atleast_2d(compliance * p - away), there, answer)
-            np.subtract(away, there[0], out=rest)
-            digits = 8 * LAST
-            forces = np.abs(p - answer[0]) + digits * np.maximum(p, answer[0])
-            lengths = np.abs(there[0] - own) + digits * (np.abs(own) + self.away + self._ranges(p))
-            total += float(forces @ lengths)
+        total, digits = 0.0, 8 * LAST
+        for rows, own, slope in _of_pressures(self.graph, pressure):
+            p, away = pressure[rows], gap[rows] - level
+            answer, there, _ = _points(self.graph, (compliance, 1.0), compliance * p - away)
+            np.subtract(away, there, out=residual[rows])
+            forces = np.abs(p - answer) + digits * np.maximum(p, answer)
+            lengths = np.abs(there - own) + digits * (np.abs(own) + self.away + _ranges(p, slope))
+            total += float(np.vdot(forces, lengths))
         return total
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """As `ContactLaw.finish`; the violation is taken over points with more than the mean pressure."""
         largest = 0.0
-        for p, g, own in zip(pressure, gap, self._gaps(pressure), strict=True):
-            g -= level
-            largest = max(largest, float(np.max(np.abs(g - own), where=p >= 1, initial=0.0)))
-            g *= units.height
-            g += units.offset
+        gap -= level
+        for rows, own, _ in _of_pressures(self.graph, pressure):
+            largest = max(largest, float(np.max(np.abs(gap[rows] - own), where=pressure[rows] >= 1, initial=0.0)))
+        gap *= units.height
+        gap += units.offset
         pressure *= units.pressure
         return largest
 
-    def _gaps(self, pressure: np.ndarray) -> Iterator[np.ndarray]:
-        """The gap of the graph at each pressure, row by row; the same array each time."""
-        gap, ignored = np.empty((1, pressure.shape[1])), np.empty((1, pressure.shape[1]))
-        for row in range(len(pressure)):
-            self.meet((1.0, 0.0), pressure[row : row + 1], gap, ignored)
-            yield gap[0]
+
+def _blocks(field: np.ndarray) -> Iterator[slice]:
+    """Slices of rows of a field (nx, ny) with about `BLOCK` points each."""
+    many = max(1, BLOCK // max(1, field.shape[1]))
+    return (slice(row, row + many) for row in range(0, len(field), many))
+
+
+def _points(graph: Graph, line: Line, target: np.ndarray) -> np.ndarray:
+    """`Graph.points` of targets (m, ny): pressure, gap and dp/dg (3, m, ny)."""
+    return graph.points(line, target.ravel()).reshape(3, *target.shape)
+
+
+def _of_pressures(graph: Graph, pressure: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """Rows, and the gap and dp/dg of the graph at the pressures there."""
+    for rows in _blocks(pressure):
+        _, gap, slope = _points(graph, (1.0, 0.0), pressure[rows])
+        yield rows, gap, slope
+
+
+def _ranges(pressure: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The length over which the pressure changes with the gap, −p/(dp/dg); 0 where the graph is vertical."""
+    return np.divide(pressure, -slope, out=np.zeros_like(pressure), where=slope < 0)
+
+
+def _softness(graph: Graph, pressure: np.ndarray) -> float:
+    """Σ p × range."""
+    found = _of_pressures(graph, pressure)
+    return sum(float(np.vdot(p := pressure[rows], _ranges(p, slope))) for rows, _, slope in found)

@@ -37,9 +37,9 @@ class HardWall(ContactLaw):
         """A projection: p = (target + level)/compliance, clipped to 0 … `highest`."""
         return project(target, pressure, compliance, level, self.highest)
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
-        """(Σ p g, Σ p, number of points with p > threshold)."""
-        return moments(pressure, gap, threshold, self.highest)
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
+        """(Σ p g, Σ p, number of points with p > threshold, 0)."""
+        return *moments(pressure, gap, threshold, self.highest), 0.0
 
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float

@@ -126,9 +126,9 @@ class ContactLaw(Section):
         """Fills rows with the gap at each pressure, and with −dp/dgap there, infinite where the wall is hard."""
         raise NotImplementedError
 
-    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int]:
-        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold) of rows; the sums are over the points whose
-        pressure is below `highest`.
+    def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
+        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold, `softness`) of rows; the first two are sums over
+        the points whose pressure is below `highest`.
         """
         raise NotImplementedError
 

@@ -56,13 +56,13 @@ class LawNewton(Newton):
 
     def advance(self, state: LawState, wanted: float, before: Merits) -> Merits:
         """One Newton step, shortened while it goes too far.  Collective."""
-        pressure, gap = state.pressure.copy(), state.gap.copy()
+        pressure, gap, level = state.pressure.copy(), state.gap.copy(), state.level
         self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
-        at_start = self.along(pressure, state.pressure, gap)
+        at_start = self.along(pressure, state.pressure, gap, level)
         for _ in range(SHORTENED):
             self.linearise(state)
-            if self.along(pressure, state.pressure, state.gap) <= abs(at_start) / 2:
+            if self.along(pressure, state.pressure, state.gap, level) <= abs(at_start) / 2:
                 break
             # Towards the old state the gap is linear, so that no convolution is needed.
             self.each(partial(loops.mix, fraction=BACK), pressure, state.pressure)
@@ -73,6 +73,8 @@ class LawNewton(Newton):
         self.certify(state)
         return before
 
-    def along(self, old: np.ndarray, new: np.ndarray, gap: np.ndarray) -> float:
-        """⟨g − e, new − old⟩ with the law's gap as it was linearised last.  Collective."""
-        return float(self.grid.reduction.dot(gap - self.law_gap, new - old))
+    def along(self, old: np.ndarray, new: np.ndarray, gap: np.ndarray, level: float) -> float:
+        """⟨g − e − c, new − old⟩ with the law's gap as it was linearised last; c = level changes nothing but rounding,
+        as both have the same mean.  Collective.
+        """
+        return float(self.grid.reduction.dot(gap - self.law_gap - level, new - old))
