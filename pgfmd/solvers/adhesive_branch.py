@@ -243,8 +243,8 @@ class Branch:
         if floor > 0:
             error = bound / (2 * state.elastic) if state.elastic else 0.0
             certificate = Certificate(error, kind, "proved" if proof or kind == "global" else "estimated", self.name)
-        total, tension, pulled = self.grid.reduction.sums(
-            float(gap.sum()), float(np.minimum(pressure, 0.0).sum()),
+        mean, total, tension, pulled = self.grid.reduction.sums(  # the mean misses a load by that of the residual
+            float(pressure.sum()), float(gap.sum()), float(np.minimum(pressure, 0.0).sum()),
             float(np.count_nonzero((pressure < 0) & (gap <= law.least))),
         ) / size  # fmt: skip
         known = details | {
@@ -257,7 +257,7 @@ class Branch:
         return ContactSolution(
             pressure=pressure,
             gap=gap * contact.length,  # `gap` is that of the state, from which the next target starts
-            mean_pressure=self._pressure(state),
+            mean_pressure=float(mean),
             mean_gap=float(total) * contact.length,
             elastic_energy=state.elastic * scale,
             certificate=certificate,

@@ -117,7 +117,7 @@ def wrong_feasible(job: dict, answer: Answer, traction: float) -> str:
     room = max(1e-6 * single, math.sqrt(job["solver"]["tolerance"]) if traction else ROUNDING)
     if answer.pressure.min() < -traction * (1 + ROUNDING) - room * size:
         return f"tension {answer.pressure.min():.6g} beyond {traction:.6g}"
-    if abs(mean - answer.mean_pressure) > room * size + ROUNDING * traction:  # contact and attraction cancel
+    if abs(mean - answer.mean_pressure) > max(1e-6 * single, ROUNDING) * (size + traction):
         return f"mean pressure {answer.mean_pressure!r}, of the field {mean!r}"
     if zeta is None and (answer.gap.min() < 0 or np.any(answer.gap[answer.pressure > 0])):
         return "a gap in contact, or overlap"
