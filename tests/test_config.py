@@ -285,7 +285,7 @@ def test_relative_heights_path(tmp_path, monkeypatch):
     assert config.load(jobs / "job.toml").surface.source == (str(jobs / "h.npy"), None)
     other = config.load(jobs / "job.toml", ["surface.path=g.h5:a/b"]).surface
     assert other.source == (str(data / "g.h5"), "a/b")
-    with pytest.raises(InputError, match=r"surface.path: no such file: .*h.npy"):
+    with pytest.raises(InputError, match=r"surface.path: no such file: .*h.npy \(a path after --set"):
         config.load(jobs / "job.toml", ["surface.path=h.npy"])
 
 

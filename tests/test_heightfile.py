@@ -435,6 +435,22 @@ def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, leng
 
 
 @pytest.mark.parametrize(
+    ("header", "unit", "words"),
+    [
+        ("", "m", 'if it is in µm, begin it with "# Lateral units: µm" and "# Value units: µm"'),
+        ("# Lateral units: um\n# Value units: um\n", "um", 'length_unit = "m" under [output]'),
+        ("", "length", "write length = [8, 8] under [grid]; or leave out"),
+    ],
+)
+def test_points_in_another_unit_than_the_job(comm, shared_tmp_path, header, unit, words):
+    """A list of points in µm, a job in metres: the advice names the unit that one of them does not say."""
+    points = "".join(f"{x} {y} {(3 * x + y) % 5}\n" for x in range(8) for y in range(8))
+    path = saved(comm, shared_tmp_path / "a.xyz", lambda path: path.write_text(header + points))
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_heights(SlabGrid(comm, (8, 8), (8e-6, 8e-6)), path, length_unit=unit)
+
+
+@pytest.mark.parametrize(
     ("content", "words"),
     [
         (SDF.read_bytes()[:5000], "cannot be read by SurfaceTopography"),

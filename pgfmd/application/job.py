@@ -267,7 +267,9 @@ def parse(
     except InputError as error:
         # A message begins with the key.
         at_fault = "--set" if str(error).split(" ")[0].rstrip(":") in overridden else printable(name, 400)
-        raise InputError(f"{at_fault}: {error}") from None
+        missing = at_fault == "--set" and "no such file" in str(error)
+        hint = " (a path after --set counts from the working directory)" * missing
+        raise InputError(f"{at_fault}: {error}{hint}") from None
 
 
 PLUGINS = many(text())

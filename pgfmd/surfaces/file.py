@@ -234,8 +234,6 @@ class FromFile(Surface):
         if self.periodic == "mirror" and any(count % 2 for count in cell.n):
             allowed = f"doubles the file, the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
             raise wrong(self, "periodic", allowed)
-        if self.periodic != "as-is" and not cell.domain.wraps:
-            raise wrong(self, "periodic", 'must be "as-is" with boundary = "open": no edges have to match')
 
     def extent(self, length_unit: str | None = None) -> Extent:
         with opened(*self.source) as found:

@@ -113,11 +113,24 @@ class Measurement:
             faults.append(
                 f"measures {sides[0]:.9g} x {sides[1]:.9g}{given}{mirrored}, the cell is "
                 f"{lengths[0]:.9g} x {lengths[1]:.9g}: write length = [{sides[0]:.9g}, {sides[1]:.9g}] under [grid]"
-                + _unit_of_job(sides, lengths, converted.unit)
+                + converted._other_unit(sides, lengths, unit)
             )
         if faults:
             raise InputError("; it ".join(faults) + "; or leave out what the file says")
         return converted
+
+    def _other_unit(self, sides: list[float], lengths: tuple[float, float], unit: str | None) -> str:
+        """Advice where the cell has the sides of the file in another unit, which the job, or a text, does not say."""
+        known = usual_name(self.unit or unit)
+        if known not in UNITS or not (self.unit or self.format.startswith("text")):
+            return ""
+        factors = {name: conversion(known, name) if self.unit else conversion(name, known) for name in UNITS}
+        for name, factor in factors.items():
+            if np.allclose(np.multiply(sides, factor), lengths, rtol=CELL_DIGITS, atol=0):
+                if self.unit:
+                    return f' (or length_unit = "{name}" under [output], if the lengths of the job are in it)'
+                return f' (or, if it is in {name}, begin it with "# Lateral units: {name}" and "# Value units: {name}")'
+        return ""
 
     def converted(self, unit: str | None) -> Measurement:
         """The same in `unit`; unchanged if one of the two units is None.
@@ -138,14 +151,6 @@ class Measurement:
         size = f"{self.lengths[0]:.6g} x {self.lengths[1]:.6g}, " if self.lengths else ""
         axis = "y" if self.transposed else "x"
         return f"{self.format}, {nx} x {ny} points, first axis {axis}, {size}{printable(unit)}"
-
-
-def _unit_of_job(sides: list[float], lengths: tuple[float, float], unit: str | None) -> str:
-    """Advice where the job's lengths are those of the file in another unit, which the job does not say."""
-    for other in UNITS if unit in UNITS else ():
-        if np.allclose(np.multiply(sides, conversion(unit or other, other)), lengths, rtol=CELL_DIGITS, atol=0):
-            return f' (or length_unit = "{other}" under [output], if the lengths of the job are in it)'
-    return ""
 
 
 def holes_in_words(holes: int, size: int, rule: str) -> str:
