@@ -1,7 +1,6 @@
 # %% [markdown]
 # # Contact area against load, with error bars
 # Eight surfaces in one job. Several seeds are an ensemble: each has its own results, and means have standard errors.
-# Cells begin with `# %%`: open this file as a notebook, or run it as a script.
 
 # %%
 import matplotlib.pyplot as plt

@@ -1,7 +1,6 @@
 # %% [markdown]
 # # A first contact
 # A rough surface, pressed to a tenth of its area: where it touches, how the pressure is distributed, how sure that is.
-# Cells begin with `# %%`: open this file as a notebook (Jupyter with jupytext, VS Code, Spyder), or run it as a script.
 
 # %%
 import matplotlib.pyplot as plt
