@@ -219,7 +219,7 @@ def test_an_example_runs_as_a_script(path, tmp_path):
 @pytest.mark.breadth
 @pytest.mark.parametrize(("name", "text"), list(notebooks.notebooks()), ids=[path.stem for path in EXAMPLES])
 def test_a_notebook_runs(name, text, monkeypatch, site):
-    """The site offers a valid notebook; in a kernel every cell runs, one draws, and `solve` shows its progress unasked."""
+    """The site offers a valid notebook; in a kernel every cell runs, one draws, `solve` shows its progress unasked."""
     nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
     for key, value in dict(ENVIRONMENT, MPLBACKEND="module://matplotlib_inline.backend_inline").items():
