@@ -83,15 +83,12 @@ class Side:
                           for i in range(count)]  # fmt: skip
         else:
             run = Results(folder)
-            self.loads = [_numbers(load.numbers) for load in run]
+            rows = (load.numbers for load in run)
+            self.loads = [{name: Number(float(value), float(row.get(f"{name}_error", math.nan)))
+                           for name, value in row.items() if not is_error(name, row)} for row in rows]  # fmt: skip
         self.job = parse(run.provenance["effective_toml"], str(run.directory))
         self.imposed = self.job.load.control
         self.units = run.units
-
-
-def _numbers(row: dict[str, float]) -> dict[str, Number]:
-    return {name: Number(float(value), float(row.get(f"{name}_error", math.nan)))
-            for name, value in row.items() if not is_error(name, row)}  # fmt: skip
 
 
 def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]:

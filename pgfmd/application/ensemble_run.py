@@ -68,7 +68,8 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
             log.info("%d seeds, %d at a time", len(seeds), groups)
         failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)
         if len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values()):
-            from_root(comm, _put_back, path / ENSEMBLE_FILE, before)  # no seed has written anything
+            there = path / ENSEMBLE_FILE  # as it was: no seed has written anything
+            from_root(comm, lambda: there.unlink() if before is None else replace(there, before))
         else:
             reasons = {seed: printable(_reason(error), 400) for seed, error in failed.items()}
             status = "stopped" if stopped else "failed" if failed else "complete"
@@ -99,14 +100,6 @@ def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
         if changed:
             raise InputError(f"{path}: cannot be continued, the job differs: {'; '.join(changed)}")
     return (path / ENSEMBLE_FILE).read_bytes()
-
-
-def _put_back(path: Path, before: bytes | None) -> None:
-    """Write ensemble.h5 as it was, or remove it if there was none."""
-    if before is None:
-        path.unlink()
-    else:
-        replace(path, before)
 
 
 def _run_seeds(

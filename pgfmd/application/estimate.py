@@ -65,7 +65,9 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     loads = len(job.load.targets)
     itemsize = 4 if job.output.precision == "float32" else 8
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-    contacts = loads * (SOLUTIONS_WORK if in_several_solutions(job) else SEARCH_WORK[job.imposed.control])
+    by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
+    secants = job.imposed.control not in ("pressure", "percolation") and not by_level  # one mean pressure after another
+    contacts = loads * (SOLUTIONS_WORK if secants else SEARCH_WORK[job.imposed.control])
     solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
     if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
         solving *= THIN_WORK
@@ -151,12 +153,6 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     if not job.cell.domain.wraps:
         workspace = PADDED * workspace + TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
     return kept + workspace + max(cost.memory for cost in costs)
-
-
-def in_several_solutions(job: Job) -> bool:
-    """Whether a target is searched by secants, on solutions at one mean pressure after another."""
-    by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
-    return job.imposed.control not in ("pressure", "percolation") and not by_level
 
 
 def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:

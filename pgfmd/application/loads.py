@@ -229,12 +229,6 @@ class Loads:
             self.writer.write_load(index, {"target": self.job.load.targets[index]})
         self.writer.finish(phases)
 
-    def raise_unreachable(self) -> None:
-        """Raise SolverError if some loads have no solution."""
-        if self.unreachable:
-            reasons = "; ".join(map(str, self.unreachable.values()))
-            raise SolverError(f"{reasons}; the other loads are written")
-
     def _solve_at(self, problem: ContactProblem, start: np.ndarray | None, tolerance: float) -> ContactSolution:
         """One contact by the job's method."""
         options = dataclasses.replace(self.job.solver, tolerance=tolerance)

@@ -21,14 +21,9 @@ LOG_FILE = "run.log"
 STEP = logging.INFO - 1  # level of a line per step, for logs that show no updating line
 
 
-def is_notebook() -> bool:
-    """Whether this process is the kernel of a notebook."""
-    return "ipykernel" in sys.modules and "IPython" in sys.modules
-
-
 def updates() -> bool:
     """Whether one line is shown and updated: on a terminal, or in a notebook."""
-    return sys.stderr.isatty() or is_notebook()
+    return sys.stderr.isatty() or {"ipykernel", "IPython"} <= sys.modules.keys()
 
 
 class Progress:

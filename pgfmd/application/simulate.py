@@ -19,6 +19,7 @@ from pgfmd.application.progress import LogFile
 from pgfmd.application.restart import refuse_changes
 from pgfmd.application.stop import Interruptions
 from pgfmd.application.writer import Mode, ResultWriter
+from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.observable import layout_of
@@ -71,10 +72,12 @@ def simulate(
     grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
     inputs = {path: digest(comm, (path, dataset)) for path, dataset in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
-    limits = job.run.checkpoint_interval, job.run.time_limit
+    limits, output = (job.run.checkpoint_interval, job.run.time_limit), job.output
+    units, layout = (output.length_unit, output.pressure_unit), layout_of(output.asked)
+    form = Form(grid.shape, grid.lengths, grid.rows, output.precision, *units, layout, job.run.io_hints)
     with (
         LogFile(comm.rank) as log_file,
-        ResultWriter(comm, directory, origin, _form(job, grid), mode, 0.0 if alone else HELD_BACK) as writer,
+        ResultWriter(comm, directory, origin, form, mode, 0.0 if alone else HELD_BACK) as writer,
         nullcontext(interruptions) if interruptions else Interruptions(comm, directory, *limits) as asked,
         grid.freed(),
     ):
@@ -106,14 +109,8 @@ def simulate(
                 loads.write(index, contact, row, groups)
             del solution, contact  # before the next load is solved
         loads.finish(phases.seconds | {f"observe {name}": value for name, value in surface.seconds.items()})
-    loads.raise_unreachable()
-
-
-def _form(job: Job, grid: SlabGrid) -> Form:
-    """What the files of a run depend on."""
-    output = job.output
-    units, layout = (output.length_unit, output.pressure_unit), layout_of(output.asked)
-    return Form(grid.shape, grid.lengths, grid.rows, output.precision, *units, layout, job.run.io_hints)
+    if loads.unreachable:
+        raise SolverError(f"{'; '.join(map(str, loads.unreachable.values()))}; the other loads are written")
 
 
 class _Phases:

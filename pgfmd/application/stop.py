@@ -53,9 +53,10 @@ class Interruptions:
         self.stop_file, self.batch_stop_file = Path(directory) / STOP_FILE, Path(directory) / BATCH_STOP_FILE
         self.resumption = "--restart"
         self._started = self._last_save = self._last_step = self.now()
-        self.end, self.limit = min(
-            (self._started + time_limit, "the time limit of the job"), _batch_limit(self._started)
-        )
+        end = os.environ.get("SLURM_JOB_END_TIME", "")
+        batch = self._started + float(end) - time.time() if end.isdigit() else math.inf
+        limits = (self._started + time_limit, "the time limit of the job"), (batch, "the time limit of the batch job")
+        self.end, self.limit = min(limits)
         self._longest_step = self._longest_save = 0.0
         self._steps, self._progress = 0, False
         self._signal = 0
@@ -151,9 +152,3 @@ def _file_stamp(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return status.st_ino, status.st_mtime_ns
-
-
-def _batch_limit(now: float) -> tuple[float, str]:
-    """When the batch system ends this job, on the clock whose present reading is `now`; inf if it does not say."""
-    end = os.environ.get("SLURM_JOB_END_TIME", "")
-    return (now + float(end) - time.time() if end.isdigit() else math.inf), "the time limit of the batch job"

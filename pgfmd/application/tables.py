@@ -64,11 +64,18 @@ def add_columns(
 
 
 def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form) -> None:
-    """Write the row of a load; raises ValueError for a name that is no column."""
+    """Write the row of a load; columns become as long as that.  Raises ValueError for a name that is no column."""
     unknown = row.keys() - form.columns.keys()
     if unknown:
         raise ValueError(f"no columns of the table of loads: {', '.join(sorted(unknown))}")
-    put_row(group, index, {"load": index, **dict.fromkeys(form.columns), **row})
+    one = h5py.h5s.create_simple((1,))
+    for name, value in {"load": index, **dict.fromkeys(form.columns), **row}.items():
+        column = h5py.h5d.open(group.id, name.encode())
+        column.set_extent((max(index + 1, column.shape[0]),))
+        if value is not None:  # else the fill value
+            place = column.get_space()
+            place.select_hyperslab((index,), (1,))
+            column.write(one, place, np.array([value]))
 
 
 def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.Group:
@@ -97,18 +104,6 @@ def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
     with h5py.File(content, "w", libver=LIBVER) as file:
         add_columns(file.create_group(TABLE), 0, LOADS, {"length": length_unit, "pressure": pressure_unit})
     return content.getvalue()
-
-
-def put_row(group: h5py.Group, index: int, row: Mapping[str, float | None]) -> None:
-    """Write entry `index` of the columns that `row` names, which become as long as that; None leaves the fill value."""
-    one = h5py.h5s.create_simple((1,))
-    for name, value in row.items():
-        column = h5py.h5d.open(group.id, name.encode())
-        column.set_extent((max(index + 1, column.shape[0]),))
-        if value is not None:
-            place = column.get_space()
-            place.select_hyperslab((index,), (1,))
-            column.write(one, place, np.array([value]))
 
 
 def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:

@@ -110,11 +110,7 @@ class ResultWriter:
         try:
             if (self.directory / ENSEMBLE_FILE).exists():
                 raise InputError(f"{self.directory}: holds an ensemble; choose another folder for one surface")
-            there = [
-                name
-                for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE, FIELDS_FOLDER)
-                if (self.directory / name).exists()
-            ]
+            there = [name for name in (*SMALL, FIELDS_FOLDER) if (self.directory / name).exists()]
             if there and self._mode == "new":
                 raise InputError(
                     f"{self.directory}: holds results already ({', '.join(there)}); replace them with "

@@ -98,7 +98,7 @@ def mode_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
 
 def lag_rings(grid: SlabGrid, edges: np.ndarray) -> Rings:
     """Bins of the periodic distance |Δr| for the points of a grid.  Collective."""
-    x, y = (_fold(n) * step for n, step in zip(grid.shape, grid.spacing, strict=True))
+    x, y = (np.minimum(np.arange(n), n - np.arange(n)) * step for n, step in zip(grid.shape, grid.spacing, strict=True))
     return Rings(grid, y**2, x[grid.rows] ** 2, np.ones(grid.local_shape[0]), edges)
 
 
@@ -166,11 +166,6 @@ def indicator(field: np.ndarray, threshold: float) -> RowAction:
         np.greater(field[first:stop], threshold, out=rows)
 
     return fill
-
-
-def _fold(n: int) -> np.ndarray:
-    """Periodic distances of the points 0 … n−1 from point 0, in grid spacings."""
-    return np.minimum(np.arange(n), n - np.arange(n)).astype(float)
 
 
 log = logging.getLogger("pgfmd")
