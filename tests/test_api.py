@@ -44,15 +44,6 @@ def test_a_wrong_argument_is_named_in_one_line(comm, name, value):
     assert "\n" not in str(caught.value)
 
 
-def test_ranks_that_disagree_are_refused(comm):
-    """Pressures, or any other number, that differ between ranks: an error on all, and no hang."""
-    if comm.size == 1:
-        pytest.skip("needs ranks")
-    for arguments in ({"pressure": 0.01 * (1 + comm.rank)}, {"pressure": 0.01, "zeta": 1.0 + comm.rank}):
-        with pytest.raises(InputError, match="ranks ask for different"):
-            pgfmd.solve(mine(comm), arguments.pop("pressure"), comm=comm, **arguments)
-
-
 def test_a_solid_is_given_in_three_ways(comm):
     """Arguments, a table of keys and an object are one solid; it and one of the arguments exclude each other."""
     slab = {"contact_modulus": 2.0, "thickness": 3.0, "base": "free", "poisson": 0.25}

@@ -149,17 +149,6 @@ def test_sigma_ref_shifts_the_gap_alone(rough):
     assert two.mean_gap - one.mean_gap == pytest.approx(0.1 * math.log(7), rel=1e-12, abs=0)
 
 
-def test_units_do_not_matter(rough):
-    """Metres and pascals give the same contact: lengths × 1e-9, pressures × 1e11."""
-    grid, heights = rough
-    small = SlabGrid(grid.comm, grid.shape, tuple(1e-9 * length for length in grid.lengths))
-    one = solve(grid, heights, 0.01, 0.1, 1.0, tolerance=1e-10)
-    law = ExponentialWall(zeta=1e-10, sigma_ref=1e11)
-    two = solve_exponential_wall(ContactProblem(small, heights * 1e-9, elastic(8e11 / 3), law, 1e9), 1e-10)
-    assert norm(grid, two.pressure / 1e11 - one.pressure) < 1e-5 * norm(grid, one.pressure)
-    assert two.mean_gap * 1e9 == pytest.approx(one.mean_gap, rel=1e-6, abs=0)
-
-
 def test_a_neighbouring_load_is_as_good_a_start_as_coarse_grids(rough):
     """Up and down a sequence of loads the pressures agree with cold starts to 1e-8."""
     grid, heights = rough

@@ -269,12 +269,12 @@ def test_tolerance_is_met(comm, tolerance):
     )
 
 
-def solved(comm, heights, load, modulus=1.0, lengths=None, start=None, tolerance=1e-20):
+def solved(comm, heights, load, start=None, tolerance=1e-20):
     """Whole pressure of a whole surface, solved to 1e-20 on the ranks of comm (so that pressures, which err by the root
     of that, agree to 1e-9); and the solution."""
-    grid = SlabGrid(comm, heights.shape, lengths)
+    grid = SlabGrid(comm, heights.shape)
     found = solve_hard_wall(
-        ContactProblem(grid, heights[grid.rows].copy(), elastic(modulus), HardWall(), load), tolerance, start=start
+        ContactProblem(grid, heights[grid.rows].copy(), elastic(1.0), HardWall(), load), tolerance, start=start
     )
     return whole(grid, found.pressure), found
 
@@ -298,42 +298,12 @@ def rough():
     return self_affine(SlabGrid(MPI.COMM_SELF, (64, 64)), 0.5, 4.0, 1.0, 9)
 
 
-@pytest.mark.parametrize("name", ["translation", "rotation", "reflection"])
-def test_symmetries(comm, rough, name):
-    """Moving, turning or mirroring the surface does the same to the pressure."""
-    move = {
-        "translation": lambda field: np.roll(field, (5, -17), (0, 1)),
-        "rotation": np.rot90,
-        "reflection": np.flipud,
-    }[name]
-    before, after = solved(comm, rough, 0.1)[0], solved(comm, np.ascontiguousarray(move(rough)), 0.1)[0]
-    assert np.array_equal(move(before) > 0, after > 0)
-    assert np.abs(move(before) - after).max() < 1e-8 * before.max()
-
-
 @pytest.mark.parametrize("scale", [1e-12, 0.37, 1e12])
 def test_heights_and_load_scale_together(comm, rough, scale):
     """(h, p̄) → (s h, s p̄) leaves the contact set and scales the pressure."""
     before, after = solved(comm, rough, 0.1)[0], solved(comm, scale * rough, scale * 0.1)[0]
     assert np.array_equal(before > 0, after > 0)
     assert np.abs(before - after / scale).max() < 1e-8 * before.max()
-
-
-@pytest.mark.parametrize("scale", [1e-9, 1e6])
-def test_lengths_and_heights_scale_together(comm, rough, scale):
-    """(x, h) → (s x, s h) leaves the pressure."""
-    before, first = solved(comm, rough, 0.1)
-    after, second = solved(comm, scale * rough, 0.1, lengths=(64 * scale, 64 * scale))
-    assert np.abs(before - after).max() < 1e-8 * before.max()
-    assert second.mean_gap == pytest.approx(scale * first.mean_gap, rel=1e-9, abs=0)
-
-
-def test_units_are_neutral(comm, rough):
-    """Pascals and metres or E' and pixels: the same contact."""
-    before, first = solved(comm, rough, 0.1)
-    after, second = solved(comm, rough * 2e-6, 0.1 * 7e10, 7e10, (64 * 2e-6, 64 * 2e-6))
-    assert np.abs(before - after / 7e10).max() < 1e-8 * before.max()
-    assert second.elastic_energy == pytest.approx(first.elastic_energy * 7e10 * 2e-6, rel=1e-9, abs=0)
 
 
 def test_energy_follows_the_gap(comm, rough):
@@ -402,16 +372,13 @@ def test_slab_or_whole_array(comm, rough):
     assert np.abs(alone.pressure[grid.rows] - mine.pressure).max() < 1e-10 * alone.pressure.max()
 
 
-@pytest.mark.parametrize("wrong", ["nan", "dimensions", "load"])
-def test_wrong_input_is_refused_by_all(comm, rough, wrong):
-    """NaN on one rank, three dimensions, or a negative load: InputError on every rank."""
+def test_a_height_that_is_no_number_is_refused_by_all(comm, rough):
+    """NaN on one rank: InputError on every rank."""
     heights = rough[SlabGrid(comm, rough.shape).rows].copy()
-    if wrong == "nan" and comm.rank == comm.size - 1:
+    if comm.rank == comm.size - 1:
         heights[0, 3] = np.nan
-    if wrong == "dimensions":
-        heights = heights[None]
     with pytest.raises(InputError):
-        solve(heights, -0.1 if wrong == "load" else 0.1, comm=comm)
+        solve(heights, 0.1, comm=comm)
 
 
 def test_heights_are_kept_unless_given_away(comm, rough):
