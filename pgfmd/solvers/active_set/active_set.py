@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -268,6 +269,11 @@ class Relaxation:
         """`bound` of a state while it is solved.  system: from `linearise`.  Collective."""
         return self.bound(state, precision)
 
+    @cached_property
+    def means(self) -> BlockMeans:
+        """Where ρ begins.  Collective on first use."""
+        return BlockMeans(self.grid)
+
     def bound(self, state: State, precision: Precision) -> float:
         """A bound of the energy error over 2 · energy of a state that was `measure`d, rounding included.  Collective.
 
@@ -281,7 +287,7 @@ class Relaxation:
         limits, paid = (real(state.level), real(self.highest), real(self.spare)), dict[int, float]()
         edges, wraps = np.r_[:wide, wide + ny : 2 * wide + ny], self.grid.domain.wraps
         within = wide + self.grid.domain.indices(edges - wide, ny)
-        values, start = BlockMeans(self.grid).of(own, limits)
+        values, start = self.means.of(own, limits)
 
         def make(first: int, stop: int) -> np.ndarray:
             stop, at = min(stop, len(own[0])), 0
