@@ -95,6 +95,17 @@ def test_a_state_is_a_minimum_of_the_energy(name, control):
             assert energy(moved) > least
 
 
+@pytest.mark.parametrize("name", ["adhesive", "dugdale"])
+def test_no_point_bears_more_tension_than_the_law(name):
+    """Also at a loose tolerance, which leaves points in contact that the solid pulls more than w/ρ; the mean pressure
+    is that of the field."""
+    law, chance = LAWS[name], np.random.default_rng(8)
+    for _ in range(4):
+        found = branch(chance.standard_normal((12, 12)), law, Load(pressure=(0.1,)), 0.05).solution(0.1)
+        assert found.pressure.min() >= -law.work / law.range * (1 + 1e-12)
+        assert found.mean_pressure == pytest.approx(found.pressure.mean(), abs=1e-14)
+
+
 @pytest.mark.parametrize("control", ["mean_gap", "pressure"])
 def test_the_next_target_starts_from_the_last_state(control):
     """The same target again is the same state without a step, whatever the unit of length; the target between costs

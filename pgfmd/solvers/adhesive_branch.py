@@ -234,7 +234,8 @@ class Branch:
         proof = proved(contact, state, hold, floor)
         floor, bound, distance = proof or (floor, bound, distance)
         scale, size = contact.length * contact.pressure / contact.share, self.grid.size
-        pressure = np.where(state.gap > law.least, -law.traction(state.gap), state.stress - state.pull)
+        pressure = -law.traction(state.gap)  # also where a point still touches that the solid pulls more
+        np.maximum(pressure, state.stress - state.pull, out=pressure, where=state.gap <= law.least)
         if contact.spring and not self.grid.domain.wraps:  # the mean of the displacement is elastic
             state = dataclasses.replace(state, elastic=state.elastic + state.pull**2 / (2 * contact.spring))
         pressure, gap = contact.unpadded(pressure) * contact.pressure, contact.unpadded(state.gap)

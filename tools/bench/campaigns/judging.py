@@ -113,11 +113,10 @@ def wrong_feasible(job: dict, answer: Answer, traction: float) -> str:
     single = job["output"].get("precision") == "float32"
     if not (np.isfinite(answer.pressure).all() and np.isfinite(answer.gap).all()):
         return "not finite"
-    # Attraction leaves a residual: an energy error of the tolerance allows pressures to err by its root.
-    room = max(1e-6 * single, math.sqrt(job["solver"]["tolerance"]) if traction else ROUNDING)
-    if answer.pressure.min() < -traction * (1 + ROUNDING) - room * size:
+    room = max(1e-6 * single, ROUNDING) * (size + traction)
+    if answer.pressure.min() < -traction - room:
         return f"tension {answer.pressure.min():.6g} beyond {traction:.6g}"
-    if abs(mean - answer.mean_pressure) > max(1e-6 * single, ROUNDING) * (size + traction):
+    if abs(mean - answer.mean_pressure) > room:
         return f"mean pressure {answer.mean_pressure!r}, of the field {mean!r}"
     if zeta is None and (answer.gap.min() < 0 or np.any(answer.gap[answer.pressure > 0])):
         return "a gap in contact, or overlap"
