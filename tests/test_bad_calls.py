@@ -125,3 +125,11 @@ def test_a_wall_too_short_or_long_for_doubles_is_refused(comm):
     assert solve(comm, zeta=1e-10).certified_error <= 1e-6
     with pytest.raises(pgfmd.SolverError, match="zeta = 1e\\+20: .* last digits"):
         solve(comm, zeta=1e20)
+
+
+def test_heights_whose_squares_overflow_are_refused(comm):
+    """Spectra hold squares of heights: a paraboloid of the wrong unit, 1e197 high, is one line on all ranks."""
+    tables = {"grid": {"n": 8, "length": 1e99}, "surface": {"kind": "paraboloid", "radius": 1.5},
+              "solid": {"contact_modulus": 1.0}, "load": {"pressure": 1.0}}  # fmt: skip
+    with pytest.raises(pgfmd.InputError, match="^surface: heights over a range of .*e\\+197"):
+        pgfmd.run(tables, comm=comm)

@@ -168,6 +168,7 @@ def indicator(field: np.ndarray, threshold: float) -> RowAction:
     return fill
 
 
+LARGEST = 1e140  # range of heights whose squares, times those of the number of points, are finite
 log = logging.getLogger("pgfmd")
 ROWS = 64  # of modes or points that are binned at a time, where no block is given
 BEYOND = 0.05
@@ -205,6 +206,9 @@ class RoughSurface:
         fields: Iterable[str] = (),
     ) -> None:
         self.problem, self.grid, self.heights, self.cutoff = problem, problem.grid, problem.heights, cutoff
+        size = self.grid.reduction.max(self.heights) - self.grid.reduction.min(self.heights)
+        if not size < LARGEST:
+            raise InputError(f"surface: heights over a range of {size:g}: must be below {LARGEST:g}, in any unit")
         given = {observable.name: observable for observable in observables}
         self.asked: dict[str, Any] = {name: given[name] for name in (*OBSERVABLES, *given) if name in given}
         for observable in self.asked.values():
