@@ -16,7 +16,7 @@ from job_texts import rough_job
 import pgfmd
 from pgfmd.application import progress
 from pgfmd.application.cli import main
-from pgfmd.application.job import load, parse
+from pgfmd.application.job import load, parse, tables_as_toml
 from pgfmd.application.machine import available_memory, describe
 from pgfmd.application.progress import LOG_FILE, Progress
 from pgfmd.application.results import Results
@@ -60,6 +60,22 @@ def test_the_modulus_is_said(comm, shared_tmp_path, capsys, caplog):
         for words in (["new"], ["check", str(shared_tmp_path / "job.toml")], ["info", str(folder)]):
             assert main(words) == 0
             assert "contact_modulus = 1.0" in capsys.readouterr().out
+
+
+@pytest.mark.mpi
+def test_a_table_without_effect_is_named(comm, tmp_path, capsys, caplog):
+    """[output.lowpass] where lowpass is not measured: a warning of the run, a line of `check`."""
+    output, line = {"observables": ["patches"], "lowpass": {"q": [1.0]}}, "output.lowpass: has no effect"
+    job = {"grid": {"n": 8}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "solid": {"contact_modulus": 1.0},
+           "load": {"pressure": 1.0}, "output": output}  # fmt: skip
+    pgfmd.run(job, comm=comm)
+    (tmp_path / "job.toml").write_text(tables_as_toml(job))
+    assert main(["check", str(tmp_path / "job.toml")]) == 0
+    assert line in capsys.readouterr().out and (line in caplog.text or comm.rank)
+    output["observables"].append("lowpass")
+    caplog.clear()
+    pgfmd.run(job, comm=comm)
+    assert line not in caplog.text
 
 
 @pytest.mark.parametrize("control", ["pressure", "contact_area"])

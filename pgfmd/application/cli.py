@@ -178,7 +178,7 @@ def _check(options: argparse.Namespace) -> str:
     size = estimate.estimate(job, options.ranks, here / options.ranks, options.ranks_per_node).node
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
     report = estimate.report(job, options.ranks, options.ranks_per_node)  # opens the files that the job names
-    against = "".join(f"\n{line}" for line in doubts(job))
+    against = "".join(f"\n{line}" for line in job.output.idle + doubts(job))
     return f"{options.job}: valid{limit}{against}\n{report}"
 
 

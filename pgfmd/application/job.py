@@ -103,6 +103,13 @@ class Written(Section):
         return [getattr(self, name) for name in self.observables]
 
     @property
+    def idle(self) -> list[str]:
+        """A line for each table of an observable that is not listed."""
+        names = [each.name for each in dataclasses.fields(self) if each.name in OBSERVABLES.keys() - self.observables]
+        given = [name for name in names if getattr(self, name) != OBSERVABLES[name]()]
+        return [f"output.{name}: has no effect, as output.observables does not list {name}" for name in given]
+
+    @property
     def connectivity(self) -> int:
         """Connectivity of the contact patches, in their table and in the field of labels."""
         patches: ContactPatches = getattr(self, ContactPatches.name)
