@@ -10,7 +10,7 @@ over the rows and columns of a quadrant, as Â is even in qx and in qy.
 
 A layer of thickness d adds (1/πE') ∫ (1/F(q) − 1) J0(qr) dq to the kernel, which is smooth over d.  If d is of the
 order of a spacing, only the part that erfc(q/2α) leaves is summed, the rest is a factor of modes.  On a rigid base
-kernels fall off exponentially over d: those of thin slabs need no sum at all.
+kernels fall off exponentially over d: the modes of a torus that is much wider than d are those of a periodic cell.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pgfmd.parallel.collectives import slab_starts
 
 CLOSE = 6.0  # α r from which erf is 1 in double precision
 THIN = 0.04  # thickness over half a side of the torus up to which images of a slab on a rigid base are below 1e-12
-RESOLVED = 1.5  # spacings of a thickness from which the grid resolves the kernel that it adds
+RESOLVED = 1.5, 3.0  # spacings of a thickness from which the grid resolves what it adds: of a layer, of a slab
 THICK = 25.0  # q d from which F is 1 to the last digit
 BAND = 64  # rows at a time, so that temporary arrays stay small
 NODES = 600  # of the spline: its error is below 1e-9 of the values
@@ -68,8 +68,13 @@ def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
         table = solid.contact_modulus * solid.compliance(q)
         table[q == 0] = solid.contact_modulus / rigid
         return table
+    resolved = d >= RESOLVED[rigid > 0] * max(grid.spacing)
+    if rigid > 0 and not resolved:  # the kernel of a torus on which d is thin, cut off
+        nx, ny = (max(n, math.ceil(1.01 * d / (THIN * a))) for n, a in zip(grid.shape, grid.spacing, strict=True))
+        wide = grid.like(grid.comm, (nx, ny), (nx * grid.spacing[0], ny * grid.spacing[1]))
+        return cropped_table(wide, grid, layer_table(wide, solid))
     alpha = SPLIT / max(grid.spacing)
-    cut = not rigid and d < RESOLVED * max(grid.spacing)
+    cut = not rigid and not resolved
     change = _change(solid, math.hypot(*grid.period) / 2, alpha if cut else math.inf)
     table = half_space_table(grid)
     table += cosine_transform(grid, lambda x, y: change(np.hypot(x, y)))
