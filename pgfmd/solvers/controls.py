@@ -287,7 +287,8 @@ class MeanGap(Control):
         """
         law, gap = self.problem.law, self.summit - self.approach(target)
         if self.rms_height == 0:  # a punch as wide as the domain
-            return math.log(self.problem.solid.surface_modulus * self.approach(target) / max(self.grid.lengths))
+            pressed = self.problem.solid.surface_modulus * max(self.approach(target), 0.0) / max(self.grid.lengths)
+            return math.log(max(pressed + law.pressure_at(gap, self.problem.solid), TINY))
         pressure = self.stress * math.exp(max(-20.0, min(3.0, 2 * (self.closed - gap) / self.rms_height)))
         bearing = law.pressure_at(gap, self.problem.solid)
         return math.log(pressure + (min(bearing, self.stress) if self.mean_compliance else bearing))
@@ -298,7 +299,7 @@ class MeanGap(Control):
 
     def _coordinate(self, approach: float) -> float:
         if math.isinf(self.begin):
-            return approach / self.rms_height
+            return approach / (self.rms_height or self.problem.law.length_scale)
         left = self.limit - approach
         return math.log(max(approach - self.begin, TINY)) - (math.log(max(left, TINY)) if left < math.inf else 0.0)
 
@@ -315,7 +316,7 @@ class MeanGap(Control):
         if law.highest < math.inf and not self.mean_compliance:
             size = min(size, found.mean_gap + found.mean_plastic_depth)
         if law.reach > 0:
-            size = min(max(size, law.range_at(found.mean_pressure)), self.rms_height)
+            size = min(max(size, law.range_at(found.mean_pressure)), self.rms_height or math.inf)
         size = max(size, abs(self.reached(found) - approach), TINY)  # far from the target, size may be 0
         return self.options.gap_tolerance * size
 
