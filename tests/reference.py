@@ -19,6 +19,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
+import scipy.special
 
 Real = np.longdouble
 PI = 4 * np.arctan(Real(1))
@@ -82,6 +83,8 @@ class Solid:
 class Contact:
     """A periodic surface, heights (nx, ny), over pixels of `spacing`, against a solid; fields here are flat."""
 
+    wraps = True
+
     def __init__(self, heights: np.ndarray, spacing: tuple[float, float] = (1.0, 1.0), solid: Solid | None = None):
         self.solid = solid or Solid()
         self.shape, self.count = np.shape(heights), np.size(heights)
@@ -95,6 +98,11 @@ class Contact:
         self.pixel = np.sum(1 / stiffness) / self.count  # displacement of a pixel under a unit pressure on it alone
         self.stiffness = self._matrix(stiffness * self.pixel)
         self.compliance = self._matrix(1 / (stiffness * self.pixel))
+        self.uniform = Real(0) * self.heights  # displacement under the mean pressure, which a periodic cell leaves out
+
+    def displace(self, deviation: np.ndarray) -> np.ndarray:
+        """u over the unit of displacement, of p/p̄ − 1 (N,)."""
+        return self.compliance @ deviation + self.uniform
 
     def _matrix(self, spectrum: np.ndarray) -> np.ndarray:
         """The convolution (N, N) of a spectrum that lacks q = 0."""
@@ -124,12 +132,12 @@ class Contact:
             hardness = math.inf
         b = self.heights / unit
         full = self.stiffness @ b  # where all points touch, p = p̄ + Kh; kept apart from p̄, which may be far larger
-        if full.min() >= -1 and full.max() <= Real(hardness) / Real(pressure) - 1:
+        if self.wraps and full.min() >= -1 and full.max() <= Real(hardness) / Real(pressure) - 1:
             return Solved(self, Real(pressure), full, np.zeros(self.count, Real), Real(0), Real(0))
         programme = _Programme(self, b, Real(hardness) / Real(pressure))
         x, level, bound = programme.solve(start)
         gap = self.compliance @ x - b - level
-        return Solved(self, Real(pressure), x - 1, gap, bound, -level - b.mean())
+        return Solved(self, Real(pressure), x - 1, gap, bound, gap.mean())
 
     def exponential(self, pressure: float, zeta: float, sigma_ref: float | None = None) -> Solved:
         """σ = σ_ref exp(−gap/ζ), σ_ref the contact modulus if None.  Raises Unable."""
@@ -147,8 +155,8 @@ class Contact:
         mean = np.asarray(pressure, np.float64).astype(Real).mean()
         x, unit = np.asarray(pressure, np.float64).astype(Real).ravel() / mean, mean * self.pixel
         b, deviation = self.heights / unit, x - 1
-        gap = self.compliance @ deviation - b
-        work = deviation @ (self.compliance @ deviation)
+        gap = self.displace(deviation) - b
+        work = x @ self.displace(deviation)
         if zeta is None:
             programme = _Programme(self, b, Real(math.inf))
             bound = programme.bound(x, np.average(gap, weights=x))
@@ -168,7 +176,9 @@ class Contact:
         if control == "mean_gap":
             return solved.mean_gap
         if control == "displacement":
-            return -self.heights.mean() - solved.mean_gap + solved.pressure * self.solid.mean_compliance
+            moved = self.displace(solved.deviation).mean() * solved.unit
+            below = solved.pressure * self.solid.mean_compliance if self.wraps else 0
+            return below + moved - self.heights.mean() - solved.mean_gap
         return solved.pressure
 
     def find(self, control: str, target: float, zeta=None, sigma_ref=None, width: float = 1e-12) -> list[Solved]:
@@ -194,6 +204,61 @@ class Contact:
         return sides
 
 
+class OpenContact(Contact):
+    """The same on a patch with open boundaries: a convolution with the kernel of a point load that the grid resolves,
+    (1/πE') (erf(αr)/r + what a slab adds) and of the modes (2/E'q) erf(q/2α), α = .3 over the larger spacing.  Of a
+    slab on a rigid base that is thin against the torus, or below three spacings, all is of the modes.
+    """
+
+    wraps = False
+
+    def __init__(self, heights: np.ndarray, spacing: tuple[float, float], solid: Solid, torus: tuple[int, int]):
+        self.solid, self.shape, self.count = solid, np.shape(heights), np.size(heights)
+        self.heights = np.asarray(heights, np.float64).astype(Real).ravel()
+        self.heights = self.heights - self.heights.max()
+        least = [np.minimum(np.arange(m), m - np.arange(m)) for m in torus]
+        waves = [2 * PI * i / (m * Real(a)) for i, m, a in zip(least, torus, spacing, strict=True)]
+        q, alpha = np.hypot(*np.meshgrid(*waves, indexing="ij")), 0.3 / max(spacing)
+        cosines = [np.cos(2 * PI * (np.outer(np.arange(n), np.arange(m)) % m) / m)
+                   for n, m in zip(self.shape, torus, strict=True)]  # fmt: skip
+        x, y = (i[:n] * Real(a) for i, n, a in zip(least, self.shape, spacing, strict=True))
+        r, cell = np.hypot(x[:, None], y), Real(spacing[0]) * Real(spacing[1])
+        thin = solid.thickness <= 0.02 * min(m * a for m, a in zip(torus, spacing, strict=True))
+        thin |= solid.thickness < 3 * max(spacing)
+        modes, kernel = np.full(q.shape, 2 / (np.sqrt(PI) * alpha)), Real(0)
+        if thin:
+            modes[q > 0] = Real(solid.modulus) / solid.stiffness(q[q > 0])
+            d, nu = Real(solid.thickness), Real(solid.poisson)
+            modes[0, 0] = d if solid.base == "sliding" else d * (1 - 2 * nu) / (1 - nu) ** 2
+        else:
+            np.divide(2 * scipy.special.erf((q / (2 * alpha)).astype(float)), q, out=modes, where=q > 0)
+            kernel = np.full(r.shape, 2 * alpha / np.sqrt(PI))
+            np.divide(scipy.special.erf((alpha * r).astype(float)), r, where=r > 0, out=kernel)
+            kernel = (kernel + self.layer(r.astype(float))) * cell / PI
+        kernel = (kernel + cosines[0] @ modes @ cosines[1].T / math.prod(torus)) / Real(solid.modulus)
+        self.pixel = kernel[0, 0]
+        i, j = np.divmod(np.arange(self.count), self.shape[1])
+        self.compliance = (kernel / self.pixel)[np.abs(i[:, None] - i), np.abs(j[:, None] - j)]
+        guess = np.linalg.inv(self.compliance.astype(float)).astype(Real)
+        guess = 2 * guess - guess @ (self.compliance @ guess)
+        self.stiffness, self.uniform = (guess + guess.T) / 2, self.compliance.sum(axis=1)
+
+    def layer(self, r: np.ndarray) -> np.ndarray:
+        """∫ (1/F(qd) − 1) J0(qr) dq by Gauss's rule on pieces that J0 crosses at most once."""
+        d = self.solid.thickness
+        if math.isinf(d):
+            return np.zeros(r.shape)
+        end = 25 / d  # F is 1 to 1e-19 there
+        pieces = max(60, int(end * r.max() / math.pi) + 1)
+        points, weights = np.polynomial.legendre.leggauss(12)
+        q = ((np.arange(pieces)[:, None] + (points + 1) / 2) * (end / pieces)).ravel()
+        values = np.array([float(1 / slab_factor(Real(value * d), self.solid.base, self.solid.poisson)) for value in q])
+        values = (values - 1) * np.tile(weights, pieces) * (end / pieces / 2)
+        places, where = np.unique(r, return_inverse=True)
+        found = np.array([values @ scipy.special.j0(q * place) for place in places])
+        return found[where].reshape(r.shape)
+
+
 @dataclass
 class Solved:
     """p/p̄ − 1 (N,), gap and mean gap over the unit of displacement p̄ × pixel, and `bound`, a rigorous one on the
@@ -216,7 +281,7 @@ class Solved:
     @property
     def scaled_work(self):
         """Σ x · Ax, twice the elastic energy."""
-        return self.deviation @ (self.contact.compliance @ self.deviation)
+        return self.x @ self.contact.displace(self.deviation)
 
     @property
     def unit(self):
@@ -235,7 +300,7 @@ class Solved:
 
     @property
     def work(self):
-        """⟨p u⟩ per unit area, without q = 0: twice the elastic energy."""
+        """⟨p u⟩ per unit area, in a periodic cell without q = 0: twice the elastic energy."""
         return self.scaled_work / self.contact.count * self.pressure * self.unit
 
     def error_of(self, pressure: np.ndarray):
@@ -252,7 +317,7 @@ class Solved:
             error += d @ self.scaled_gap
         else:
             error += self.zeta * np.sum(_entropy_distance(other, np.exp(self.logarithms), self.logarithms))
-            residual = self.contact.compliance @ self.deviation + self.zeta * self.logarithms
+            residual = self.contact.displace(self.deviation) + self.zeta * self.logarithms
             residual -= self.contact.heights / self.unit
             error += d @ (residual - np.average(residual, weights=np.exp(self.logarithms)))
         work = self.scaled_work
@@ -381,8 +446,9 @@ class _Programme:
 def _newton(contact: Contact, b: np.ndarray, zeta):
     """(ln x, bound of the relative energy error) of the exponential wall: the least ½ v·Kv + N ζ ln⟨exp((b − v)/ζ)⟩ by
     damped Newton steps, from a large ζ down."""
-    K, count = contact.stiffness, contact.count
+    K, count, b = contact.stiffness, contact.count, b - contact.uniform
     double, mean = K.astype(np.float64), np.float64(1) / count
+    held = mean if contact.wraps else 0.0  # of the mean displacement, which nothing else holds in a periodic cell
     # The unknown s is the displacement v or, under a heavy load and a short wall, the gap v − b: whichever is small.
     heavy = max(np.ptp(b), zeta) < 1
     b = b - b.mean() if heavy else b
@@ -395,7 +461,8 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
         highest = exponent.max()
         exponent = exponent - highest
         total = np.log1p(np.mean(np.expm1(exponent)))
-        return exponent - total, (shift + s) @ (full + K @ s) / 2 + count * zeta * (highest + total)
+        work = (shift + s) @ (full + K @ s) / 2 + (0 if contact.wraps else np.sum(shift + s))
+        return exponent - total, work + count * zeta * (highest + total)
 
     s = -shift
     ladder = [zeta]
@@ -412,7 +479,7 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
             weight = (x / rung).astype(np.float64)
             if not np.isfinite(weight).all():
                 raise Unable("exponential wall: the range is too short")
-            matrix = double + np.diag(weight) - np.outer(weight, x.astype(np.float64)) * mean + mean
+            matrix = double + np.diag(weight) - np.outer(weight, x.astype(np.float64)) * mean + held
             scale = np.abs(slope).max()
             if scale == 0:
                 break
@@ -421,7 +488,7 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
             except scipy.linalg.LinAlgError:
                 raise Unable("exponential wall: the system is singular") from None
             step = -scipy.linalg.cho_solve(factor, (slope / scale).astype(np.float64), check_finite=False) * scale
-            step -= step.mean()
+            step -= step.mean() if contact.wraps else 0
             decrement = -(slope @ step)
             length = Real(1)
             for _ in range(40):
@@ -442,7 +509,7 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
     t = logarithms - theirs
     series = t * t * (Real(1) / 2 + t / 3 + t * t / 8 + t**3 / 30)
     apart = np.sum(np.exp(theirs) * np.where(np.abs(t) < 1e-4, series, (t - 1) * np.exp(t) + 1)) * zeta
-    work = deviation @ displacement
+    work = (1 + deviation) @ (displacement + contact.uniform)
     bound = apart / work if work > 0 else Real(0)
     if not bound <= 1e-18:
         raise Unable(f"exponential wall to {float(bound):.1e} only")

@@ -36,6 +36,26 @@ def test_hard_walls_obey_the_contact_conditions(solid):
     assert counts[0] == 1 and counts[-1] == 72 and counts == sorted(counts)
 
 
+@pytest.mark.parametrize("solid", [Solid(), Solid(2.0, 5.0, "sliding"), Solid(2.0, 1.0, "bonded", 0.3)])
+def test_open_patches(solid):
+    """The same on patches: p ≥ 0, gap ≥ 0, p·gap = 0; a pixel is displaced as by a square load on a half-space, to
+    1e-3, and less on a slab; exponential walls tend to the hard one.
+    """
+    contact = reference.OpenContact(noise((9, 8)), (1.0, 1.0), solid, (128, 128))
+    square = 4 / np.pi * np.log(1 + np.sqrt(2)) / solid.modulus
+    assert contact.pixel < square if solid.thickness < np.inf else abs(contact.pixel / square - 1) < 1e-3
+    for load in (1e-6, 0.05, 1.0, 50.0):
+        found = contact.hard(load)
+        size = np.abs(contact.displace(found.deviation)).max()
+        assert found.bound <= 1e-20 and found.x.min() >= 0 and found.scaled_gap.min() >= -1e-15 * size
+        assert np.abs(found.x * found.scaled_gap).max() <= 1e-13 * found.x.max() * min(size, np.sqrt(found.scaled_work))
+    walls = [contact.exponential(1.0, zeta) for zeta in (1e-2, 1e-3)]
+    hard = contact.hard(1.0)
+    apart = [float(np.abs(wall.x - hard.x).max()) for wall in walls]
+    assert max(wall.bound for wall in walls) < 1e-20 and apart[0] > 3 * apart[1]
+    assert abs(contact.measure("displacement", walls[1]) - contact.measure("displacement", hard)) < 0.01
+
+
 @pytest.mark.parametrize("load", LOADS)
 def test_guesses_and_the_textbook_agree(load):
     """The guessed active set and the textbook one, a point at a time, give the same pressures to 1e-14."""

@@ -26,7 +26,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from campaigns.drawing import draw
+from campaigns.drawing import EXTENSIONS, draw
 from campaigns.random_case import BAD, HANGS, RIGHT, TRACEBACK, VERDICTS, show
 from campaigns.running import HANG, run
 from campaigns.shrinking import kind, shrink
@@ -34,7 +34,7 @@ from campaigns.shrinking import kind, shrink
 ASLEEP = 20  # times HANG, of wall time: a process that waits for nothing
 
 
-def work(seed: int, first: int, count: int) -> None:
+def work(seed: int, first: int, count: int, extension: str = "") -> None:
     """Run jobs in this process; one line of JSON each."""
     faulthandler.register(signal.SIGUSR1)
     seen = set()  # one minimal job of each kind is enough
@@ -42,7 +42,7 @@ def work(seed: int, first: int, count: int) -> None:
         for number in range(first, first + count):
             print(json.dumps({"begun": number}), flush=True)
             began = time.perf_counter()
-            case = draw(seed, number)
+            case = draw(seed, number, extension)
             place = Path(folder) / str(number)
             verdict, detail = run(case, place)
             seconds = time.perf_counter() - began
@@ -66,11 +66,12 @@ def _clocks(process: int) -> tuple[float, float]:
         return wall, wall
 
 
-def supervise(seed: int, first: int, count: int):
+def supervise(seed: int, first: int, count: int, extension: str = ""):
     """Results of jobs, run in another process, which is replaced when it hangs or dies."""
     number, stop = first, first + count
     while number < stop:
         command = [sys.executable, __file__, "--seed", str(seed), "--work", str(number), str(stop - number)]
+        command += ["--extension", extension] if extension else []
         with tempfile.TemporaryFile("w+") as errors:
             worker = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, stdin=subprocess.DEVNULL)
             verdict, buffer, since, patience = None, b"", _clocks(worker.pid), 4 * HANG
@@ -100,14 +101,14 @@ def supervise(seed: int, first: int, count: int):
                 errors.seek(0)
                 detail = f"the process ended: {errors.read()[-2000:]}"
                 yield {"number": number, "verdict": verdict, "detail": detail, "seconds": HANG,
-                       "minimal": show(draw(seed, number), "")}  # fmt: skip
+                       "minimal": show(draw(seed, number, extension), "")}  # fmt: skip
                 number += 1
 
 
-def report(seed: int, first: int, count: int, log=None) -> int:
+def report(seed: int, first: int, count: int, extension: str = "", log=None) -> int:
     """Run jobs, print what goes wrong and the counts; 0 if nothing did."""
     verdicts, kinds, began = Counter(), Counter(), time.perf_counter()
-    for found in supervise(seed, first, count):
+    for found in supervise(seed, first, count, extension):
         verdicts[found["verdict"]] += 1
         if found["verdict"] != RIGHT:
             kinds[kind(found["verdict"], found["detail"])] += 1
@@ -129,22 +130,23 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1, help="of all of them")
     parser.add_argument("--first", type=int, default=0, help="number of the first")
     parser.add_argument("--only", type=int, help="show the job of that number and its verdict")
+    parser.add_argument("--extension", choices=EXTENSIONS, default="", help="only jobs with it")
     parser.add_argument("--log", type=Path, help="file for every verdict, a line of JSON each")
     parser.add_argument("--work", type=int, nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.work:
-        work(options.seed, *options.work)
+        work(options.seed, *options.work, options.extension)
         return 0
     if options.only is not None:
-        case = draw(options.seed, options.only)
+        case = draw(options.seed, options.only, options.extension)
         with tempfile.TemporaryDirectory(prefix="pgfmd-campaign-") as folder:
             verdict, detail = run(case, Path(folder) / "case")
         print(f"{show(case, '')}{verdict}: {detail}")
         return int(verdict in BAD)
     if options.log is None:
-        return report(options.seed, options.first, options.jobs)
+        return report(options.seed, options.first, options.jobs, options.extension)
     with options.log.open("w") as log:
-        return report(options.seed, options.first, options.jobs, log)
+        return report(options.seed, options.first, options.jobs, options.extension, log)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ factor that `pgfmd check` takes.  A small contact is solved first: it loads libr
 
 Methods beside "pgfmd" and the peers': "pgfmd area 0.005" imposes the area itself, to that tolerance; "pgfmd gap 0.5" a
 mean gap of .5 rms heights, to 1e-4; "pgfmd free 0.06" solves on a slab with a free base, .06 of the cell thick; "pgfmd
-layer 0.05" on a layer that is 1000 times as stiff as its base.
+layer 0.05" on a layer that is 1000 times as stiff as its base; "pgfmd open" on a patch with open boundaries.
 """
 
 from __future__ import annotations
@@ -78,12 +78,13 @@ class Last(Recorder):
 def solve(case: dict, comm, pressure: float) -> dict:
     """The row of one case: peak memory above what the process had before, all ranks together.  Collective."""
     import pgfmd
+    from pgfmd.grid.domain import OPEN, PERIODIC
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.physics.solids.layered import Layered
-    from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+    from pgfmd.solvers.active_set.cropping import solve_hard_wall
     from pgfmd.solvers.load_control import LoadControl
     from pgfmd.solvers.options import Load
 
@@ -91,7 +92,8 @@ def solve(case: dict, comm, pressure: float) -> dict:
     surface = {name: case[name] for name in ("lambda_s", "hurst", "seed")}
     surface |= {"kind": "self-affine", "rms_slope": RMS_SLOPE}
     heights = pgfmd.surface({"grid": {"n": n}, "surface": surface, "solid": {"contact_modulus": 1.0}}, comm)
-    grid, last, began, cpu = SlabGrid(comm, (n, n), threads=1), Last(), time.perf_counter(), time.process_time()
+    last, began, cpu = Last(), time.perf_counter(), time.process_time()
+    grid = SlabGrid(comm, (n, n), threads=1, domain=OPEN if "open" in case["method"] else PERIODIC)
     if case["method"].startswith("pgfmd"):
         _, kind, value = (*case["method"].split(), "", "0")[:3]
         solid, load = Homogeneous(contact_modulus=1.0), Load(pressure=(pressure,))
@@ -109,7 +111,7 @@ def solve(case: dict, comm, pressure: float) -> dict:
             errors.append(f"{state.error:.1e}" * (level is grid))
 
         def solved(problem, start, tolerance):
-            return solve_hard_wall(problem, tolerance, start, watch, not kind)
+            return solve_hard_wall(problem, tolerance, start, watch, kind in ("", "open"))
 
         control = LoadControl(load, ContactProblem(grid, heights, solid, HardWall()), case["tolerance"], solved)
         found = control.solution(load.targets[0])

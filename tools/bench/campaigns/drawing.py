@@ -12,8 +12,8 @@ from campaigns.random_case import Case
 LARGEST_SIDE = 24
 
 
-def draw(seed: int, number: int) -> Case:
-    """The job of that number; the same whatever was drawn before."""
+def draw(seed: int, number: int, extension: str = "") -> Case:
+    """The job of that number; the same whatever was drawn before.  extension: one of `EXTENSIONS` that it must have."""
     chance = np.random.default_rng([seed, number])
     shape = [_side(chance), _side(chance)]
     if max(shape) < 2:
@@ -42,8 +42,8 @@ def draw(seed: int, number: int) -> Case:
     if chance.random() < 0.2:
         document["run"] = {"checkpoint_interval": [0.0, math.inf, 60.0][chance.integers(3)]}
     factor = None
-    if chance.random() < 0.35:
-        factor = _extend(chance, document, size, modulus, spacing)
+    if chance.random() < 0.35 or extension:
+        factor = _extend(chance, document, size, modulus, spacing, extension)
     for name in [name for name, table in document.items() if not table]:
         del document[name]
     spoilt = bool(chance.random() < 0.12)
@@ -217,12 +217,14 @@ def _solver(chance, wall: dict) -> dict:
     return table
 
 
-def _extend(chance, document: dict, size: float, modulus: float, spacing) -> np.ndarray | None:
+EXTENSIONS = ("open", "layered", "table", "attracts", "follows", "seeds")
+
+
+def _extend(chance, document: dict, size: float, modulus: float, spacing, extension: str) -> np.ndarray | None:
     """Change a job in place: open boundaries, a layered solid or a table, a wall that attracts, what follows from a
     contact, or several seeds.  Returns q and F(q) of a table.
     """
-    ways = ("open", "layered", "table", "attracts", "follows", "seeds")
-    way = chance.choice(ways, p=[0.2, 0.15, 0.15, 0.2, 0.2, 0.1])
+    way = extension or chance.choice(EXTENSIONS, p=[0.2, 0.15, 0.15, 0.2, 0.2, 0.1])
     step = float(min(spacing))
     if way == "open":
         document["grid"]["boundary"] = "open"
