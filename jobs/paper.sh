@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The paper, reproduced: all runs of figures F1–F9 and table T1, the figures, and the report with a verdict on each claim.
+# The paper, reproduced: all runs of figures F1–F9 and table T1, the figures, and the report with a verdict on each claim
+# (report.html and, where there is a browser, report.pdf).
 #
 #   bash jobs/paper.sh [--small] [FOLDER]      # FOLDER: results/paper, or results/paper-small
 #

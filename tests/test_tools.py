@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from xml.etree import ElementTree
 
+import browser
 import numpy as np
 import pytest
 
@@ -35,6 +38,7 @@ import rowblocks  # noqa: E402
 import runs as many_runs  # noqa: E402
 import samples  # noqa: E402
 import whole_fields  # noqa: E402
+from formulas import marked  # noqa: E402
 
 JOB = """
 [grid]
@@ -555,8 +559,41 @@ parts = [{ what = "x", finding = "N: y", number = [1, 1] }]
     assert '<span class="v agrees">agrees</span>' in page and "since" in page
     assert "not run yet" in page
     assert "<script>" not in page and "<i>none" not in page and "kept<b>" not in page and "2 <" not in page
+    verdicts = (tmp_path / "out" / "report.csv").read_bytes()
     with open(tmp_path / "out" / "report.csv", encoding="utf-8") as file:
         assert [row["verdict"] for row in csv.DictReader(file)] == ["agrees", "differs", "not run"]
+    assert report.write_page(tmp_path / "out", source).read_text(encoding="utf-8") == page  # from its own files
+    assert (tmp_path / "out" / "report.csv").read_bytes() == verdicts
+    if browser.executable():
+        assert (tmp_path / "out" / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("text", "formulas"),
+    [
+        ("At f_c = 0.3 % it is near <1>", ["<msub>f c</msub>=0.3"]),
+        ("C_c ≤ C_σ/σ_c² ≤ m₂ C_c, everywhere", ["<msub>C c</msub>≤<msub>C σ</msub>/<msubsup>σ c 2</msubsup>≤"
+                                                "<msub>m 2</msub><msub>C c</msub>"]),
+        ("falls as q^(−(1+H)) up to q*.", ["<msup>q −(1+H)</msup>", "<msup>q *</msup>"]),
+        ("a patch of 8 a, (λ_s = a)", ["(<msub>λ s</msub>=a)"]),
+        ("κ = f_c E'g/p̄ and √(8/π), ⟨σ²⟩_c", ["κ=<msub>f c</msub><msup>E ′</msup>g/<mover>p ¯</mover>",
+                                              "<msqrt>8 / π</msqrt>", "<msub>⟨<msup>σ 2</msup>⟩ c</msub>"]),
+        ("Figure 2, Campañá's “P” over 4 to 8", []),
+    ],
+)  # fmt: skip
+def test_formulas_in_sentences(text, formulas):
+    """A sentence is valid XML, keeps its words, and has exactly these formulas in MathML."""
+    tree = ElementTree.fromstring(f"<p>{marked(text)}</p>")
+    assert [_written(found) for found in tree.iter("math")] == formulas
+    assert tree.text is None or text.startswith(tree.text)
+    assert not formulas or len("".join(tree.itertext())) >= len(re.sub(r"[\s_^()√]", "", text))
+
+
+def _written(node) -> str:
+    """A formula with the tags that say how it looks."""
+    inner = [_written(child) for child in node if child.tag != "mspace"] or [node.text or ""]
+    shown = node.tag in ("msub", "msup", "msubsup", "mover", "msqrt")
+    return f"<{node.tag}>{' '.join(inner)}</{node.tag}>" if shown else "".join(inner)
 
 
 def test_jobs_and_claims_of_the_paper_are_valid():

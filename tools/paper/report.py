@@ -2,7 +2,10 @@
 
     python tools/paper/report.py results/paper [--output results/paper/report]
 
-Makes all figures anew.  Claims and rules are in tools/paper/claims.toml; a note names what has not been run yet.
+Makes anew each figure of which the folder holds runs; others stay as they are in the output folder.  `report.py FOLDER
+--page` writes the page alone, from the figures and tables of a report's folder.  Claims and rules are in
+tools/paper/claims.toml; a note names what has not been run yet.  A browser (Chromium or Chrome), where there is one,
+prints the page to report.pdf.
 """
 
 from __future__ import annotations
@@ -10,41 +13,57 @@ from __future__ import annotations
 import argparse
 import base64
 import csv
+import fnmatch
 import html
+import json
 import math
 import multiprocessing
+import re
+import shutil
+import struct
 import subprocess
 import sys
-import time
+import tempfile
 import tomllib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "plots"))
 import claims  # noqa: E402
 import figures  # noqa: E402
 from claims import Claim  # noqa: E402
-from plotting import Findings  # noqa: E402
+from formulas import marked  # noqa: E402
+from plotting import Finding, Findings  # noqa: E402
 
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 
 CLAIMS = Path(__file__).with_name("claims.toml")
 
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+RUNS = ("run", "grid", "H", "lambda_s", "seed", "wall", "contact_areas", "pressures", "certified", "transforms",
+        "solve_s", "run_s", "version")  # fmt: skip
+
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #111; }
+math { font-family: "Cambria Math", "STIX Two Math", "Latin Modern Math", "DejaVu Math TeX Gyre", math; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.4rem; border-top: 1px solid #bbb; padding-top: 1rem; }
-img { max-width: 100%; } table { border-collapse: collapse; margin: .6rem 0; font-size: .88rem; width: 100%; }
+img { max-width: 100%; width: calc(1.4 * var(--width)); }
+table { border-collapse: collapse; margin: .6rem 0; font-size: .88em; width: 100%; }
 td, th { border-bottom: 1px solid #ddd; padding: .2rem .7rem .2rem 0; text-align: left; vertical-align: top; }
 td.n { white-space: nowrap; font-variant-numeric: tabular-nums; } .v { font-weight: 600; white-space: nowrap; }
 .agrees { color: #005b96; } .differs { color: #b34700; } .identity, .cannot { color: #555; }
-.violated, .not { color: #b00020; } .small { color: #555; font-size: .85rem; }
-.scroll { overflow-x: auto; }
-@media print { body { font-size: 10pt; max-width: none; margin: 0; } h2, img, tr { break-inside: avoid; }
-  h2 { break-after: avoid; } .scroll { overflow: visible; font-size: 7pt; } }
+.violated, .not { color: #b00020; } .small { color: #555; font-size: .9em; } td .small { font-size: 1em; }
+th.part { width: 36%; } th.paper { width: 12%; } th.number { width: 22%; }
+@page { size: A4; margin: 14mm; }
+@media print { body { font-size: 9pt; max-width: none; margin: 0; padding: 0; } img, tr, .top { break-inside: avoid; }
+  img { width: var(--width); } h2 { margin-top: 5mm; padding-top: 2mm; } h2, h3, .head { break-after: avoid; }
+  p { margin: 1.5mm 0; orphans: 3; widows: 3; } table { margin: 1.5mm 0; } td, th { padding: .2mm 2mm .2mm 0; } }
 """
 
 
@@ -91,54 +110,114 @@ class Drawn:
     missing: str = ""
 
 
-def draw(figure: Figure, folder: Path, output: Path) -> Drawn:
-    """Draw a figure of the runs in `folder` into the folder `output`."""
+def draw(figure: Figure, folder: Path, output: Path) -> str:
+    """Draw a figure of the runs in `folder`, if there are any, into the folder `output`; why it cannot be drawn."""
     folders = figure.folders(folder)
     try:
-        if not folders:
-            raise InputError("not run yet")
-        sheet = figures.draw(figure.tool, folders, **figure.options)
-        sheet.save(output, figure.picture)
+        if folders:
+            figures.draw(figure.tool, folders, **figure.options).save(output, figure.picture)
     except InputError as error:
-        return Drawn(Findings(), [], str(error))
-    return Drawn(sheet.findings, sheet.notes)
+        return str(error)
+    return ""
+
+
+def drawn_before(figure: Figure, output: Path, missing: str = "") -> Drawn:
+    """What is in the folder of the report."""
+    path = output / f"{figure.picture}.json"
+    if missing or not path.exists():
+        return Drawn(Findings(), [], missing or "not run yet")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    findings = Findings()
+    for name, number in content["numbers"].items():
+        findings[name] = Finding(**number | {"values": tuple(number["values"]), "others": tuple(number["others"])})
+    return Drawn(findings, content["notes"])
 
 
 def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bool = False, jobs: int = 1) -> Path:
-    """Make every figure that the runs in `folder` allow, `jobs` at a time, and report.html, report.csv; the path of the
-    page.
-    """
-    began = time.perf_counter()
+    """Make every figure that the runs in `folder` allow, `jobs` at a time, and the page; the path of the page."""
     output.mkdir(parents=True, exist_ok=True)
     plan = read_figures(source)
-    asked, news = claims.read(source, {figure.key for figure in plan}, small)
     tasks = [(figure, folder, output) for figure in plan]
     if jobs > 1:
         with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-            results = pool.starmap(draw, tasks, chunksize=1)
+            missing = pool.starmap(draw, tasks, chunksize=1)
     else:
-        results = [draw(*task) for task in tasks]
-    drawn = {figure.key: result for figure, result in zip(plan, results, strict=True)}
+        missing = [draw(*task) for task in tasks]
+    _write_runs(output / "runs.csv", folder)
+    return write_page(output, source, small=small, missing=missing)
+
+
+def write_page(output: Path, source: Path = CLAIMS, *, small: bool = False, missing: Iterable[str] = ()) -> Path:
+    """Write report.html, report.csv and, with a browser, report.pdf from the figures and tables in the folder `output`.
+
+    missing : why figures could not be drawn, in their order
+    """
+    plan = read_figures(source)
+    asked, news = claims.read(source, {figure.key for figure in plan}, small)
+    reasons = list(missing) or [""] * len(plan)
+    drawn = {figure.key: drawn_before(figure, output, why) for figure, why in zip(plan, reasons, strict=True)}
     findings = {key: result.findings for key, result in drawn.items() if not result.missing}
-    everything = sorted(path for path in folder.iterdir() if _complete(path))
+    with open(output / "runs.csv", encoding="utf-8") as file:
+        runs = list(csv.DictReader(file))
     _write_table(output / "report.csv", asked, findings)
     page = [
         '<!doctype html><html lang="en"><meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>The paper, reproduced</title><style>{STYLE}</style>",
         "<h1>Elastic contact of rough surfaces: the paper, reproduced</h1>",
-        _introduction(everything, asked, findings),
+        _introduction(runs, asked, findings),
         _news(news, findings),
         _summary(asked, findings),
-        *(_section(figure, folder, drawn, asked, findings, output) for figure in plan),
+        *(_section(figure, runs, drawn, asked, findings, output) for figure in plan),
         _method(source),
         _departures(read_departures(source)),
-        _runs(everything, time.perf_counter() - began),
+        _second_reader(source.with_name("second_reader.toml"), asked, findings),
+        _runs(runs),
         "</html>\n",
     ]
     path = output / "report.html"
     path.write_text("\n".join(page), encoding="utf-8")
+    _print(path)
     return path
+
+
+def _print(page: Path):
+    """The page as a PDF beside it, by a browser; without one, nothing."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        return
+    with tempfile.TemporaryDirectory() as profile:
+        words = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
+                 f"--user-data-dir={profile}", f"--print-to-pdf={page.with_suffix('.pdf').resolve()}",
+                 page.resolve().as_uri()]  # fmt: skip
+        subprocess.run(words, capture_output=True, timeout=300, check=False)
+
+
+def _write_runs(path: Path, folder: Path):
+    """One row for each complete run; of runs that are not in the folder, the rows that the file has already."""
+    rows = {}
+    if path.exists():
+        with open(path, encoding="utf-8") as file:
+            rows = {row["run"]: row for row in csv.DictReader(file)}
+    rows |= {run.name: _row(run) for run in folder.iterdir() if _complete(run)}
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, RUNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows[name] for name in sorted(rows))
+
+
+def _row(path: Path) -> dict:
+    results = Results(path)
+    surface, wall, loads = results.job["surface"], results.job["wall"], results.loads
+    areas = loads["contact_area"] if "zeta" not in wall else []
+    values = (
+        path.name, " × ".join(map(str, results.shape)), surface.get("hurst", ""), surface.get("lambda_s", ""),
+        surface.get("seed", ""), f"ζ = {wall['zeta']:g}" if "zeta" in wall else wall["kind"],
+        " ".join(f"{value:.3f}" for value in areas), " ".join(f"{value:.4g}" for value in loads["mean_pressure"]),
+        f"{loads['certified_error'].max():.1e}", f"{loads['transforms'].sum():.0f}", f"{loads['seconds'].sum():.1f}",
+        f"{_seconds(path):.0f}", results.provenance.get("softwareVersion", "?"),
+    )  # fmt: skip
+    return dict(zip(RUNS, values, strict=True))
 
 
 def _complete(path: Path) -> bool:
@@ -177,35 +256,39 @@ def _write_table(path: Path, asked: Iterable[Claim], findings: dict[str, Finding
                                 part.verdict(found)])  # fmt: skip
 
 
-def _introduction(folders: list[Path], asked: list[Claim], findings: dict[str, Findings]) -> str:
+def _introduction(runs: list[dict], asked: list[Claim], findings: dict[str, Findings]) -> str:
     counts = Counter(claim.verdict(findings) for claim in asked if claim.kind == "result")
-    about = Results(folders[0]).provenance
-    version = html.escape(str(about.get("softwareVersion", "?")))
-    worst = max(float(Results(path).loads["certified_error"].max()) for path in folders)
+    versions = ", ".join(sorted({row["version"] for row in runs}))
+    worst = max(float(row["certified"]) for row in runs)
     said = ", ".join(f"{verdict}: {counts[verdict]}" for verdict in claims.ORDER if counts[verdict])
     others = len(asked) - counts.total()
+    found = marked(
+        "It found that the spectra of both fall as one power law, q^(−(1+H)), with H the Hurst exponent of the "
+        "surface. Models of overlapping asperities predict q^(−2(1+H)); Persson's theory, corrected for partial "
+        "contact, predicts what was found."
+    )
+    units = marked(
+        "E' = 8/3, rms slope 0.031, lengths in grid spacings a; λ_s and λ_l are the shortest and the longest wave of "
+        "the surface, f_c is the relative contact area."
+    )
     return f"""<p>Campañá, Müser &amp; Robbins, <i>J. Phys.: Condens. Matter</i> <b>20</b>, 354013 (2008),
 <a href="https://doi.org/10.1088/0953-8984/20/35/354013">doi:10.1088/0953-8984/20/35/354013</a>, asked how an elastic
 solid touches a rigid surface that is rough on many scales: how the pressure is distributed, and how pressure and
-contact are correlated in space. It found that the spectra of both fall as one power law, q<sup>−(1+H)</sup>, with H the
-Hurst exponent of the surface. Models of overlapping asperities predict q<sup>−2(1+H)</sup>; Persson's theory, corrected
-for partial contact, predicts what was found.</p>
-<p>The paper makes {len(asked)} claims that can be tested, and {len(folders)} runs of pgfmd {version} test them. Of its
-{counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one conjecture.
-Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at the accuracy
-that it gives or with which its figures can be read. A column of its own says what better numbers show.</p>
-<p class="small">E' = 8/3, rms slope 0.031, lengths in grid spacings a; λ_s and λ_l are the shortest and the longest
-wave of the surface, f_c is the relative contact area. Largest certified relative energy error of any run:
-{worst:.1e}.</p>"""
+contact are correlated in space. {found}</p>
+<p>The paper makes {len(asked)} claims that can be tested, and {len(runs)} runs of pgfmd {html.escape(versions)} test
+them. Of its {counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one
+conjecture. Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at
+the accuracy that it gives or with which its figures can be read. A column of its own says what better numbers show.</p>
+<p class="small">{units} Largest certified relative energy error of any run: {worst:.1e}.</p>"""
 
 
 def _news(news: list[claims.Result], findings: dict[str, Findings]) -> str:
     """What the runs show beyond the paper, each with its numbers."""
     lines = ["<h2>What is new</h2>"] if news else []
     for result in news:
-        numbers = "; ".join(f"{html.escape(part.what)}: {_number(part, findings)}" for part in result.parts)
+        numbers = "; ".join(f"{marked(part.what)}: {_number(part, findings)}" for part in result.parts)
         lines.append(
-            f"<p><b>{html.escape(result.title)}</b> {html.escape(result.text)} "
+            f"<p><b>{marked(result.title)}</b> {marked(result.text)} "
             f'<a href="#{html.escape(result.figure)}">Figure</a>. <span class="small">{numbers}.</span></p>'
         )
     return "\n".join(lines)
@@ -218,15 +301,16 @@ def _summary(asked: list[Claim], findings: dict[str, Findings]) -> str:
         mine = [claim for claim in asked if claim.kind == kind]
         if not mine:
             continue
-        lines += [f"<h3>{title}</h3>", "<table><tr><th>no.<th>the paper<th>under its conditions<th>in the limit</tr>"]
+        heads = '<th>no.<th class="part">the paper<th class="number">under its conditions<th>in the limit'
+        lines += [f"<h3>{title}</h3>", f"<table><tr>{heads}</tr>"]
         for claim in mine:
             verdict = claim.verdict(findings)
-            holds = f": {html.escape(claim.holds)}" if verdict == claims.IN_A_RANGE and claim.holds else ""
+            holds = f": {marked(claim.holds)}" if verdict == claims.IN_A_RANGE and claim.holds else ""
             lines.append(
-                f'<tr><td>{claim.number}<td>{html.escape(claim.says)} (<a href="#{html.escape(claim.figure)}">'
-                f"{html.escape(claim.where)}</a>)<td>{_verdict(verdict)}{holds}"
+                f'<tr><td>{claim.number}<td>{marked(claim.says)} (<a href="#{html.escape(claim.figure)}">'
+                f"{marked(claim.where)}</a>)<td>{_verdict(verdict)}{holds}"
                 f'<br><span class="small">{_worst(claim, findings)}</span>'
-                f"<td>{html.escape(claim.limit or _reason(claim, verdict))}</tr>"
+                f"<td>{marked(claim.limit or _reason(claim, verdict))}</tr>"
             )
         lines.append("</table>")
     return "\n".join(lines)
@@ -243,12 +327,12 @@ def _worst(claim: Claim, findings: dict[str, Findings]) -> str:
     if not parts:
         return ""
     part = max(parts, key=distance)
-    return f"{html.escape(part.what)}: {_number(part, findings)} ({html.escape(part.expectation())})"
+    return f"{marked(part.what)}: {_number(part, findings)} ({marked(part.expectation())})"
 
 
 def _number(part: claims.Part, findings: dict[str, Findings]) -> str:
     number = part.measured(findings)
-    return html.escape(number.text()) if number else "not run"
+    return marked(number.text()) if number else "not run"
 
 
 def _reason(claim: Claim, verdict: str) -> str:
@@ -265,8 +349,10 @@ def _method(source: Path) -> str:
 
 
 def _commit_of(source: Path) -> str:
-    """The last commit that changed the claims or their rules, with its date; empty outside of a repository."""
-    words = ["git", "log", "-1", "--format=%h of %cs", "--", source.name, "claims.py"]
+    """The last commit that changed a rule: a number, range or finding of a part, with its date; empty outside of a
+    repository.
+    """
+    words = ["git", "log", "-1", "--format=%h of %cs", "-G", r"(number|range|beyond|identity) = \[", "--", source.name]
     try:
         done = subprocess.run(words, cwd=source.parent, capture_output=True, text=True, timeout=60, check=True)
     except (OSError, subprocess.SubprocessError):
@@ -279,31 +365,33 @@ def _verdict(verdict: str) -> str:
 
 
 def _departures(lines: list[str]) -> str:
-    listed = "".join(f"<li>{html.escape(line)}" for line in lines)
+    listed = "".join(f"<li>{marked(line)}" for line in lines)
     return f"<h2>Where the runs depart from the paper, and by how much</h2><ul>{listed}</ul>" if lines else ""
 
 
-def _section(figure: Figure, folder: Path, drawn: dict[str, Drawn], asked, findings, output: Path) -> str:
+def _section(figure: Figure, runs: list[dict], drawn: dict[str, Drawn], asked, findings, output: Path) -> str:
     """A figure with its caption, and the claims that stand under it."""
-    title = f'<h2 id="{html.escape(figure.key)}">{html.escape(figure.title)}</h2>'
+    title = f'<h2 id="{html.escape(figure.key)}">{marked(figure.title)}</h2>'
     mine = [claim for claim in asked if claim.figure == figure.key]
     if missing := drawn[figure.key].missing:
         return f"{title}<p>Cannot be drawn: {html.escape(missing)}.</p>{_claims(mine, findings)}"
-    picture = base64.b64encode((output / f"{figure.picture}.png").read_bytes()).decode()
-    runs = figure.folders(folder)
+    picture = (output / f"{figure.picture}.png").read_bytes()
+    width = struct.unpack(">I", picture[16:20])[0] / 300  # inches, as printed in a journal
+    mine_runs = [row for row in runs if any(fnmatch.fnmatchcase(row["run"], pattern) for pattern in figure.runs)]
     caption = " ".join(figures.module(figure.tool).CAPTION.split())
-    notes = "".join(f" Note: {html.escape(note)}." for note in drawn[figure.key].notes)
+    notes = "".join(f" Note: {marked(note)}." for note in drawn[figure.key].notes)
     names = html.escape(", ".join(figure.runs))
     return "\n".join(
         [
             title,
-            f"<p>{html.escape(figure.text)}</p>",
-            f'<p><img alt="{html.escape(figure.title)}" src="data:image/png;base64,{picture}"></p>',
-            f'<p class="small">{html.escape(caption)}{notes}</p>',
+            f'<div class="top"><p>{marked(figure.text)}</p>',
+            f'<p><img alt="{html.escape(figure.title)}" style="--width: {width:.2f}in" '
+            f'src="data:image/png;base64,{base64.b64encode(picture).decode()}"></p></div>',
+            f'<p class="small">{marked(caption)}{notes}</p>',
             _table_one(figure, findings) if figure.key == "T1" else "",
             _claims(mine, findings),
             f'<p class="small">tools/plots/{html.escape(figure.tool)}.py; data in {html.escape(figure.picture)}*.csv. '
-            f"{len(runs)} runs, {_duration(sum(map(_seconds, runs)))} together: {names}.</p>",
+            f"{len(mine_runs)} runs, {_duration(mine_runs)} together: {names}.</p>",
         ]
     )
 
@@ -312,24 +400,28 @@ def _claims(mine: list[Claim], findings: dict[str, Findings]) -> str:
     lines = []
     for claim in mine:
         verdict = claim.verdict(findings)
-        text = [html.escape(claim.says)]
+        text = [marked(claim.says)]
         if claim.conditions:
-            text.append(f'<span class="small">Here: {html.escape(claim.conditions)}</span>')
+            text.append(f'<span class="small">Here: {marked(claim.conditions)}</span>')
         if claim.why and verdict == claims.DIFFERS:
-            text.append(f'<span class="small">Why: {html.escape(claim.why)}</span>')
+            text.append(f'<span class="small">Why: {marked(claim.why)}</span>')
         if claim.decided_by and verdict == claims.CANNOT_TELL:
-            text.append(f'<span class="small">What would decide it: {html.escape(claim.decided_by)}</span>')
+            text.append(f'<span class="small">What would decide it: {marked(claim.decided_by)}</span>')
         if claim.limit:
-            text.append(f'<span class="small">In the limit: {html.escape(claim.limit)}</span>')
+            text.append(f'<span class="small">In the limit: {marked(claim.limit)}</span>')
         lines.append(
-            f"<p><b>Claim {claim.number}</b> ({html.escape(claim.where)}): {_verdict(verdict)}. {' '.join(text)}</p>"
+            f'<p class="head"><b>Claim {claim.number}</b> ({marked(claim.where)}): {_verdict(verdict)}. '
+            f"{' '.join(text)}</p>"
         )
-        lines.append("<table><tr><th>number<th>the paper<th>under its conditions<th>in the limit<th>verdict</tr>")
+        lines.append(
+            '<table><tr><th class="part">number<th class="paper">the paper<th class="number">under its conditions'
+            '<th class="number">in the limit<th>verdict</tr>'
+        )
         for part in claim.parts:
             cells = [_number(part, findings), ""]
             verdict = part.verdict(part.measured(findings)) if part.column == "paper" else ""
             lines.append(
-                f'<tr><td>{html.escape(part.what)}<td class="n">{html.escape(part.expectation())}'
+                f'<tr><td>{marked(part.what)}<td class="n">{marked(part.expectation())}'
                 + "".join(f'<td class="n">{cell}' for cell in (cells if part.column == "paper" else cells[::-1]))
                 + f"<td>{_verdict(verdict)}</tr>"
             )
@@ -358,33 +450,49 @@ def _table_one(figure: Figure, findings: dict[str, Findings]) -> str:
     return "\n".join(["<p>Table I.</p>", *lines, "</table>"])
 
 
-def _runs(folders: list[Path], seconds: float) -> str:
-    total = sum(map(_seconds, folders))
+def _runs(runs: list[dict]) -> str:
+    """A row for the runs that differ by their seeds alone; runs.csv has each of them."""
     lines = [
         "<h2>Runs</h2>",
-        f"<p>{len(folders)} runs, {_duration(total)} together (as many at a time as there are cores); figures and this "
-        f"page: {_duration(seconds)}.</p>",
-        '<div class="scroll"><table><tr><th>run<th>grid<th>H<th>λ_s / a<th>seed<th>wall<th>contact areas<th>pressures'
-        "<th>certified<th>transforms<th>solve / s<th>run / s</tr>",
+        f"<p>{len(runs)} runs, {_duration(runs)} together, listed in runs.csv.</p>",
+        f"<table><tr><th>runs<th>surfaces<th>grid<th>{marked('H')}<th>{marked('λ_s/a')}<th>wall<th>contact areas"
+        f"<th>{marked('10³ p̄')}<th>certified<th>transforms<th>time</tr>",
     ]
-    for path in folders:
-        results = Results(path)
-        surface, wall, loads = results.job["surface"], results.job["wall"], results.loads
-        kind = f"ζ = {wall['zeta']:g}" if "zeta" in wall else wall["kind"]
-        areas = loads["contact_area"] if "zeta" not in wall else []
+    groups = defaultdict(list)
+    for row in runs:
+        groups[re.sub(r"-s\d+", "", row["run"])].append(row)
+    for name, rows in groups.items():
+        first = rows[0]
+        areas = np.array([row["contact_areas"].split() for row in rows], float)
         cells = [
-            path.name, " × ".join(map(str, results.shape)), _short(surface.get("hurst")),
-            _short(surface.get("lambda_s")),
-            surface.get("seed", ""), kind, ", ".join(f"{value:.3f}" for value in areas),
-            ", ".join(f"{value:.4g}" for value in loads["mean_pressure"]), f"{loads['certified_error'].max():.0e}",
-            f"{loads['transforms'].sum():.0f}", f"{loads['seconds'].sum():.1f}", f"{_seconds(path):.0f}",
+            html.escape(name), len(rows), first["grid"], first["H"], first["lambda_s"], marked(first["wall"]),
+            ", ".join(f"{area:.2g}" for area in areas.mean(axis=0)),
+            ", ".join(f"{1e3 * float(load):.3g}" for load in first["pressures"].split()),
+            f"{max(float(row['certified']) for row in rows):.0e}",
+            f"{np.mean([float(row['transforms']) for row in rows]):.0f}", _duration(rows),
         ]  # fmt: skip
-        lines.append("<tr>" + "".join(f"<td>{html.escape(str(cell))}" for cell in cells) + "</tr>")
-    return "\n".join([*lines, "</table></div>"])
+        lines.append("<tr>" + "".join(f"<td>{cell}" for cell in cells) + "</tr>")
+    return "\n".join([*lines, "</table>"])
 
 
-def _short(value: float | None) -> str:
-    return "" if value is None else f"{value:g}"
+def _second_reader(path: Path, asked: list[Claim], findings: dict[str, Findings]) -> str:
+    """Verdicts of a reader who saw the paper's words and the tables, not the report, beside its own."""
+    if not path.exists():
+        return ""
+    with open(path, "rb") as file:
+        content = tomllib.load(file)
+    ours = {claim.number: claim.verdict(findings) for claim in asked}
+    notes = {note["claim"]: note for note in content["note"]}
+    apart = [number for number, note in notes.items() if note["verdict"] != ours[number]]
+    lines = [
+        f"<h2>The second reader</h2><p>{marked(content['how'])} The verdicts agree in {len(ours) - len(apart)} of "
+        f"{len(ours)} rows.</p>",
+        "<table><tr><th>no.<th>the rules say<th>the reader says<th>reasons</tr>",
+    ]
+    for number, note in sorted(notes.items()):
+        verdicts = f"<td>{_verdict(ours[number])}<td>{_verdict(note['verdict'])}"
+        lines.append(f"<tr><td>{number}{verdicts}<td>{marked(note['why'])}</tr>")
+    return "\n".join([*lines, "</table>"])
 
 
 def _seconds(path: Path) -> float:
@@ -395,7 +503,8 @@ def _seconds(path: Path) -> float:
     return (datetime.fromisoformat(about["finished"]) - datetime.fromisoformat(about["date"])).total_seconds()
 
 
-def _duration(seconds: float) -> str:
+def _duration(runs: list[dict]) -> str:
+    seconds = sum(float(row["run_s"]) for row in runs)
     return f"{math.ceil(seconds)} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
@@ -407,14 +516,22 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--output", type=Path, metavar="DIR", help="folder of the report (default: DIR/report)")
     parser.add_argument("--small", action="store_true", help="the runs are those of jobs/paper.sh --small")
+    parser.add_argument("--page", action="store_true", help="DIR is the folder of a report: write its page anew")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="figures at a time (default 1)")
     options = parser.parse_args(arguments)
-    if not options.runs.is_dir() or not any(map(_complete, options.runs.iterdir())):
-        print(f"report.py: error: {options.runs}: holds no complete run", file=sys.stderr)
+    wanted = "table runs.csv" if options.page else "complete run"
+    found = options.runs.is_dir() and (
+        (options.runs / "runs.csv").exists() if options.page else any(map(_complete, options.runs.iterdir()))
+    )
+    if not found:
+        print(f"report.py: error: {options.runs}: holds no {wanted}", file=sys.stderr)
         return 2
     try:
-        output = options.output or options.runs / "report"
-        print(write_report(options.runs, output, small=options.small, jobs=options.jobs))
+        if options.page:
+            print(write_page(options.runs, small=options.small))
+        else:
+            output = options.output or options.runs / "report"
+            print(write_report(options.runs, output, small=options.small, jobs=options.jobs))
     except InputError as error:
         print(f"report.py: error: {error}", file=sys.stderr)
         return 2
