@@ -11,9 +11,10 @@ import pgfmd
 from pgfmd.application import job
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
+from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables import network
-from pgfmd.observables.network import Network, flow_through
+from pgfmd.observables import multigrid
+from pgfmd.observables.network import Network, flow_through, slab_graph
 
 pytestmark = pytest.mark.mpi
 
@@ -77,7 +78,7 @@ def test_duality(comm):
     dual_right, dual_down = 1 / np.roll(down, -1, 1), 1 / np.roll(right, -1, 0)
     mask = np.ones(grid.local_shape, bool)
     one, other = (
-        Network(grid, mask, *(face[grid.rows].copy() for face in faces)).solve(axis, 1e-12)
+        Network(grid, slab_graph(grid, mask, *(face[grid.rows] for face in faces))).solve(axis, 1e-12)
         for faces, axis in (((down, right), 0), ((dual_down, dual_right), 1))
     )
     assert one.upper * other.upper == pytest.approx(1, rel=1e-10)
@@ -88,14 +89,15 @@ def test_bounds_enclose_a_direct_solution(comm, monkeypatch, coarsest):
     """On networks with holes and contrasts to 1e6, the bounds enclose the direct solution and are as near as asked; the
     flux is balanced in each point, and the same through any cut.  1e-9: rounding of the direct solution.
     """
-    monkeypatch.setattr(network, "COARSEST", coarsest)
+    monkeypatch.setattr(multigrid, "COARSEST", coarsest)
     rng = np.random.default_rng(9)
     for case in range(12):
         shape, axis, width = tuple(rng.integers(4, 20, 2)), case % 2, 10.0 ** -rng.integers(1, 10)
         mask = rng.random(shape) < rng.uniform(0.75, 1)
         down, right = np.exp(rng.normal(size=(2, *shape)) * rng.uniform(0, 3))
         exact, grid = direct(mask, down, right, axis), SlabGrid(comm, shape)
-        found = Network(grid, *(field[grid.rows].copy() for field in (mask, down, right))).solve(axis, width, True)
+        graph = slab_graph(grid, *(field[grid.rows].copy() for field in (mask, down, right)))
+        found = Network(grid, graph).solve(axis, width, True)
         slack = 1e-9 * exact + 1e-20
         assert found.lower - slack <= exact <= found.upper + slack
         assert found.upper - found.lower <= width * found.upper + slack
@@ -122,6 +124,12 @@ def test_closed_gap(comm):
     gap = np.ones((12, 12))
     gap[4] = 0
     assert flow(comm, gap, 0)[:2] == (0.0, 0.0) and flow(comm, gap, 1).upper == pytest.approx(11 / 12, rel=1e-10)
+
+
+def test_gap_beyond_double_precision(comm):
+    """A gap whose cube overflows is refused in one line."""
+    with pytest.raises(InputError, match="cube of the largest gap, 1e\\+120"):
+        flow(comm, np.full((8, 8), 1e120), 0)
 
 
 def test_in_a_run(comm, shared_tmp_path):

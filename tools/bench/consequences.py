@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.bottleneck import bottlenecks
-from pgfmd.observables.network import Network, flow_through
+from pgfmd.observables.network import Network, flow_through, slab_graph
 from pgfmd.parallel.mpi import world
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -81,7 +81,8 @@ def enclosed() -> Iterator[Row]:
     for _ in range(500):
         shape, axis = tuple(int(n) for n in rng.integers(4, 30, 2)), int(rng.integers(2))
         down, right = np.exp(rng.normal(size=(2, *shape)) * rng.uniform(0, 2))
-        network = Network(SlabGrid(comm, shape), np.ones(shape, bool), down, right)
+        grid = SlabGrid(comm, shape)
+        network = Network(grid, slab_graph(grid, np.ones(shape, bool), down, right))
         found = network.solve(axis, 10.0 ** -rng.integers(1, 9))
         number = np.arange(math.prod(shape)).reshape(shape)
         ends = [(number.ravel(), np.roll(number, -1, way).ravel()) for way in (0, 1)]

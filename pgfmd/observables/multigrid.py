@@ -1,0 +1,440 @@
+"""Potentials of a graph by flexible conjugate gradients with aggregation multigrid (K-cycle: Notay, Vassilevski 2008,
+doi:10.1002/nla.542), on slabs.
+
+The finest level is a slab of the grid, the others have compressed rows.  Two levels lie in slabs, with copies of the
+points of neighbouring ranks; aggregates stay within a slab.  The next one, about .03 of the points, is gathered on rank
+0.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from pgfmd.observables.flow_graph import (
+    ACROSS_X,
+    ACROSS_Y,
+    BORDER_BELOW,
+    Graph,
+    back_substituted,
+    coarsened,
+    composed,
+    eliminated,
+    match,
+    potential_flux,
+    shared_flux,
+    unrolled,
+)
+from pgfmd.parallel.compiled import compiled
+from pgfmd.parallel.mpi import MPI
+
+COARSEST = 400  # points that are eliminated
+IN_SLABS = 2  # levels
+SIZES = 3, 6  # most points of an aggregate after the first and the second matching
+SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
+FIRST = 4  # steps on rank 0 for the start
+INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor on the residual
+NOTHING = np.empty(0)  # in place of a target of 0
+NOWHERE = np.empty(0, np.int32)  # in place of aggregates: values are stored point by point
+
+
+class Halo:
+    """Copies of points of the ranks before and after: they follow the own points in vectors."""
+
+    def __init__(self, comm: MPI.Comm, count: int, sent: list[np.ndarray], copies: list[int]) -> None:
+        """count: of own points; sent: those that the rank before and the one after need; copies: of their points."""
+        self.comm, self.count, self.sent, self.copies = comm, count, sent, copies
+
+    def fill(self, vector: np.ndarray) -> None:
+        """Brings the present values of the copies.  Collective."""
+        comm, begin = self.comm, self.count
+        for side in (0, 1):  # copies of the rank before; of the one after
+            step, end = 2 * side - 1, begin + self.copies[side]
+            source, target = (comm.rank + step) % comm.size, (comm.rank - step) % comm.size
+            comm.Sendrecv(vector[self.sent[1 - side]], target, recvbuf=vector[begin:end], source=source)
+            begin = end
+
+    def coarse(self, aggregate: np.ndarray, count: int) -> Halo:
+        """Numbers the aggregates of the copies, after `count` own ones; returns the halo of aggregates.  Collective."""
+        unique = [np.unique(aggregate[part]) for part in self.sent]
+        unique = [numbers[numbers >= 0] for numbers in unique]
+        begin, copies, places = self.count, list[int](), np.empty(len(aggregate), np.int32)
+        for side in (0, 1):
+            own, sent = aggregate[self.sent[1 - side]], unique[1 - side]
+            places[self.sent[1 - side]] = np.where(own < 0, -1, np.searchsorted(sent, own))
+            self.fill(places)
+            part = slice(begin, begin + self.copies[side])
+            aggregate[part] = np.where(places[part] < 0, -1, count + sum(copies) + places[part])
+            copies.append(int(places[part].max(initial=-1)) + 1)
+            begin = part.stop
+        return Halo(self.comm, count, unique, copies)
+
+
+class Step(NamedTuple):
+    """A direction, −A · direction (in a slab, where it would take most memory, it is not kept), and its energy."""
+
+    direction: np.ndarray
+    product: np.ndarray
+    energy: float
+
+
+class Level:
+    """One level of the multigrid, with all coarser ones.  Vectors hold own points, then copies.  Collective to make.
+
+    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.
+    """
+
+    def __init__(self, graph: Graph, halo: Halo | None, depth: int = 0) -> None:
+        self.graph, self.halo, self.depth = graph, halo, depth
+        self.copies = sum(halo.copies) if halo else 0
+        self.coarse: Level | None = None
+        self.factor = np.empty((0, 0))
+        if halo is not None and depth == IN_SLABS:
+            self._gather(halo)
+        elif graph.points <= COARSEST and halo is None:
+            self.factor = eliminated(graph)
+        else:
+            self._aggregate(halo)
+
+    def _aggregate(self, halo: Halo | None) -> None:
+        graph, sizes = self.graph, np.ones(self.graph.points, np.int32)
+        for most in SIZES:
+            found, count = match(graph, sizes, most, halo is None)
+            if halo is None and count > SLOW * graph.points:
+                found, count = match(graph, sizes, 2 * graph.points, True)
+            wholes = np.zeros(count, np.int32)
+            restrict(sizes, found, graph.points, wholes)
+            sizes = wholes
+            if halo is not None:
+                found = np.concatenate([found, np.empty(sum(halo.copies), np.int32)])
+                halo = halo.coarse(found, count)
+            graph = coarsened(graph, found, count)
+            if most == SIZES[0]:
+                self.aggregate = found
+            else:
+                composed(self.aggregate, found)
+        self.coarse = Level(graph, halo, self.depth + 1)
+
+    def _gather(self, halo: Halo) -> None:
+        """Makes the level of rank 0, whose points are those of all ranks in turn."""
+        comm, (first, other, weight, border) = halo.comm, self.graph
+        self.counts = np.array(comm.allgather(self.graph.points))
+        number = np.zeros(self.graph.points + self.copies, np.int32)
+        number[: self.graph.points] = np.arange(self.graph.points) + self.counts[: comm.rank].sum()
+        halo.fill(number)
+        parts = comm.gather((np.diff(first), number[other], weight, border))
+        if parts is None:
+            nothing = np.empty(0, np.int32)
+            whole = Graph(np.zeros(1, np.int64), nothing, np.empty(0), nothing.astype(np.int8))
+        else:
+            degree, *columns = (np.concatenate(each) for each in zip(*parts, strict=True))
+            whole = Graph(np.concatenate([[0], np.cumsum(degree)]), *columns)
+        self.faces = np.array(comm.allgather(len(other)))
+        self.root = Level(whole, None) if comm.rank == 0 else None
+
+    def to_root(self, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """One vector of those of all ranks, on rank 0; empty elsewhere.  Collective."""
+        assert self.halo is not None
+        comm = self.halo.comm
+        whole = np.empty(counts.sum() if comm.rank == 0 else 0)
+        comm.Gatherv(np.ascontiguousarray(values), [whole, counts])
+        return whole
+
+    def from_root(self, whole: np.ndarray, counts: np.ndarray) -> np.ndarray:
+        """This rank's part of a vector of rank 0.  Collective."""
+        assert self.halo is not None
+        comm = self.halo.comm
+        part = np.empty(counts[comm.rank])
+        comm.Scatterv([whole, counts], part)
+        return part
+
+    def new(self, values: np.ndarray | float = 0.0) -> np.ndarray:
+        """A vector with these values on own points."""
+        vector = np.zeros(self.graph.points + self.copies)
+        vector[: self.graph.points] = values
+        return vector
+
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Σ a b over the points of all ranks.  Collective."""
+        return self.sum(float(a[: self.graph.points] @ b[: self.graph.points]))
+
+    def sum(self, own: float) -> float:
+        """Sum over the ranks.  Collective."""
+        return own if self.halo is None else float(self.halo.comm.allreduce(own))
+
+    def rest(self, target: np.ndarray, x: np.ndarray, out: np.ndarray, aggregate: np.ndarray = NOWHERE) -> np.ndarray:
+        """Stores target − Ax in `out`, or adds it up over aggregates.  Returns `out`.  Collective."""
+        if self.halo is not None:
+            self.halo.fill(x)
+        (residual if len(self.graph.first) else residual_in_slab)(self.graph, target, x, aggregate, out)
+        return out
+
+    def restricted(self, values: np.ndarray) -> np.ndarray:
+        """Sums over aggregates."""
+        assert self.coarse is not None
+        out = self.coarse.new()
+        restrict(values, self.aggregate, self.graph.points, out)
+        return out
+
+    def prolonged(self, coarse: np.ndarray, out: np.ndarray) -> np.ndarray:
+        """Adds the value of its aggregate to each own point of `out`, and returns that."""
+        prolong(coarse, self.aggregate, self.graph.points, out)
+        return out
+
+    def cycle(self, target: np.ndarray) -> np.ndarray:
+        """z ≈ A⁻¹ target: a symmetric preconditioner, but for inner steps.  Collective."""
+        if len(self.factor):
+            return back_substituted(self.factor, target)
+        if self.coarse is None:
+            return self.gathered_solution(target)
+        z, sweep = self.new(), relax if len(self.graph.first) else relax_in_slab
+        sweep(self.graph, target, z, False)
+        coarse = self.rest(target, z, self.coarse.new(), self.aggregate)
+        self.prolonged(self.coarse.solved(coarse), z)
+        if self.halo is not None:
+            self.halo.fill(z)
+        sweep(self.graph, target, z, True)
+        return z
+
+    def gathered_solution(self, target: np.ndarray) -> np.ndarray:
+        """The solution of rank 0 for the target of all ranks, which lies on one of its levels.  Collective."""
+        whole = self.to_root(target[: self.graph.points], self.counts)
+        if self.root is not None:
+            whole = self.root.solved(whole)
+        return self.new(self.from_root(whole, self.counts))
+
+    def solved(self, target: np.ndarray) -> np.ndarray:
+        """A⁻¹ target by a few steps of flexible conjugate gradients, or exactly on the coarsest level.  Collective."""
+        if len(self.factor) or self.coarse is None:
+            return self.cycle(target)
+        x, r, step = self.new(), target.copy(), None
+        goal = 0.0
+        for k in range(INNER):
+            square = self.sum(scaled_square(self.graph, r))
+            goal = goal or INNER_CUT**2 * square
+            if square <= goal and k or square == 0:
+                break
+            step = self.advance(x, r, self.cycle(r), step)
+        return x
+
+    def start(self, b: np.ndarray, kind: int) -> np.ndarray:
+        """A good start for Au = b.  Collective."""
+        count = self.graph.points
+        if self.coarse is not None and self.halo is not None:
+            return self.prolonged(self.coarse.start(self.restricted(b), kind), self.new())
+        if self.halo is not None:
+            whole = self.to_root(b[:count], self.counts)
+            if self.root is not None:
+                whole = self.root.start(whole, kind)
+            return self.new(self.from_root(whole, self.counts))
+        last: Level = self
+        largest: np.ndarray = np.arange(count, dtype=np.int32)
+        while last.coarse is not None:
+            largest, last = last.aggregate[largest], last.coarse
+        x = unrolled(self.graph, largest, kind)
+        x += last.cycle(self.rest(b, x, last.new(), largest))[largest]
+        r, step = self.rest(b, x, self.new()), None
+        for _ in range(FIRST):
+            step = self.advance(x, r, self.cycle(r), step)
+        return x
+
+    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Step | None) -> Step:
+        """One step along z made conjugate to the last one, whose memory is used.  Collective."""
+        lean = len(self.graph.first) == 0
+        if step is None:
+            direction, product = z, self.new() if not lean else NOTHING
+        else:
+            direction, product, energy = step
+            both = self.form(z, direction) if lean else -self.dot(z, product)
+            add_scaled(z, -both / energy, direction, direction)
+        if not lean:
+            self.rest(NOTHING, direction, product)
+        energy = self.form(direction, direction) if lean else -self.dot(direction, product)
+        length = self.dot(direction, r) / energy if energy > 0 else 0.0
+        add_scaled(x, length, direction, x)
+        if lean:
+            direction *= length
+            energy *= length**2
+            self.rest(r, direction, r)
+        else:
+            add_scaled(r, length, product, r)
+        return Step(direction, product, energy or math.inf)
+
+    def form(self, a: np.ndarray, b: np.ndarray, kind: int = 0) -> float:
+        """Σ T (a_j − a_i + w)(b_j − b_i + w) over the faces of a slab's graph; kind 0: without w.  Collective."""
+        assert self.halo is not None
+        self.halo.fill(a)
+        if b is not a:
+            self.halo.fill(b)
+        return self.sum(form_in_slab(self.graph, kind, a, b))
+
+    def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[np.ndarray, float]:
+        """A flux f_ij on the faces with Σ_j f_ij = r_i, and Σ f²/T over the faces of this rank's points, each counted
+        for both.  keep: else the flux is not stored.  Collective.
+        """
+        graph = self.graph
+        if len(self.factor):
+            flux = potential_flux(graph, back_substituted(self.factor, r))
+            return flux, float(np.sum(flux**2 / graph.weight))
+        if self.coarse is None and graph.points == 0 and self.halo is None:
+            return np.empty(0), 0.0
+        if self.coarse is None:
+            whole = self.to_root(r[: graph.points], self.counts)
+            if self.root is not None:
+                whole = self.root.fluxes(whole)[0]
+            flux = self.from_root(whole, self.faces)
+            return flux, float(np.sum(flux**2 / graph.weight))
+        coarse, _ = self.coarse.fluxes(self.restricted(r))
+        faces = len(graph.weight) if len(graph.first) else 2 * graph.points
+        flux = np.zeros(faces if keep else 0)
+        return flux, shared_flux(graph, self.coarse.graph, coarse, self.aggregate, r[: graph.points], flux)
+
+
+@compiled()
+def residual(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndarray, out: np.ndarray) -> None:
+    """out = target − Ax, or added up over aggregates unless these are empty; target: 0 if empty."""
+    for i in range(len(graph.first) - 1):
+        total = target[i] if len(target) else 0.0
+        for k in range(graph.first[i], graph.first[i + 1]):
+            total += graph.weight[k] * (x[graph.other[k]] - x[i])
+        if len(aggregate):
+            out[aggregate[i]] += total
+        else:
+            out[i] = total
+
+
+@compiled()
+def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndarray, out: np.ndarray) -> None:
+    """The same of a graph of a slab, row by row."""
+    n, ny = graph.other
+    line = np.empty(ny)
+    for begin in range(0, n, ny):
+        own, after = x[begin : begin + ny], begin + (2 * ny if begin + ny == n else ny)
+        before = begin - ny if begin else n
+        up, down = graph.weight[begin : begin + ny], graph.weight[begin + ny : begin + 2 * ny]
+        right, above, below = graph.weight[n + ny + begin : n + begin + 2 * ny], x[before : before + ny], x[after:]
+        for j in range(ny):
+            line[j] = up[j] * (above[j] - own[j]) + down[j] * (below[j] - own[j])
+        for j in range(1, ny):
+            line[j] += right[j - 1] * (own[j - 1] - own[j])
+        for j in range(ny - 1):
+            line[j] += right[j] * (own[j + 1] - own[j])
+        across = right[ny - 1] * (own[0] - own[ny - 1])
+        line[ny - 1] += across
+        line[0] -= across
+        if len(target):
+            for j in range(ny):
+                line[j] += target[begin + j]
+        if len(aggregate):
+            for j in range(ny):
+                if aggregate[begin + j] >= 0:
+                    out[aggregate[begin + j]] += line[j]
+        else:
+            out[begin : begin + ny] = line
+
+
+@compiled()
+def relax(graph: Graph, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
+    """A sweep of Gauss–Seidel over own points, forward or backward."""
+    count = len(graph.first) - 1
+    for step in range(count):
+        i = count - 1 - step if backward else step
+        total, diagonal = target[i], 0.0
+        for k in range(graph.first[i], graph.first[i + 1]):
+            total += graph.weight[k] * x[graph.other[k]]
+            diagonal += graph.weight[k]
+        if diagonal > 0:
+            x[i] = total / diagonal
+
+
+@compiled()
+def relax_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
+    """The same of a graph of a slab: of each row first what does not depend on the sweep along it."""
+    n, ny = graph.other
+    line, factor, left = np.empty(ny), np.empty(ny), np.empty(ny)
+    for step in range(0, n, ny):
+        begin = n - ny - step if backward else step
+        own, after = x[begin : begin + ny], begin + (2 * ny if begin + ny == n else ny)
+        before = begin - ny if begin else n
+        up, down = graph.weight[begin : begin + ny], graph.weight[begin + ny : begin + 2 * ny]
+        right, above, below = graph.weight[n + ny + begin : n + begin + 2 * ny], x[before : before + ny], x[after:]
+        left[1:] = right[:-1]
+        left[0] = right[ny - 1]
+        for j in range(ny):
+            diagonal = up[j] + down[j] + left[j] + right[j]
+            inverse = 1 / diagonal if diagonal > 0 else 0.0
+            line[j] = (target[begin + j] + up[j] * above[j] + down[j] * below[j]) * inverse
+            factor[j] = inverse
+        if backward:
+            for j in range(1, ny):
+                line[j] += left[j] * factor[j] * own[j - 1]
+            value = own[0]
+            for j in range(ny - 1, 0, -1):
+                value = line[j] + right[j] * factor[j] * value
+                own[j] = value
+            own[0] = line[0] + factor[0] * (left[0] * own[ny - 1] + right[0] * own[1 % ny])
+        else:
+            for j in range(ny - 1):
+                line[j] += right[j] * factor[j] * own[j + 1]
+            value = own[ny - 1]
+            for j in range(ny - 1):
+                value = line[j] + left[j] * factor[j] * value
+                own[j] = value
+            last = ny - 1
+            own[last] = line[last] + factor[last] * (left[last] * own[last - 1] + right[last] * own[0])
+
+
+@compiled()
+def form_in_slab(graph: Graph, kind: int, a: np.ndarray, b: np.ndarray) -> float:
+    """Σ T (a_j − a_i + w)(b_j − b_i + w) over the faces to the next row and the next column of a slab."""
+    (n, ny), total = graph.other, 0.0
+    for begin in range(0, n, ny):
+        end, of_row = begin + ny, 0.0
+        after, w = end if end < n else n + ny, 1 if graph.border[begin] & BORDER_BELOW and kind == ACROSS_X else 0
+        down, right = graph.weight[end : end + ny], graph.weight[n + end : n + end + ny]
+        a_row, a_next, b_row, b_next = a[begin:end], a[after : after + ny], b[begin:end], b[after : after + ny]
+        for j in range(ny):
+            of_row += down[j] * (a_next[j] - a_row[j] + w) * (b_next[j] - b_row[j] + w)
+        for j in range(ny - 1):
+            of_row += right[j] * (a_row[j + 1] - a_row[j]) * (b_row[j + 1] - b_row[j])
+        w = 1 if kind == ACROSS_Y else 0
+        total += of_row + right[ny - 1] * (a_row[0] - a_row[ny - 1] + w) * (b_row[0] - b_row[ny - 1] + w)
+    return total
+
+
+@compiled()
+def restrict(values: np.ndarray, aggregate: np.ndarray, n: int, out: np.ndarray) -> None:
+    """Adds the values of the first n points up over their aggregates."""
+    for i in range(n):
+        if aggregate[i] >= 0:
+            out[aggregate[i]] += values[i]
+
+
+@compiled()
+def prolong(coarse: np.ndarray, aggregate: np.ndarray, n: int, out: np.ndarray) -> None:
+    """Adds the value of its aggregate to each of the first n points."""
+    for i in range(n):
+        if aggregate[i] >= 0:
+            out[i] += coarse[aggregate[i]]
+
+
+@compiled()
+def scaled_square(graph: Graph, r: np.ndarray) -> float:
+    """Σ r²/diagonal of a graph in compressed rows."""
+    total = 0.0
+    for i in range(len(graph.first) - 1):
+        diagonal = 0.0
+        for k in range(graph.first[i], graph.first[i + 1]):
+            diagonal += graph.weight[k]
+        if diagonal > 0:
+            total += r[i] * r[i] / diagonal
+    return total
+
+
+@compiled()
+def add_scaled(a: np.ndarray, factor: float, b: np.ndarray, out: np.ndarray) -> None:
+    """out = a + factor · b."""
+    for i in range(len(a)):
+        out[i] = a[i] + factor * b[i]
