@@ -123,7 +123,9 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
-        """Fills rows with the gap at each pressure, and with −dp/dgap there, infinite where the wall is hard."""
+        """Fills rows with the gap at each pressure, and with −dp/dgap there, infinite where the wall is hard.
+        `slope` may be `pressure`.
+        """
         raise NotImplementedError
 
     def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:

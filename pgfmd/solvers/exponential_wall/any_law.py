@@ -5,8 +5,8 @@ With the law's gap e at the pressure of each point and w = √(−P'(e)), Newton
     (1 + w G w) y = −w (g − e − c),     Σ w y = 0,
 
 which for P = exp(−e/ζ) is that of `newton` over ζ.  The pointwise step α p̂⁺ − e⁺ = α (p̂ + δp̂) − (g + Gδp̂) + c is the
-same.  A step is shortened where the slope of the objective along it, ⟨g − e, p̂₁ − p̂₀⟩, has changed its sign and is
-more than half of what it was: that needs no energy of the law in closed form.
+same.  A step is shortened where the objective rises along it, by three values of its slope, ⟨g − e, p̂₁ − p̂₀⟩: that
+needs no energy of the law in closed form.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ class LawNewton(Newton):
         """None: steps are judged by slopes."""
         return math.inf, math.inf
 
-    def linearise(self, state: LawState) -> None:
-        """The law's gap e and −P'(e), at most `STIFFEST`/α, at the state's pressures."""
-        self.each(self.problem.law.gap_and_slope, state.pressure, self.law_gap, self.slope)
+    def linearise(self, pressure: np.ndarray) -> None:
+        """The law's gap e and −P'(e), at most `STIFFEST`/α, at pressures (nx_local, ny)."""
+        self.each(self.problem.law.gap_and_slope, pressure, self.law_gap, self.slope)
         np.minimum(self.slope, STIFFEST / self.alpha, out=self.slope)
 
     def start(self, state: LawState, root: np.ndarray, residual: np.ndarray) -> tuple[float, float]:
         """Fills w and −w (g − e − c) with c such that Σ w × that is 0; returns the sum of its squares, and Σ w².
         Collective.
         """
-        self.linearise(state)
+        self.linearise(state.pressure)
         sums = self.grid.reduction
         mass = sums.sum(self.slope)
         away = state.gap - self.law_gap
@@ -55,26 +55,35 @@ class LawNewton(Newton):
         return sums.dot(residual, residual), max(mass, np.finfo(float).tiny)
 
     def advance(self, state: LawState, wanted: float, before: Merits) -> Merits:
-        """One Newton step, shortened while it goes too far.  Collective."""
-        pressure, gap, level = state.pressure.copy(), state.gap.copy(), state.level
+        """One Newton step, shortened while the objective rises along it.  Collective."""
+        old, level = LawState(state.pressure.copy(), state.gap.copy()), state.level
         self.respond(state, self.newton_target(state, wanted), self.alpha)
         self.compute_gap(state)
-        at_start = self.along(pressure, state.pressure, gap, level)
+
+        def slope(part: float) -> float:
+            """⟨g − e − c, new − old⟩ at that part of the step, where g and p are linear; c only keeps digits."""
+            change, scratch = state.pressure - old.pressure, self.slope  # which `start` fills anew
+            if part > 0:
+                np.multiply(change, part, out=scratch)
+                scratch += old.pressure
+                self.linearise(scratch)
+            np.subtract(state.gap, old.gap, out=scratch)
+            scratch *= part
+            scratch += old.gap
+            scratch -= self.law_gap
+            scratch -= level
+            return float(self.grid.reduction.dot(scratch, change))
+
+        first = slope(0.0)
         for _ in range(SHORTENED):
-            self.linearise(state)
-            if self.along(pressure, state.pressure, state.gap, level) <= abs(at_start) / 2:
+            last = slope(1.0)
+            if last <= abs(first) / 2 or first + 4 * slope(0.5) + last <= 0:  # Simpson's rule
                 break
             # Towards the old state the gap is linear, so that no convolution is needed.
-            self.each(partial(loops.mix, fraction=BACK), pressure, state.pressure)
-            self.each(partial(loops.mix, fraction=BACK), gap, state.gap)
-            at_start *= BACK
+            self.each(partial(loops.mix, fraction=BACK), old.pressure, state.pressure)
+            self.each(partial(loops.mix, fraction=BACK), old.gap, state.gap)
+            first *= BACK
             (work,) = self.total(loops.work, state.pressure, state.gap, self.heights)
             state.work = float(work) / self.grid.size
         self.certify(state)
         return before
-
-    def along(self, old: np.ndarray, new: np.ndarray, gap: np.ndarray, level: float) -> float:
-        """⟨g − e − c, new − old⟩ with the law's gap as it was linearised last; c = level changes nothing but rounding,
-        as both have the same mean.  Collective.
-        """
-        return float(self.grid.reduction.dot(gap - self.law_gap - level, new - old))
