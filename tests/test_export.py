@@ -96,6 +96,9 @@ def test_surface_topography_reads_them(tmp_path, form):
 def test_the_command(tmp_path, capsys):
     """It names the files, seeds of an ensemble in folders of their own; missing fields and units are one line."""
     solved(tmp_path / "out")
+    (tmp_path / "file").touch()
+    assert main(["export", str(tmp_path / "out"), "--output", str(tmp_path / "file")]) == 1
+    assert capsys.readouterr().err == f"pgfmd: error: [Errno 17] File exists: '{tmp_path / 'file'}'\n"
     assert main(["export", str(tmp_path / "out")]) == 0
     assert capsys.readouterr().out.split() == [str(tmp_path / "out" / "export" / f"load_000{i}.nc") for i in (0, 1)]
     solved(tmp_path / "out", fields=["pressure"])

@@ -59,11 +59,11 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     except KeyboardInterrupt as error:
         return _complain(error) if launched_rank() == 0 else INTERRUPTED
-    except (InputError, SolverError) as error:
-        return _complain(error) if launched_rank() == 0 else _code(error)
     except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
         sys.stdout = open(os.devnull, "w")
         return 0
+    except (InputError, SolverError, OSError) as error:
+        return _complain(error) if launched_rank() == 0 else _code(error)
 
 
 def _show(text: str) -> None:

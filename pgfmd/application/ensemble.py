@@ -48,12 +48,13 @@ class Ensemble(Runs):
     """
 
     def __init__(self, directory: str | os.PathLike):
-        self.directory = Path(directory)
+        self.directory, path = Path(directory), Path(directory) / ENSEMBLE_FILE
         try:
-            with h5py.File(self.directory / ENSEMBLE_FILE, "r", locking=False) as file:
+            with h5py.File(path, "r", locking=False) as file:
                 self.provenance: dict[str, Any] = dict(file.attrs)
         except OSError as error:
-            raise InputError(f"{self.directory}: not the folder of an ensemble: {error}") from None
+            reason = error if path.exists() else f"there is no {path}"
+            raise InputError(f"{self.directory}: not the folder of an ensemble: {reason}") from None
         self.seeds = [int(seed) for seed in self.provenance["seeds"]]
         self.failed = {int(seed): message for seed, message in json.loads(self.provenance["failed"]).items()}
         super().__init__(Results(folder) for folder in folders(self.directory))

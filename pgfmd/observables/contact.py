@@ -407,6 +407,6 @@ def _asked(options: Mapping[str, Mapping[str, Any]]) -> Iterable[Observable]:
     for name, keys in options.items():
         if name not in OBSERVABLES:
             raise InputError(f"observable {name!r} is not known{guess(name, list(OBSERVABLES))}")
-        observable = build(OBSERVABLES[name], dict(keys))
+        observable = build(OBSERVABLES[name], dict(keys) if isinstance(keys, Mapping) else keys)
         assert isinstance(observable, Observable)
         yield observable
