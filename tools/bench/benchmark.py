@@ -31,8 +31,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from benchmarks.case import Case
-from benchmarks.launch import launch
+from benchmarks.case import Case, launch
 from benchmarks.methods import PEERS
 
 COLUMNS = (

@@ -1,15 +1,21 @@
-"""A benchmark case: one self-affine surface at one load, and the solution that errors are measured against."""
+"""A benchmark case: one self-affine surface at one load, and the solution that errors are measured against; how
+modules of this folder are run in processes of their own, on so many ranks and threads.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import math
+import os
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+ROOT = Path(__file__).resolve().parents[3]
 CONTACT_MODULUS = 8 / 3  # Lamé constants 1
 RMS_SLOPE = 0.031
 SEED = 1
@@ -113,3 +119,17 @@ def inverse_erf(x: float) -> float:
     from scipy.special import erfinv
 
     return float(erfinv(x))
+
+
+def launch(module: str, arguments: list[str], ranks: int, threads: int) -> subprocess.Popen:
+    """Start `python -m benchmarks.<module> arguments`; its output goes to pipes, as text."""
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, str(threads))
+    folders = [str(ROOT / "tools" / "bench"), str(ROOT), os.environ.get("PYTHONPATH", "")]
+    environment["PYTHONPATH"] = os.pathsep.join(folders)
+    command = [sys.executable, "-m", "mpi4py", "-m", f"benchmarks.{module}", *arguments]
+    if ranks > 1:
+        command = ["mpirun", "-n", str(ranks), *command]
+    return subprocess.Popen(
+        command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )

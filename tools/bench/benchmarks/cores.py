@@ -14,8 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, SEED, likely_pressure
-from .launch import launch
+from .case import CONTACT_MODULUS, RMS_SLOPE, SEED, launch, likely_pressure
 
 PLAN = {  # ranks, threads, copies at once
     "one thread": (1, 1, 1),

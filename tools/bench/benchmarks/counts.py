@@ -21,8 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .case import CONTACT_MODULUS, Case, inverse_erf
-from .launch import launch
+from .case import CONTACT_MODULUS, Case, inverse_erf, launch
 from .methods import METHODS
 from .recorder import Recorder
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .launch import launch
+from .case import launch
 
 COLUMNS = ("n", "lambda_s", "ranks", "phase", "seconds", "share_of_solve", "pairs")
 OBSERVABLES = "histogram", "spectra", "acf", "gap_spectrum", "patches", "bearing"

@@ -18,8 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .case import CONTACT_MODULUS, RMS_SLOPE, Case
-from .launch import launch
+from .case import CONTACT_MODULUS, RMS_SLOPE, Case, launch
 from .methods import LADDERS, METHODS, PEERS
 from .recorder import EnoughError, Recorder
 from .worker import TIGHTEST, TOLERANCES, warm_up

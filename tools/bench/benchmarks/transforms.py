@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .launch import launch
+from .case import launch
 
 KINDS = (np.float32, np.float64)
 PLAN = [  # (name, ranks, threads)
