@@ -45,10 +45,10 @@ def certify_file(job: Job, path: str, mean_pressure: float | None = None) -> Cer
     path: of what heights may be read from; or a result folder, whose first load counts, and DIR:2, its third.  Raises
     InputError and SolverError as `pgfmd.certify`, and InputError for a pressure that does not fit the heights.
     """
-    grid = SlabGrid(ALONE, job.grid.shape, job.grid.lengths, transform=job.solver.transform)
+    grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
     with grid.freed():
         job.solid.prepare(grid)
-        heights = job.surface.whole.heights(grid, job.output.length_unit)
+        heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
         turned = getattr(job.surface, "first_axis", "x") == "y"
         given, _ = read_heights(grid, _source(path), turned, 1, None)
         if not np.isfinite(given).all():
