@@ -22,6 +22,20 @@ CLOSING_AREA = 0.37  # in Persson's theory, of the load at which the gap of roug
 RESOLVED = 1e-9  # tolerance over the rms height down to which approaches are counted from the mean height
 
 
+def stress_of_full_contact(problem: ContactProblem, height: float = 1.0) -> float:
+    """Rms of Kh (Persson's s).  height: about that of the heights, so that no square overflows.  Collective."""
+    grid, stiffness, parts = problem.grid, problem.solid.stiffness, dict[int, float]()
+    stiffest = float(stiffness(np.array(math.hypot(*(math.pi / a for a in grid.spacing)))))
+
+    def measure(block: np.ndarray, first: int, stop: int) -> None:
+        stress = np.abs(block) / height * (stiffness(np.sqrt(grid.q_squared(first, stop))) / stiffest)
+        parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
+
+    grid.read_spectrum(source(problem.heights), measure)
+    total = grid.reduction.sum([parts[first] for first in sorted(parts)])
+    return height * stiffest * math.sqrt(total / grid.modes / grid.size)
+
+
 class Control:
     """A quantity that is imposed on one surface, and its value for a solution.
 
@@ -129,16 +143,7 @@ class Control:
     @cached_property
     def stress(self) -> float:
         """Rms of the stress of full contact, Kh (Persson's s).  Collective."""
-        grid, stiffness, parts = self.grid, self.problem.solid.stiffness, dict[int, float]()
-        stiffest, height = float(stiffness(np.array(math.hypot(*(math.pi / a for a in grid.spacing))))), self.rms_height
-
-        def measure(block: np.ndarray, first: int, stop: int) -> None:
-            stress = np.abs(block) / height * (stiffness(np.sqrt(grid.q_squared(first, stop))) / stiffest)
-            parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
-
-        grid.read_spectrum(source(self.problem.heights), measure)
-        total = grid.reduction.sum([parts[first] for first in sorted(parts)])
-        return height * stiffest * math.sqrt(total / grid.modes / grid.size)
+        return stress_of_full_contact(self.problem, self.rms_height)
 
 
 class Pressure(Control):

@@ -21,6 +21,7 @@ from pgfmd.solvers.active_set.feasible import scale_to_load
 from pgfmd.solvers.active_set.primal import PressureSteps
 from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
+from pgfmd.solvers.controls import stress_of_full_contact
 from pgfmd.solvers.nested_iteration import Coarse, NestedIteration
 from pgfmd.solvers.options import GAPS_FROM
 from pgfmd.solvers.second_order import Rounding
@@ -34,18 +35,6 @@ def _new_state(problem: ContactProblem) -> State:
     """Fields not yet set, in single precision unless there is a largest pressure, which is met to its last digit."""
     real = np.float32 if problem.law.highest == np.inf else np.float64
     return State(problem.grid.new_field(real), problem.grid.new_field(real))
-
-
-def stress_of_full_contact(problem: ContactProblem) -> float:
-    """Rms of Kh (Persson's s).  Collective."""
-    grid, stiffness, parts = problem.grid, problem.solid.stiffness, dict[int, float]()
-
-    def measure(block: np.ndarray, first: int, stop: int) -> None:
-        stress = np.abs(block) * stiffness(np.sqrt(grid.q_squared(first, stop)))
-        parts[first] = float(np.sum(grid.hermitian_weight[first:stop] * stress**2))
-
-    grid.read_spectrum(source(problem.heights), measure)
-    return float(np.sqrt(grid.reduction.sum([parts[first] for first in sorted(parts)]) / grid.modes / grid.size))
 
 
 def _full_contact(problem: ContactProblem) -> State | None:
