@@ -83,8 +83,13 @@ class Cropped(Open):
     box: Rectangle = ((0, 0), (0, 0))
 
     def torus(self, shape: Shape, spacing: tuple[float, float]) -> Shape:
-        (top, bottom), (left, right) = self.box
-        return super().torus((max(bottom, shape[0] - top), max(right, shape[1] - left)), spacing)
+        nx, ny = (min(few(max(stop, n - first)), n) for n, (first, stop) in zip(shape, self.box, strict=True))
+        return super().torus((nx, ny), spacing)
+
+
+def few(count: int) -> int:
+    """The least of a few lengths that is at least `count`: planning transforms of a new one takes a second."""
+    return min(factor << (-(-count // factor) - 1).bit_length() for factor in (8, 9, 10, 12, 14, 15))
 
 
 SPLIT = 0.3  # α times the larger spacing, see `physics.solids.open_kernel`

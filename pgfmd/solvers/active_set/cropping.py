@@ -16,7 +16,7 @@ import time
 import numpy as np
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid.domain import Cropped, Rectangle
+from pgfmd.grid.domain import Cropped, Rectangle, few
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict_locally
 from pgfmd.parallel.collectives import shared
@@ -69,7 +69,9 @@ def _worth(grid: SlabGrid, box: Rectangle) -> bool:
 
 
 def _higher(problem: ContactProblem, depth: float, least: tuple[int, int] = (1, 1)) -> Rectangle:
-    """The rectangle of the points no more than `depth` below the highest one, of at least so many.  Collective."""
+    """The rectangle of the points no more than `depth` below the highest one; with a least number of points of its
+    sides, they have one of `few`.  Collective.
+    """
     grid, heights = problem.grid, problem.heights
     level, rows = grid.reduction.max(heights) - depth, np.zeros(grid.shape[0], bool)
 
@@ -83,9 +85,9 @@ def _higher(problem: ContactProblem, depth: float, least: tuple[int, int] = (1, 
     def ends(some: np.ndarray, least: int) -> tuple[int, int]:
         places = np.flatnonzero(some)
         first, last = (int(pick(places.astype(float))) for pick in (grid.reduction.min, grid.reduction.max))
-        stop = last + 1
-        first = max(0, min(first - max(least - (stop - first), 0) // 2, len(some) - least))
-        return first, max(stop, first + least)
+        count = last + 1 - first if least == 1 else min(few(max(last + 1 - first, least)), len(some))
+        first = max(0, min(first - (count - (last + 1 - first)) // 2, len(some) - count))
+        return first, first + count
 
     return ends(rows, least[0]), ends(np.any(columns, axis=0), least[1])
 
