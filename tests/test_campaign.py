@@ -104,6 +104,10 @@ def rough(hurst: float, slope: float, seed: int, **more: float) -> dict:
 
 HALF = {"contact_modulus": 1.0}
 FOUND_BY_CAMPAIGNS = {
+    "a modulus that is the least number": {
+        "grid": {"n": 7}, "solid": {"contact_modulus": 5e-324}, "surface": rough(0.76, 0.0765739364019711, 1),
+        "load": {"pressure": 15568.7},
+    },
     "a soft wall, a heavy load, open": {
         "grid": {"n": [17, 16], "boundary": "open"}, "solid": HALF, "surface": rough(0.3, 5e-33, 7854332287662991715),
         "wall": {"kind": "exponential", "zeta": 6.043e-37}, "load": {"mean_gap": 2.624e-36},

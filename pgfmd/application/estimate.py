@@ -179,10 +179,9 @@ def contact_areas(job: Job) -> list[float]:
     targets = job.imposed.targets
     if job.imposed.control == "contact_area":
         return list(targets)
-    slope = job.surface.whole.known_slope()
-    if job.imposed.control != "pressure" or not slope:
+    full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
+    if job.imposed.control != "pressure" or not full:  # it may underflow
         return [GAPS_FROM]
-    full = job.solid.contact_modulus * slope / math.sqrt(2)
     areas = [math.erf(target / full) for target in targets]
     return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
 
