@@ -302,7 +302,7 @@ def test_a_rectangle_is_enlarged_until_it_is_proved(margin, monkeypatch):
 
 def test_a_small_sphere_costs_less_than_a_pair():
     """Contact of radius .05 L on 1024² points, to 1e-8, at random centres near the middle: at most the work of one
-    periodic pair of transforms.  (On 512² points it is 1.00 to 1.03, off the middle up to 1.5.)
+    periodic pair of transforms.  (On 512² points it is 1.1, off the middle up to 1.5.)
     """
     n, radius = 1024, 8192.0
     for centre in np.random.default_rng(3).random((3, 2)):
