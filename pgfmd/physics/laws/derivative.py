@@ -123,16 +123,24 @@ class _Terms:
         top = self.plus(da, self.times("-1.0", self.times(v, db)))
         return v, "0.0" if top == "0.0" else self.name(f"{top} / {b}")
 
+    def product(self, a: str, n: int) -> str:
+        """aⁿ for n ≥ 0, by squares."""
+        if n == 0:
+            return "1.0"
+        half = self.product(a, n // 2)
+        square = self.times(half, half)
+        return self.times(square, a) if n % 2 else square
+
     def power(self, left: ast.expr, right: ast.expr) -> Dual:
         """aᵇ: a product where b is a whole number that `expressions` leaves one."""
         a, da = self.dual(left)
         match right:
             case ast.Constant(value=int(n)) if n > 0:
-                less = self.name(f"{a}**{n - 1}") if n > 1 else "1.0"
+                less = self.product(a, n - 1)
                 return self.times(less, a), self.times(self.times(repr(float(n)), less), da)
             case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int())):
                 return self.operation(ast.Div(), "1.0", "0.0", *self.power(left, right.operand))
         b, db = self.dual(right)
         v = self.name(f"{a}**{b}")
-        slope = self.times(da, self.times(b, self.name(f"{a}**({b} - 1.0)"))) if da != "0.0" else da
+        slope = self.times(da, self.times(b, self.name(f"{v} / {a}"))) if da != "0.0" else da  # NaN where a = 0
         return v, self.plus(slope, self.times(db, self.times(v, self.name(f"log({a})"))) if db != "0.0" else db)
