@@ -71,7 +71,7 @@ class Leakage(Observable):
         levels.
         """
         directions = 2 if self.direction == "both" else 1
-        return Cost(transforms=70.0 * directions * (1 + 0.25 * self.half_grid) + 5.0 * self.half_grid, memory=160.0)
+        return Cost(transforms=70.0 * directions * (1 + 0.25 * self.half_grid) + 5.0 * self.half_grid, memory=92.0)
 
     def axes(self) -> tuple[int, ...]:
         """0 for x, 1 for y."""
