@@ -49,7 +49,7 @@ class AdhesiveContact(AdhesiveModel):
             self.residual(state, hold)
             self.free[...] = ~inside
             start = np.where(inside, 0.0, -state.stress - hold.force(state.mean)).astype(np.float32)
-            found += conjugate_gradients(self, start, none, hold, lambda _: 1e-4)[0]
+            found += conjugate_gradients(self, start, none, self.actions(hold), lambda _: 1e-4)[0]
         return found
 
     def direction(
@@ -66,11 +66,11 @@ class AdhesiveContact(AdhesiveModel):
             error, (least, most, last) = first * scale, FORCING
             return max(least, min(most, math.sqrt(error)), last * min(1, math.sqrt(tolerance / error)) if error else 0)
 
-        found, bent_down, square, steps = conjugate_gradients(self, start, weight, hold, wanted)
+        found, bent_down, square, steps = conjugate_gradients(self, start, weight, self.actions(hold), wanted)
         state.square = square * state.residual**2
         state.inner += 2 * len(steps) + 1 + bent_down
         if not careful and steps:
-            state.curvature = 1e-3 if bent_down else max(least_ritz(steps), 1e-3)
+            state.curvature = 1e-3 if bent_down else max(least_ritz(steps)[0], 1e-3)
         state.negative |= bent_down
         found *= np.float32(state.residual)
         return found, self.search.copy() if bent_down else None

@@ -36,7 +36,8 @@ NEAR_PIXELS = 4.0  # for μ_T ≤ 1
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
-SHARPER = 1e-5  # of the tolerance, where a state could not be certified
+FAR = 0.05  # distance t from the minimum, in ranges, beyond which ν is not sought where inner iterations found it small
+SHARPER = 1e-4  # of the tolerance, where a state could not be certified
 COLD, FOLLOWED, PROBED = range(3)
 log = logging.getLogger("pgfmd")
 
@@ -226,10 +227,11 @@ class Branch:
     ) -> ContactSolution:
         """The contact in units of the job.  Collective."""
         contact, law = self.contact, self.contact.law
-        floor, bound, distance = estimated(contact, state, hold)
+        floor, bound, distance = estimated(contact, state, hold, FAR)
         if floor <= 0 or bound > self.tolerance * state.scale / 2:  # within a smaller distance, ν may be larger
+            part = min(floor / 2, 0.5) if floor > 0 else SHARPER
             with contextlib.suppress(SolverError):  # the same on all ranks
-                state = contact.minimise(state.gap, hold, self.tolerance * SHARPER, self._see)
+                state = contact.minimise(state.gap, hold, self.tolerance * part, self._see)
             floor, bound, distance = estimated(contact, state, hold)
         proof = proved(contact, state, hold, floor)
         floor, bound, distance = proof or (floor, bound, distance)

@@ -10,7 +10,7 @@ import numpy as np
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import ColumnAction
-from pgfmd.solvers.adhesive_model import AdhesiveModel, Hold
+from pgfmd.solvers.adhesive_model import Actions, AdhesiveModel
 
 MOST_INNER = 200
 Pair = tuple[np.ndarray, np.ndarray]
@@ -18,13 +18,15 @@ Goal = Callable[[float], float]
 
 
 def apply(
-    grid: SlabGrid, action: ColumnAction, source: np.ndarray, drain: Callable[..., tuple[float, float]]
+    grid: SlabGrid, action: ColumnAction, source: tuple[np.ndarray, ...], drain: Callable[..., tuple[float, float]]
 ) -> np.ndarray:
-    """Sums of what `drain` returns of the rows of a convolution in single precision.  Collective."""
+    """Sums of what `drain` returns of the rows of a convolution of the product of one or two fields, in single
+    precision.  Collective.
+    """
     parts: dict[int, tuple[float, float]] = {}
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:
-        rows[...] = source[first:stop]
+        np.multiply(source[0][first:stop], source[-1][first:stop] if source[1:] else np.float32(1), out=rows)
 
     def take(first: int, stop: int, rows: np.ndarray) -> None:
         parts[first] = drain(rows, slice(first, stop))
@@ -34,22 +36,27 @@ def apply(
 
 
 def conjugate_gradients(
-    model: AdhesiveModel, start: np.ndarray, weight: np.ndarray, hold: Hold, wanted: Goal, most: int = MOST_INNER
+    model: AdhesiveModel, start: np.ndarray, weight: np.ndarray, actions: Actions, wanted: Goal, most: int = MOST_INNER
 ) -> tuple[np.ndarray, bool, float, list[tuple[float, float]]]:
     """(K − weight)x = start on the free points, until ⟨r, Gr⟩ has fallen by wanted(its first value per point)².
 
-    start is overwritten.  Returns x, whether `model.search` is now a direction of negative curvature, the first ⟨r, Gr⟩
+    With firm points all points are unknowns.  start becomes what is left of it.
+    Returns x, whether `model.search` is now a direction of negative curvature, the first ⟨r, Gr⟩
     per point, and (step, ratio) of each iteration, which give the spectrum.  Collective.
     """
-    grid, free, z, d, fixed = model.grid, model.free, model.image, model.search, hold.fixed
-    soften = model.with_mean(model.compliance, 0.0 if fixed else min(1 / (hold.spring or 1e-300), model.softest))
-    stiffen = model.with_mean(model.stiffness[np.float32], 0.0 if fixed else hold.spring)
+    grid, z, d, (soften, stiffen, fixed, firm) = model.grid, model.image, model.search, actions
+    free = model.free if firm is None else np.ones_like(model.free)
     threads, rows, inverse = grid.threads, len(free), 1 / model.count if fixed and model.count else 0.0
     residual, x, steps = start, grid.new_field(np.float32), list[tuple[float, float]]()
     x[...] = d[...] = 0
 
+    def softened(rows: np.ndarray, s: slice) -> tuple[float, float]:
+        if firm is not None:
+            np.copyto(rows, firm[s] * residual[s], where=~model.free[s])
+        return masked(rows, residual[s], free[s], z[s])
+
     def precondition() -> tuple[float, float]:
-        square, total = apply(grid, soften, residual, lambda r, s: masked(r, residual[s], free[s], z[s]))
+        square, total = apply(grid, soften, (residual,) if firm is None else (residual, model.free), softened)
         return max(square, 0.0), total * inverse
 
     square, mean = precondition()
@@ -59,7 +66,7 @@ def conjugate_gradients(
             break
         turn = np.float32(square / before), np.float32(mean)
         threads.deal(lambda a, b, t=turn: turned(d[a:b], z[a:b], free[a:b], t), rows)  # type: ignore[misc]
-        bend, total = apply(grid, stiffen, d, lambda r, s: bent(r, d[s], weight[s], free[s], z[s]))
+        bend, total = apply(grid, stiffen, (d,), lambda r, s: bent(r, d[s], weight[s], free[s], z[s]))
         if not bend > 0:
             return x, True, first / grid.size, steps
         step, before = square / bend, square
@@ -72,18 +79,19 @@ def conjugate_gradients(
     return x, False, first / grid.size, steps
 
 
-def least_ritz(steps: list[tuple[float, float]]) -> float:
-    """The smallest eigenvalue of the tridiagonal matrix of conjugate gradients: an estimate, from above, of that of the
-    preconditioned operator.
+def least_ritz(steps: list[tuple[float, float]]) -> tuple[float, float]:
+    """The smallest eigenvalue of the tridiagonal matrix of conjugate gradients, an estimate from above of that of the
+    preconditioned operator; and the norm of the residual, within which that has an eigenvalue.
     """
     if not steps:  # nothing is free
-        return 1.0
-    from scipy.linalg import eigvalsh_tridiagonal
+        return 1.0, 0.0
+    from scipy.linalg import eigh_tridiagonal
 
     lengths, ratios = np.array(steps).T
-    diagonal = 1 / lengths
+    diagonal, beside = 1 / lengths, np.sqrt(ratios) / lengths
     diagonal[1:] += ratios[:-1] / lengths[:-1]
-    return float(eigvalsh_tridiagonal(diagonal, np.sqrt(ratios[:-1]) / lengths[:-1])[0])
+    values, vectors = eigh_tridiagonal(diagonal, beside[:-1], select="i", select_range=(0, 0))
+    return float(values[0]), float(beside[-1] * abs(vectors[-1, 0]))
 
 
 @jit

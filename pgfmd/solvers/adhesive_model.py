@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,17 @@ class Hold:
     def energy(self, mean: float) -> float:
         """Its potential per point."""
         return 0.0 if self.fixed else self.load * mean + self.spring * (mean - self.gap) ** 2 / 2
+
+
+class Actions(NamedTuple):
+    """Of an inner problem.  fixed: whether its unknowns sum to 0; firm: an approximate inverse for points that are not
+    free, which are unknowns then.
+    """
+
+    soften: ColumnAction
+    stiffen: ColumnAction
+    fixed: bool
+    firm: np.ndarray | None = None
 
 
 @dataclass
@@ -152,6 +164,15 @@ class AdhesiveModel:
 
         return act
 
+    def actions(self, hold: Hold) -> Actions:
+        """Those of compliance and stiffness in single precision, with what holds the mean.  Collective."""
+        fixed = hold.fixed
+        return Actions(
+            self.with_mean(self.compliance, 0.0 if fixed else min(1 / (hold.spring or 1e-300), self.softest)),
+            self.with_mean(self.stiffness[np.float32], 0.0 if fixed else hold.spring),
+            fixed,
+        )
+
     # --- states ---
 
     def undeformed(self, mean: float) -> np.ndarray:
@@ -240,13 +261,15 @@ class AdhesiveModel:
         np.multiply(force, -1 / (state.residual or 1.0), out=out, casting="same_kind")
         return out
 
-    def weight(self, gap: np.ndarray, closer: float, all_of_it: bool = True) -> np.ndarray:
-        """D = −W'' of gaps that are smaller by `closer`, in single precision; or its negative part.  Collective."""
+    def weight(self, gap: np.ndarray, distance: float, all_of_it: bool = True) -> np.ndarray:
+        """The largest D = −W'' within a distance of gaps, in single precision; or −W'' where that is negative.
+        Collective.
+        """
         out = self.grid.new_field(np.float32)
 
         def fill(s: slice) -> tuple[float]:
-            own = self.law.curvature(np.maximum(gap[s] - closer, self.law.least) if closer else gap[s])
-            np.negative(own if all_of_it else np.maximum(own, 0.0), out=out[s], casting="same_kind")
+            own = self.law.steepest(gap[s], distance) if distance else -self.law.curvature(gap[s])
+            out[s] = own if all_of_it else np.minimum(own, 0.0)
             return (0.0,)
 
         self.bands(fill)

@@ -28,13 +28,14 @@ NODES = 20001  # of the spline through a formula, which is the law
 @dataclass(frozen=True, kw_only=True)
 class AttractiveWall(ContactLaw):
     """What laws that attract have in common.  least: the smallest gap over ρ, where the wall is hard.
-    farthest: gap over ρ beyond which it is not felt.
+    farthest: gap over ρ beyond which it is not felt.  steep: gap over ρ where −W'' is largest.
     """
 
     methods: ClassVar[tuple[str, ...]] = ("adhesive",)
     convex: ClassVar[bool] = False
     least: ClassVar[float] = 0.0
     farthest: ClassVar[float] = 60.0
+    steep: ClassVar[float] = 0.0
 
     unresolved: bool = key(flag(), False, "solve also where the process zone ρ²E'/w is shorter than .8 pixels")
 
@@ -63,6 +64,10 @@ class AttractiveWall(ContactLaw):
     def curvature(self, gap: np.ndarray) -> np.ndarray:
         """W''ρ/σ₀ at gaps over ρ."""
         raise NotImplementedError
+
+    def steepest(self, gap: np.ndarray, distance: float) -> np.ndarray:
+        """The largest −W''ρ/σ₀ within a distance of gaps, if it falls to both sides of `steep`."""
+        return -self.curvature(np.clip(self.steep, np.maximum(gap - distance, self.least), gap + distance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +111,7 @@ class Dugdale(RangedWall):
     """A hard wall that attracts with the traction work/range up to the gap `range` (Dugdale, Maugis)."""
 
     kind: ClassVar[str] = "dugdale"
+    steep: ClassVar[float] = 1.0
     edge: float = key(
         number(low=0, high=2),
         0.0,
@@ -137,6 +143,12 @@ class Dugdale(RangedWall):
             return np.zeros_like(gap)
         x = self._across(gap)
         return -6 / self.edge * x * (1 - x)
+
+    def steepest(self, gap: np.ndarray, distance: float) -> np.ndarray:
+        """The same; where the traction jumps, a number that no stiffness reaches."""
+        if self.edge == 0:
+            return np.where(np.abs(gap - 1) <= distance, 1e9, 0.0)
+        return super().steepest(gap, distance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,6 +190,12 @@ class Potential(AttractiveWall):
     def farthest(self) -> float:  # type: ignore[override]
         """The second of `gaps`."""
         return self.gaps[1] / self.units[0]
+
+    @property
+    def steep(self) -> float:  # type: ignore[override]
+        """Where the pressure rises most."""
+        nodes = np.linspace(*self.gaps, NODES)
+        return float(nodes[np.argmax(_spline(self.pressure, self.gaps)[0](nodes, 1))]) / self.units[0]
 
     def _at(self, gap: np.ndarray, derivative: int) -> np.ndarray:
         spline, (length, pressure) = _spline(self.pressure, self.gaps)[0], self.units
