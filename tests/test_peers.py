@@ -69,6 +69,37 @@ def test_contact_mechanics(contact):
     _agree(np.asarray(result.jac), ours)
 
 
+def test_an_open_patch_by_contact_mechanics(comm, monkeypatch):
+    """With the kernel of pixels under uniform pressure (Love 1929) in place of ours, the pressure on a rough patch is
+    that of its free half-space.
+    """
+    pytest.importorskip("ContactMechanics")
+    from ContactMechanics import FreeFFTElasticHalfSpace
+    from ContactMechanics.Optimization import constrained_conjugate_gradients
+
+    import pgfmd
+    from pgfmd.grid.slab_grid import SlabGrid
+    from pgfmd.physics.solids import open_kernel
+    from pgfmd.surfaces.self_affine import self_affine
+
+    def love(x, y):
+        corners = [(x + i, y + j, 4 * i * j) for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
+        return sum(s * (a * np.arcsinh(b / np.abs(a)) + b * np.arcsinh(a / np.abs(b))) for a, b, s in corners)
+
+    def table(grid):  # coarse grids have larger spacings
+        unit = grid.spacing[0]
+        return open_kernel.cosine_transform(grid, lambda x, y: love(x / unit, y / unit) / unit)
+
+    monkeypatch.setattr(open_kernel, "half_space_table", table)
+    n = 96
+    heights = self_affine(SlabGrid(comm, (n, n)), 0.8, 8.0, 0.031, 1)
+    ours = pgfmd.solve(heights, PRESSURE, boundary="open", contact_modulus=MODULUS, tolerance=1e-16)
+    substrate = FreeFFTElasticHalfSpace((n, n), MODULUS, (float(n), float(n)))
+    limits = {"pentol": 1e-12, "forcetol": 1e-12, "thermotol": 1e-13, "maxiter": 20_000}
+    found = constrained_conjugate_gradients(substrate, heights, external_force=PRESSURE * n**2, **limits)
+    _agree(np.asarray(found.jac)[:n, :n], ours.pressure)
+
+
 @pytest.mark.parametrize("hardness", [10 * PRESSURE, 20 * PRESSURE])
 @pytest.mark.parametrize(("hurst", "lambda_s"), [(0.8, 8.0), (0.3, 1.0)], ids=["smooth", "rough"])
 def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
