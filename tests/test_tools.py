@@ -343,6 +343,17 @@ def test_resolution_takes_grids_not_loads(runs):
         figures.draw("resolution", [runs["seed1"], runs["seed2"]])
 
 
+def test_loads_in_tension_have_no_place_on_a_logarithmic_axis(tmp_path):
+    """area_load leaves them out, and is refused if no other load is there."""
+    rough = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": 0.3, "seed": 1}
+    wall = {"kind": "adhesive", "work": 0.3, "range": 1.5}
+    job = {"grid": {"n": 16}, "surface": rough, "solid": {"contact_modulus": 1.0}, "wall": wall}
+    found = pgfmd.run(job | {"load": {"displacement": 0.5}}, tmp_path)
+    assert found.loads["mean_pressure"][0] < 0 < found.loads["contact_area"][0]
+    with pytest.raises(InputError, match="a load above zero"):
+        figures.draw("area_load", [tmp_path])
+
+
 @pytest.mark.breadth
 def test_every_figure_is_saved_without_mpi4py(runs, tmp_path):
     """Where mpi4py cannot be imported, each figure writes PNG, PDF, a CSV with curves, and its numbers."""

@@ -24,7 +24,7 @@ from pgfmd.theory.surface import SpectralMoments
 CAPTION = """(a) Relative contact area, corrected for the pixels, against the mean pressure. (b) Their ratio κ; open
 symbols: with the raw area. Full lines: the theories of Persson and of Bush, Gibson and Thomas (BGT) for this surface;
 dashed: their limits at low load. Bars: standard error over seeds; of one seed, the error that its run estimated."""
-NEEDS = ("area", "roughness")
+NEEDS = ("area", "load", "roughness")
 OPTIONS = {"--area": {"type": float, "nargs": "+", "help": "contact areas at which κ is reported (default 0.08)"}}
 
 MEANS = ("setting", "reduced_pressure", "area", "area_corrected", "area_error", "kappa", "kappa_error", "seeds")
