@@ -210,10 +210,10 @@ def test_logarithm_and_exponential_are_right_to_rounding():
     x = np.concatenate([np.geomspace(3e-308, 1e308, 20011), 1 + np.linspace(-0.5, 1, 20011)])
     found, right = np.array([logarithm(value) for value in x]), np.log(x)
     assert np.max(np.abs(found - right) / np.spacing(np.abs(right))) <= 1
-    x = -np.concatenate([np.linspace(0, 708, 20011), np.geomspace(1e-20, 1, 2001)])
+    x = np.concatenate([np.linspace(-708, 709, 40021), np.geomspace(1e-20, 1, 2001), -np.geomspace(1e-20, 1, 2001)])
     found, right = np.array([exponential(value) for value in x]), np.exp(x)
     assert np.max(np.abs(found - right) / np.spacing(right)) <= 2
-    assert exponential(-708.5) == exponential(-np.inf) == 0
+    assert exponential(-708.5) == exponential(-np.inf) == 0 and exponential(709.5) == exponential(np.inf) == np.inf
 
 
 def test_omega_solves_its_equation():
