@@ -23,6 +23,7 @@ import contextlib
 import gc
 import importlib
 import io
+import json
 import logging
 import os
 import sys
@@ -234,13 +235,16 @@ def _cite(options: argparse.Namespace) -> str:
 
 
 def _certify(options: argparse.Namespace) -> str:
-    from pgfmd.application.one_process import as_json, certify_file, job_on, line
+    from pgfmd.application.info import known
+    from pgfmd.application.one_process import certify_file, job_on, line
 
     job, mean = job_on(options.heights, options.set), options.mean_pressure
     if mean is not None and not 0 < mean < float("inf"):
         raise InputError(f"--mean-pressure {mean:g}: must be positive and finite")
     contact = certify_file(job, options.pressure, mean)
-    return as_json(contact) if options.json else f"{options.pressure}: {line(contact)}"
+    if options.json:  # null for what is not known
+        return json.dumps(known(contact.summary()), indent=2)
+    return f"{options.pressure}: {line(contact)}"
 
 
 def _plot(words: list[str]) -> str:

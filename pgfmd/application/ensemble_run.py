@@ -142,7 +142,8 @@ def _run_seeds(
             except (InputError, SolverError, OSError, MemoryError) as error:
                 if not shared(group, error):
                     raise  # the others of the group wait for this rank
-                failed[seed] = _without_frames(error)
+                error.__context__ = error.__cause__ = None
+                failed[seed] = error.with_traceback(None)  # which would keep the arrays of its frames
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
                                  _reason(error))  # fmt: skip
     for seed, each in synced.items():
@@ -159,12 +160,6 @@ def _run_seeds(
 
 def _reason(error: Exception) -> str:
     return str(error) or type(error).__name__
-
-
-def _without_frames(error: Exception) -> Exception:
-    """The error without its traceback, which would keep the arrays of its frames."""
-    error.__context__ = error.__cause__ = None
-    return error.with_traceback(None)
 
 
 def _found(folder: Path, job: Job) -> str:

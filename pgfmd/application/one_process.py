@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -11,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from pgfmd.application.files import FIELDS_FILE, load_name
-from pgfmd.application.info import known
 from pgfmd.application.job import Job, load, parse, tables_as_toml
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError, Unreachable
@@ -79,11 +77,6 @@ def line(contact: Certified) -> str:
         f"(corrected {with_error(corrected, bar)})  made feasible: load × {by:.7g}, pressure changed by "
         f"{numbers['projection']:.1e}"
     )
-
-
-def as_json(contact: Certified) -> str:
-    """The same as JSON; null for what is not known."""
-    return json.dumps(known(contact.summary()), indent=2)
 
 
 MOST_COMPARED = 2**26  # points of files whose edges are compared, which reads them whole
