@@ -240,6 +240,16 @@ def test_verdict_of_a_claim():
     assert judged(a=1, b=1, d=1) == "not run"
 
 
+def test_one_counterexample_refutes_only():
+    """A claim that something happens there only differs where one part does, however many agree."""
+    parts = [{"number": (1.0, 0.1)}, {"number": (1.0, 0.1)}, {"number": (2.0, 0.1)}]
+    parts = tuple(claims.Part("x", "F: x", exact=True, **part) for part in parts)
+    findings = {"F": plotting.Findings()}
+    findings["F"].add("x", 1.0)
+    verdicts = [claims.Claim(1, "", "", "F", parts, only=only).verdict(findings) for only in (False, True)]
+    assert verdicts == ["agrees in a range", "differs"]
+
+
 def test_paired_differences():
     """Seeds that share their scatter: the difference of their numbers is known better than either."""
     findings = plotting.Findings()

@@ -19,8 +19,9 @@ it; it counts only where there are no seeds, since a claim is judged with the ch
     cannot tell  otherwise, also where no uncertainty is known (unless `exact`)
 
 Parts of the column "paper" are made under the paper's conditions, and decide: a claim agrees if all of them agree; it
-agrees in a range if at least half do; it differs if more than half differ; otherwise it cannot be told.  Parts of the
-column "limit" say what is true with better numbers: resolution, cell, seeds or estimator.  They do not decide.
+agrees in a range if at least half do; it differs if more than half differ, or one does where the claim is that
+something happens there alone (`only`); otherwise it cannot be told.  Parts of the column "limit" say what is true with
+better numbers: resolution, cell, seeds or estimator.  They do not decide.
 
 `kind` tells results apart from what is none: identities, slips, quotations of other work, and conjectures.
 """
@@ -135,6 +136,7 @@ class Claim:
     limit: str = ""  # what better numbers show, in words
     why: str = ""  # said where it differs
     decided_by: str = ""  # said where it cannot be told
+    only: bool = False  # it says that something happens there only: one part that differs refutes it
 
     def verdict(self, findings: dict[str, Findings]) -> str:
         """Of the claim as a whole."""
@@ -144,6 +146,8 @@ class Claim:
         for single in (VIOLATED, NOT_RUN):
             if counts[single]:
                 return single
+        if self.only and counts[DIFFERS]:
+            return DIFFERS
         most = counts.total() / 2
         if counts.total() == counts[IDENTITY] > 0:
             return IDENTITY

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 
 import figures
 import numpy as np
@@ -22,8 +23,9 @@ from pgfmd.theory import asperity, persson
 from pgfmd.theory.surface import SpectralMoments
 
 CAPTION = """(a) Relative contact area, corrected for the pixels, against the mean pressure. (b) Their ratio κ; open
-symbols: with the raw area. Full lines: the theories of Persson and of Bush, Gibson and Thomas (BGT) for this surface;
-dashed: their limits at low load. Bars: standard error over seeds; of one seed, the error that its run estimated."""
+symbols: with the raw area; star: a published value. Full lines: the theories of Persson and of Bush, Gibson and Thomas
+(BGT) for this surface; dashed: their limits at low load. Bars: standard error over seeds; of one seed, the error that
+its run estimated."""
 NEEDS = ("area", "load", "roughness")
 OPTIONS = {"--area": {"type": float, "nargs": "+", "help": "contact areas at which κ is reported (default 0.08)"}}
 
@@ -35,8 +37,10 @@ AREAS = {
 }
 
 
-def draw(loads: list[Load], area: tuple[float, ...] = (0.08,)) -> Sheet:
-    """f_c against p̄/(E'g), and κ against f_c, for each setting."""
+def draw(
+    loads: list[Load], area: tuple[float, ...] = (0.08,), reference: Sequence[tuple[float, float, float]] = ()
+) -> Sheet:
+    """f_c against p̄/(E'g), and κ against f_c, for each setting; beside published values: (f_c, κ, error) each."""
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
         name = group.name
@@ -44,11 +48,15 @@ def draw(loads: list[Load], area: tuple[float, ...] = (0.08,)) -> Sheet:
         filled, bare = style(number), style(number, filled=False)
         sheet.curve(0, load, corrected, name, error=bar, ls="none", **filled)
         sheet.curve(1, corrected, kappa, name, error=error, ls="none", **filled)
-        sheet.curve(1, raw, raw / load, f"{name}, raw", label=False, ls="none", **bare)
+        sheet.curve(1, raw, raw / load, f"{name}, raw", label="raw pixels" if number == 0 else False, ls="none", **bare)
         for row in zip(load, raw, corrected, bar, kappa, error, seeds.astype(int), strict=True):
             sheet.keep("means", MEANS, (name, *row))
         report(sheet, group, area, name)
     _draw_theory(sheet, loads)
+    if reference:
+        areas, kappas, errors = np.array(reference).T
+        look = {"color": BLACK, "marker": "*", "mfc": "white", "ms": 6, "ls": "none", "zorder": 6}
+        sheet.curve(1, areas, kappas, "paper", error=errors, **look)
     sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", "contact area $f_c$", scale="log", legend=False)
     sheet.label(
         1, "contact area $f_c$", r"$\kappa = f_c E'\bar g\,/\,\bar p$", scale="semilogx", columns=5, legend="figure"

@@ -17,9 +17,10 @@ from plotting import BLACK, BLUE, GREY, RED, Sheet, standard_error
 from reading import Load
 from samples import common_bins, ensembles
 
-CAPTION = """(a) Autocorrelation of the stress over σ_c², beside that of the contact and twice that (the paper's lower
-and upper bound). (b) Their ratio, with the bounds 1 and 2, and its value m₂ at Δr = 0. Bars: standard error over seeds.
-At large Δr both tend to the square of the mean, up to the noise of one cell."""
+CAPTION = """(a) Autocorrelation of the stress over σ_c², beside that of the contact, twice that (the paper's lower and
+upper bound) and m₂ times that, with the measured m₂. (b) Their ratio, with the bounds 1 and 2, and its value m₂ at
+Δr = 0. Dotted, upright: λ_s/8. Bars: standard error over seeds. At large Δr both tend to the square of the mean, up to
+the noise of one cell."""
 NEEDS = ("correlations", "area")
 OPTIONS = {"--area": {"type": float, "help": "the load near this contact area (default: the last)"}}
 MARKS = (0.0, 1 / 8, 1 / 2, 1.0, 4.0)  # distances in λ_s whose ratio is reported
@@ -39,6 +40,7 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     mean, below, ratio = stress.mean(axis=0), contact.mean(axis=0), stress / contact
     sheet.curve(0, x[drawn], below[drawn], r"$C_c$, lower bound", color=BLUE, ls="--")
     sheet.curve(0, x[drawn], 2 * below[drawn], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
+    sheet.curve(0, x[drawn], m2.mean() * below[drawn], r"$m_2 C_c$", color=BLUE, ls="-.")
     sheet.curve(0, x[drawn], mean[drawn], r"$C_\sigma/\sigma_c^2$", error=_where(standard_error(stress), drawn),
                 color=RED, marker="o", ms=2)  # fmt: skip
     floor = np.full(np.count_nonzero(drawn), np.mean([load.area**2 for load in group]))
@@ -52,6 +54,9 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     for value, name, dashes in bounds:
         sheet.curve(1, x[drawn][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
     sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx")
+    for panel in sheet.panels:
+        panel.axvline(1 / 8, color=GREY, lw=0.7, ls=":")
+    sheet.panels[1].text(0.135, 1.9, r"$\lambda_s/8$", color=GREY, va="top")
     report(sheet, list(group), x, ratio, m2)
     second = np.array([load.normalised_second_moment for load in group])
     areas = np.array([load.area for load in group])

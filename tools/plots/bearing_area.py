@@ -15,14 +15,14 @@ import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
 from exponents import default_window
-from plotting import BLACK, BLUE, RED, Sheet, tex
+from plotting import BLACK, BLUE, RED, Sheet, standard_error, tex
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import bearing
 
 CAPTION = """Contact spectra of the elastic solid (open symbols) and of the bearing area (filled), scaled so that their
-sum over all q ≠ 0 is one; lines: power laws fitted over the range that they span."""
+sum over all q ≠ 0 is one; lines: power laws fitted over the range that they span. Bars: standard error over seeds."""
 NEEDS = ("spectra", "bearing", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -49,7 +49,8 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
                            *((name, kind, load.seed, *row) for row in zip(x, curve, strict=True)))  # fmt: skip
             if drawn:
                 mean = curves.mean(axis=0)
-                sheet.curve(panel, x, mean, title, color=colour, marker=marker, mfc=fill, ls="none", ms=2.2)
+                sheet.curve(panel, x, mean, title, error=standard_error(curves), color=colour, marker=marker, mfc=fill,
+                            ls="none", ms=2.2)  # fmt: skip
                 inside = _window(x, limits, mean)
                 slope, offset = fit_power_law(x[inside], mean[inside])
                 sheet.curve(

@@ -24,8 +24,8 @@ from pgfmd.theory import bearing
 CAPTION = """(a) Load of each contact patch against its area (dots), and medians in bins of the area, one symbol for
 each contact area; dashed: exponents of Hertz (3/2) and of constant mean pressure (1). (b) Probability density of the
 patch areas in elastic contact (filled) and of the bearing area (open), with power laws fitted by maximum likelihood
-over the range that they span (full lines; grey: bearing area), and the law τ = 2 − H/2 of islands (dashed). Dotted: the
-smallest patch in the fits."""
+over the range that they span (full lines; grey: bearing area), and its law τ = 2 − H/2 (dashed). Bearing areas are
+shown where the runs kept their patches. Dotted: the smallest patch in the fits."""
 NEEDS = ("patches", "area", "roughness")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -231,12 +231,11 @@ def _draw_sizes(sheet: Sheet, hurst: float | None, elastic: np.ndarray, islands:
         ):
             _draw_law(sheet, size, least, most, name)
     if hurst is not None:
-        reference = islands if len(islands) else elastic
-        tail = reference[reference >= resolved]
+        tail = islands[islands >= resolved]
         if len(tail) > 10:
             tau = bearing.patch_exponent(hurst)
             ends = np.array([resolved, tail.max()])
-            scale = len(tail) / len(reference) * (tau - 1) / resolved
+            scale = len(tail) / len(islands) * (tau - 1) / resolved
             sheet.curve(
                 1, ends, scale * (ends / resolved) ** -tau, f"τ = 2 − H/2 = {tau:.2f}", color=BLACK, ls="--", lw=0.8
             )

@@ -18,7 +18,7 @@ import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
-from plotting import BLACK, BLUE, COLOURS, GREY, RED, Finding, Sheet
+from plotting import BLACK, COLOURS, GREY, Finding, Sheet, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 from stress_contact_spectra import ratio_of_means
@@ -54,6 +54,7 @@ def draw(
     if len(shown) < len(groups):
         sheet.notes.append(f"(a) and (b) show {len(shown)} of {len(groups)} settings, those of the largest grid")
     points = []
+    shared = set.intersection(*(set(group.name.split(", ")) for group in shown))
     for group in groups:
         group = of_common_loads(group, sheet)
         x, curves = scaled(group)
@@ -62,7 +63,8 @@ def draw(
         spread = report(sheet, group, name, (x, curves), limits)
         points.append((group, spread))
         if group in shown:
-            _draw(sheet, shown.index(group), group, (x, curves), limits)
+            title = ", ".join(part for part in name.split(", ") if part not in shared) or name
+            _draw(sheet, shown.index(group), title, (x, curves), limits)
     for kind in ("contact", "stress"):
         sheet.findings.add(f"sum rule, {kind}, largest residual", worst_sum(loads, kind))
     _draw_exponents(sheet, points, largest)
@@ -73,7 +75,7 @@ def draw(
     scaled_name = r"$f_c\,\tilde C(q)\,/\,[(1-f_c)\,\tilde C(0)]$"
     sheet.label(0, r"$q\,/\,q_l$", scaled_name, scale="log", columns=1)
     sheet.label(1, r"$q\,/\,q_l$", "spectra, largest over smallest load", scale="semilogx", columns=1)
-    sheet.label(2, "Hurst exponent $H$", r"exponent $\mu$, joint fit", columns=1)
+    sheet.label(2, "Hurst exponent $H$", r"exponent $\mu$, joint fit")
     return sheet
 
 
@@ -204,16 +206,16 @@ def worst_sum(group: list[Load], kind: str) -> float:
     return max(residuals, key=abs, default=float("nan"))
 
 
-def _draw(sheet: Sheet, number: int, group: Ensemble, data: tuple, limits: tuple[float, float]):
+def _draw(sheet: Sheet, number: int, name: str, data: tuple, limits: tuple[float, float]):
     x, curves = data
     colour, marker = COLOURS[number], "os^D"[number]
     low, high = list(curves)[0], list(curves)[-1]
     shift = 10.0**-number
-    name = group.name
     for kind, fill in (("stress", colour), ("contact", "white")):
         mean = curves[high][kind].mean(axis=0)
-        sheet.curve(0, x, shift * mean, f"{kind}, {name}" + (f" (× {shift:g})" if number else ""), color=colour,
-                    marker=marker, mfc=fill, ls="none", ms=2.2)  # fmt: skip
+        moved = f" (× {shift:g})" if number else ""
+        sheet.curve(0, x, shift * mean, f"{kind}, {name}{moved}", color=colour, marker=marker, mfc=fill, ls="none",
+                    ms=2.2, label=kind == "stress" and name + moved)  # fmt: skip
         if low != high:
             middle, ratio, error = octaves(x, curves[high][kind], curves[low][kind])
             place = middle * (1 + 0.07 * (2 * number + (kind == "contact")))
@@ -237,16 +239,17 @@ def _draw_exponents(sheet: Sheet, points: list[tuple[Ensemble, str]], largest: i
     hursts = np.array([group.hurst for group, _ in with_hurst])
     ends = np.array([max(hursts.min() - 0.05, 0.0), min(hursts.max() + 0.05, 1.0)])  # also of a single H
     sheet.curve(2, ends, 1 + ends, "$1 + H$", color=GREY)
-    sizes = sorted({max(group.results.shape) for group, _ in with_hurst})
-    for number, size in enumerate(sizes):
-        chosen = [(group, sheet.findings[name]) for group, name in with_hurst
-                  if max(group.results.shape) == size and name in sheet.findings]  # fmt: skip
+    series: dict[str, list] = {}
+    for group, name in with_hurst:
+        parts = [part for part in group.name.split(", ") if not part.startswith("H = ")]
+        series.setdefault(", ".join(parts) or f"n = {max(group.results.shape)}", []).append((group, name))
+    for number, (title, members) in enumerate(series.items()):
+        chosen = [(group, sheet.findings[name]) for group, name in members if name in sheet.findings]
         if chosen:
-            x = np.array([group.hurst for group, _ in chosen]) + 0.012 * (number - (len(sizes) - 1) / 2)
-            colour = RED if size == largest else BLUE
-            sheet.curve(2, x, [found.value for _, found in chosen], f"$n$ = {size}",
-                        error=[found.error or 0.0 for _, found in chosen], color=colour, marker="os^Dv"[number % 5],
-                        mfc=colour if size == largest else "white", ls="none")  # fmt: skip
+            x = np.array([group.hurst for group, _ in chosen]) + 0.012 * (number - (len(series) - 1) / 2)
+            look = style(number, filled=max(chosen[0][0].results.shape) == largest)
+            sheet.curve(2, x, [found.value for _, found in chosen], title,
+                        error=[found.error or 0.0 for _, found in chosen], ls="none", **look)  # fmt: skip
 
 
 if __name__ == "__main__":

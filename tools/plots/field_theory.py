@@ -21,8 +21,9 @@ from samples import Ensemble, common_bins, ensembles
 from pgfmd.theory import exponential
 
 CAPTION = """(a) The stress spectrum under an exponential wall over that of full contact; lines: field theory to first
-order in the heights; dashed: f(q) of Persson's theory of a hard wall. (b) The ratio to field theory in bands of q, both
-summed mode by mode, with standard errors over seeds; settings are moved sideways; shaded: ±20 %."""
+order in the heights; dashed: full contact, f = 1; dotted: f(q) of Persson's theory of a hard wall. (b) The ratio to
+field theory in bands of q, both summed mode by mode, with standard errors over seeds; settings are moved sideways;
+shaded: ±20 %."""
 NEEDS = ("exponential wall", "spectra", "height", "load")
 BANDS = ((1, 1), (2, 3), (4, 7), (8, 15), (16, 32))  # bins of q/q_l, rounded, both ends included
 
@@ -72,7 +73,8 @@ def draw(loads: list[Load]) -> Sheet:
                        *((name, load.seed, *row) for row in zip(x, count, s, f, m, strict=True)))  # fmt: skip
     _draw_persson(sheet, ensembles(loads)[0])
     sheet.panels[1].axhline(1, color=BLACK, lw=0.7)
-    sheet.label(0, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact", scale="log", columns=4, legend="figure")
+    sheet.panels[0].axhline(1, color=BLACK, ls="--", lw=0.9, label="full contact, $f$ = 1")
+    sheet.label(0, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact", scale="log", columns=5, legend="figure")
     sheet.label(1, r"$q\,/\,q_l$", "ratio to field theory", scale="semilogx", legend=False)
     return sheet
 
@@ -94,7 +96,7 @@ def _draw_persson(sheet: Sheet, group: Ensemble):
     q = load.spectrum("height")[0]
     inside = q <= load.q_limits[1] * (1 + 1e-9)
     sheet.curve(
-        0, q[inside] / group.q_unit, persson_area(load, q[inside]), "f(q), Persson", color=BLACK, ls="--", lw=0.9
+        0, q[inside] / group.q_unit, persson_area(load, q[inside]), "f(q), Persson", color=BLACK, ls=":", lw=0.9
     )
 
 

@@ -23,7 +23,7 @@ from pgfmd.theory import persson
 
 CAPTION = """Symbols: the stress spectrum over that of full contact, one curve for each load, named by its contact area.
 Full lines: f(q) of Persson's theory at the same load. Broken lines: f(q) as solved for the surface low-passed at q,
-where that was computed. Bars: standard error over seeds."""
+where that was computed. Below, on a linear axis: contact areas from 0.4 to 0.95. Bars: standard error over seeds."""
 NEEDS = ("spectra", "load", "roughness")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
 LEVELS = (
@@ -31,6 +31,7 @@ LEVELS = (
     0.8,
     0.95,
 )  # of the ratio, at which it leaves full contact; the first is reported, the others are choices
+MIDDLE = 0.4, 0.95  # contact areas that are drawn on a linear axis, too
 INNER = 4.0  # q/q_l from which ratios are averaged, up to q_s/2
 
 
@@ -38,7 +39,9 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """One panel for each setting, all loads in it."""
     chosen = near(loads, areas) if areas else loads
     settings = ensembles(chosen, by_load=False)
-    sheet = Sheet(1, min(2, len(settings)), height=3.1)
+    linear = any(MIDDLE[0] < load.area < MIDDLE[1] for setting in settings[:2] for load in setting)
+    columns = min(2, len(settings))
+    sheet = Sheet(1 + linear, columns, height=2.7 if linear else 3.1)
     if len(settings) > 2:
         sheet.notes.append(f"{len(settings)} settings were given; the first two are drawn")
     for panel, setting in enumerate(settings[:2]):
@@ -46,12 +49,18 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
         colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(groups)))
         for number, group in enumerate(groups):
             title = setting.label + (", " if setting.label else "")
-            _draw(sheet, panel, group, title, (colours[number], "os^DvPX"[number % 7]))
-        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, label="$f(q)$, Persson")
-        sheet.panels[panel].plot([], [], color=BLACK, lw=0.9, ls="--", label="$f(q)$, solved")
+            look = colours[number], "os^DvPX"[number % 7]
+            below = panel + columns if MIDDLE[0] < group.mean("area") < MIDDLE[1] else None
+            _draw(sheet, (panel, below), group, title, look)
+        lines = sheet.panels[panel + columns * linear]
+        lines.plot([], [], color=BLACK, lw=0.9, label="$f(q)$, Persson")
+        lines.plot([], [], color=BLACK, lw=0.9, ls="--", label="$f(q)$, solved")
         sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=3)
-        if setting.label:
-            sheet.panels[panel].set_xlabel(rf"$q\,/\,q_l$   ({tex(setting.label)})")
+        if linear:
+            sheet.label(panel + columns, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="semilogx")
+        for each in range(panel, len(sheet.panels), columns):
+            if setting.label:
+                sheet.panels[each].set_xlabel(rf"$q\,/\,q_l$   ({tex(setting.label)})")
         low, _ = sheet.panels[panel].get_ylim()
         sheet.panels[panel].set_ylim(max(low, 1e-4), 1.5)
     return sheet
@@ -81,7 +90,7 @@ def solved(load: Load, q: np.ndarray) -> np.ndarray | None:
     return np.exp(np.interp(np.log(q), np.log(kept["q"]), np.log(np.maximum(kept["area_corrected"], 1e-12))))
 
 
-def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
+def _draw(sheet: Sheet, panels: tuple[int, int | None], group: Ensemble, title: str, look: tuple):
     colour, marker = look
     parts = [ratio(load) for load in group]
     q, stress = common_bins([(q, stress) for q, stress, _, _ in parts])
@@ -91,37 +100,19 @@ def _draw(sheet: Sheet, panel: int, group: Ensemble, title: str, look: tuple):
     name = f"{title}f_c = {area:.2f}" if np.isfinite(area) else f"{title}p̄ = {group.mean('mean_pressure'):.3g}"
     named = f"{title}{group.name}"
     short = f"{area:.2g}" if np.isfinite(area) else f"{group.mean('mean_pressure'):.2g}"
-    error = standard_error(curves)
-    sheet.curve(
-        panel,
-        x,
-        stress.sum(axis=0) / full.sum(axis=0),
-        name,
-        error=error,
-        color=colour,
-        marker=marker,
-        ls="none",
-        ms=2,
-        label=False,
-    )
-    sheet.panels[panel].plot(
-        [],
-        [],
-        color=colour,
-        marker=marker,
-        ls="none",
-        label=f"$f_c$ = {short}" if np.isfinite(area) else rf"$\bar p$ = {short}",
-    )
     f = np.array([theory(load, q) for load in group])
-    sheet.curve(panel, x, f.mean(axis=0), f"{name}, f(q) of Persson", color=colour, label=False, lw=0.9)
     known = [solved(load, q) for load in group]
-    if all(each is not None for each in known):
-        numeric = np.array(known)
-        sheet.curve(
-            panel, x, numeric.mean(axis=0), f"{name}, f(q) as solved", color=colour, ls="--", label=False, lw=0.9
-        )
-    else:
-        numeric = None
+    numeric = np.array(known) if all(each is not None for each in known) else None
+    symbol = {"color": colour, "marker": marker, "ls": "none", "ms": 2}
+    for panel in (panel for panel in panels if panel is not None):
+        sheet.curve(panel, x, stress.sum(axis=0) / full.sum(axis=0), name, error=standard_error(curves), label=False,
+                    **symbol)  # fmt: skip
+        sheet.curve(panel, x, f.mean(axis=0), f"{name}, f(q) of Persson", color=colour, label=False, lw=0.9)
+        if numeric is not None:
+            sheet.curve(panel, x, numeric.mean(axis=0), f"{name}, f(q) as solved", color=colour, ls="--", label=False,
+                        lw=0.9)  # fmt: skip
+    label = f"$f_c$ = {short}" if np.isfinite(area) else rf"$\bar p$ = {short}"
+    sheet.panels[panels[0]].plot([], [], label=label, **symbol)
     report(sheet, group, named, (x, count, stress, full, f, numeric))
 
 

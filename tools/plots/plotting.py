@@ -167,20 +167,22 @@ class Sheet:
                 panel.annotate(f"({chr(97 + number)})", (0, 1), xytext=(-24, 4), xycoords="axes fraction",
                                textcoords="offset points")  # fmt: skip
 
-    def curve(self, panel: int, x, y, name: str | None = None, error=None, label: bool = True, **style):
-        """Draw and record one curve; `name` is its title in the CSV and, with `label`, its entry in the legend.
+    def curve(self, panel: int, x, y, name: str | None = None, error=None, label: bool | str = True, **style):
+        """Draw and record one curve; `name` is its title in the CSV and, with `label`, its entry in the legend, which
+        may be another text.
 
-        A curve without a finite point has no entry.
+        A curve without a finite point has no entry; a bar that would reach down to zero has no lower half.
         """
         axes = self.panels[panel]
         x, y = np.atleast_1d(x), np.atleast_1d(y)
-        shown = tex(name) if label and name and np.any(np.isfinite(x) & np.isfinite(y)) else None
+        entry = label if isinstance(label, str) else name
+        shown = tex(entry) if label and entry and np.any(np.isfinite(x) & np.isfinite(y)) else None
         self._titles[panel] += [shown] * bool(shown)
         if error is None:
             axes.plot(x, y, label=shown, **style)
         else:
             upper = np.broadcast_to(error, x.shape)
-            lower = np.where(y > 0, np.minimum(upper, 0.95 * y), upper)  # a logarithmic axis has no zero
+            lower = np.where((y > 0) & (upper > 0.9 * y), 0.0, upper)  # a logarithmic axis has no zero
             axes.errorbar(x, y, [lower, upper], label=shown, capsize=1.5, elinewidth=0.6, capthick=0.6, **style)
         errors = np.full(len(x), np.nan) if error is None else np.broadcast_to(error, x.shape)
         self._table += [(panel + 1, name, *row) for row in zip(x, y, errors, strict=True)]

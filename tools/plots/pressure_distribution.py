@@ -13,38 +13,46 @@ import sys
 import figures
 import numpy as np
 from choosing import near
-from plotting import BLACK, GREY, MOST, Sheet, limited, standard_error, style
+from plotting import BLACK, BLUE, GREY, MOST, Sheet, limited, standard_error, tex
 from reading import Load
 from samples import Ensemble, ensembles
 
 from pgfmd.theory import persson
 
-CAPTION = """Probability density of the contact pressure over the whole surface (its integral is the contact area), (a)
-linear, (b) logarithmic. Black lines: Persson's theory at the same load, without a free parameter; grey dashed lines:
-the same form with the width that fits best. Bars: standard error over seeds."""
+CAPTION = """Probability density of the contact pressure over the whole surface; its integral is the contact area. One
+setting: (a) linear, (b) logarithmic; several: a panel for each. Black lines: Persson's theory at the same load, without
+a free parameter; grey dashed lines: the same form with the width that fits best, by least squares of the density, each
+bin of the histogram weighted with its width. Bars: standard error over seeds."""
 NEEDS = ("histogram", "area", "roughness")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
+COLUMNS = 4  # panels in a row, of several settings
 BINS = 60  # on which seeds are averaged
 BANDS = ((0.0, 0.1), (0.1, 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 3.0), (3.0, 4.0))  # of σ/(E'g/2)
 
 
 def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
-    """P(σ) of each setting and load, linear and logarithmic."""
-    sheet = Sheet(1, 2)
+    """P(σ): of one setting and load, linear and logarithmic; of several, logarithmic, in panels of their own."""
     groups = ensembles(near(loads, areas) if areas else loads)
-    for number, group in enumerate(limited(groups, sheet)):
-        _draw(sheet, group, number, last=number + 1 == min(len(groups), MOST))
+    one = len(groups) == 1
+    columns = 2 if one else min(COLUMNS, len(groups))
+    rows = -(-min(len(groups), MOST) // columns)
+    sheet = Sheet(rows, columns, height=2.6 if rows == 1 else 1.9)
+    shown = limited(groups, sheet)
+    for number, group in enumerate(shown):
+        _draw(sheet, group, (0, 1) if one else (number,))
     for group in groups:
         report(sheet, group)
-    for panel, scale in enumerate(("linear", "semilogy")):
-        sheet.label(
-            panel,
-            r"$\sigma\,/\,(E'\bar g/2)$",
-            r"$P(\sigma)\;E'\bar g/2$",
-            scale=scale,
-            columns=3,
-            legend="figure" if panel == 0 else False,
-        )
+    for panel in range(len(sheet.panels)):
+        if panel >= max(len(shown), 2 * one):
+            sheet.drop(panel)
+            continue
+        inner = panel % columns > 0 and not one
+        sheet.label(panel, r"$\sigma\,/\,(E'\bar g/2)$", "" if inner else r"$P(\sigma)\;E'\bar g/2$",
+                    scale="linear" if one and panel == 0 else "semilogy", columns=3,
+                    legend="figure" if panel == 0 else False)  # fmt: skip
+        if not one:
+            label = tex(shown[panel].label.replace(", ", "\n"))
+            sheet.panels[panel].text(0.06, 0.05, label, transform=sheet.panels[panel].transAxes, va="bottom")
     return sheet
 
 
@@ -96,7 +104,7 @@ def report(sheet: Sheet, group: Ensemble):
                     load.corrected_area, load.normalised_second_moment, _fitted(load)))  # fmt: skip
 
 
-def _draw(sheet: Sheet, group: Ensemble, number: int, last: bool):
+def _draw(sheet: Sheet, group: Ensemble, panels: tuple[int, ...]):
     top = max(distribution(load)[0][-1] / load.full_contact_std for load in group)
     edges = np.linspace(0, top, BINS + 1)
     samples = averaged(group, edges)
@@ -105,15 +113,16 @@ def _draw(sheet: Sheet, group: Ensemble, number: int, last: bool):
     std, width = group.mean("full_contact_std"), float(np.mean([_fitted(load) for load in group]))
     sigma = np.linspace(0, top, 500)[1:]
     floor = 0.3 * mean[seen].min()
-    drawn = {**style(number), "ls": "none", "ms": 2.4, "zorder": 3}
-    for panel in (0, 1):
-        sheet.curve(panel, middle[seen], mean[seen], group.label or f"f_c = {group.mean('area'):.3f}",
+    drawn = {"color": BLUE, "marker": "o", "ls": "none", "ms": 2.4, "zorder": 3}
+    for panel in panels:
+        name = group.label or f"f_c = {group.mean('area'):.3f}"
+        sheet.curve(panel, middle[seen], mean[seen], name, label="simulation" if group.label else True,
                     error=None if error is None else error[seen], **drawn)  # fmt: skip
         for name, form, line in (("Persson", std, {"color": BLACK}),
                                  ("same form, fitted width", width, {"color": GREY, "ls": "--"})):  # fmt: skip
             theory = persson.pressure_density(sigma * std, group.mean("mean_pressure"), form) * std
-            shown = theory > (floor if panel else -1)
-            sheet.curve(panel, sigma[shown], theory[shown], name, label=last, lw=0.9, **line)
+            shown = theory > (floor if panel == panels[-1] else -1)
+            sheet.curve(panel, sigma[shown], theory[shown], name, lw=0.9, **line)
 
 
 def _fitted(load: Load) -> float:

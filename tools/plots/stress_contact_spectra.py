@@ -17,9 +17,9 @@ from plotting import BLACK, GREY, Sheet, limited, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
-CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|; settings are
-shifted by factors of 10 (see the legend), with the bounds 1 (full line) and 2 (dashed) of each. (b) Their
-ratio, with the bounds 1 and 2; bars: standard error over seeds."""
+CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|, with the bounds
+1 (full line) and 2 (dashed). (b) Their ratio, with the bounds 1 and 2; bars: standard error over seeds. Dotted: the
+largest wave number along an axis of the grid; beyond it bins hold only waves along its diagonals."""
 NEEDS = ("spectra", "partial contact")
 OPTIONS = {"--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"}}
 LONG = 8.5  # q/q_l up to which waves are called long
@@ -29,31 +29,23 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """|σ̃|²/σ_c² against |Θ̃|², and their ratio against q."""
     sheet = Sheet(1, 2, height=2.9)
     groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
+    ends: list[float] = []
     for number, group in enumerate(groups):
         name, label = group.name, group.label or f"f_c = {group.mean('area'):.3g}"
         x, count, stress, contact = samples(group)
         ratio, error = ratio_of_means(stress, contact)
-        shift = 10.0**-number
-        moved = f"{label} (× {shift:g})" if number else label
         below = contact.mean(axis=0)
         drawn = {**style(number, filled=number % 2 == 0), "ls": "none", "ms": 2.4}
-        sheet.curve(0, below, shift * stress.mean(axis=0), moved, **drawn)
-        ends = np.array([below.min(), below.max()])
-        for factor, dashes, colour in ((1, "-", BLACK), (2, "--", GREY)):
-            sheet.curve(
-                0,
-                ends,
-                shift * factor * ends,
-                f"{factor} × contact, {name}",
-                label=False,
-                color=colour,
-                lw=0.6,
-                ls=dashes,
-            )
+        sheet.curve(0, below, stress.mean(axis=0), label, **drawn)
+        ends += [below.min(), below.max()]
         sheet.curve(1, x, ratio, name, error=error, lw=0.7, ms=2, **style(number, filled=number % 2 == 0))
         report(sheet, group, name, (x, count, stress, contact, ratio))
     for value, dashes in ((1, "-"), (2, "--")):
+        span = np.array([min(ends), max(ends)])
+        sheet.curve(0, span, value * span, f"{value} × contact", label=False, color=BLACK, lw=0.7, ls=dashes, zorder=5)
         sheet.panels[1].axhline(value, color=BLACK, lw=0.7, ls=dashes)
+    for edge in {np.pi / max(group.spacings) / group.q_unit for group in groups}:
+        sheet.panels[1].axvline(edge, color=GREY, lw=0.7, ls=":")
     sheet.label(
         0, r"$|\tilde\Theta(q)|^2$", r"$|\tilde\sigma(q)|^2\,/\,\sigma_c^2$", scale="log", columns=3, legend="figure"
     )
