@@ -132,6 +132,14 @@ def test_gap_beyond_double_precision(comm):
         flow(comm, np.full((8, 8), 1e120), 0)
 
 
+def test_closed_beyond_double_precision():
+    """Where nothing flows, the flow factor is 0 though the cube of the mean gap overflows."""
+    wave = np.cos(2 * np.pi * np.arange(32) / 32)
+    contact = pgfmd.solve(1e119 * (wave[:, None] + wave), 0.19e119)
+    found = contact.observables("leakage")["loads"]
+    assert contact.mean_gap > 1e110 and found["flow_factor_x"] == found["leakage_x"] == 0
+
+
 def test_in_a_run(comm, shared_tmp_path):
     """A run writes flow factors with error bars and the flux, whose mean along x is the conductivity to the width."""
     output = {"observables": ["leakage"], "fields": ["flux_x", "gap"], "leakage": {"half_grid": True, "width": 1e-6}}

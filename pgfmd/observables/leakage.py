@@ -107,8 +107,9 @@ class Leakage(Observable):
                 value, error = value + change, error + abs(change)
             if found.upper == 0 and contact.grid.comm.rank == 0:
                 log.info("leakage: no path through the gap percolates along %s: the flow factor is 0", "xy"[axis])
-            for name, unit in (("leakage", 1.0), ("flow_factor", mean_gap**3)):
-                columns |= {f"{name}_{'xy'[axis]}": value / unit, f"{name}_{'xy'[axis]}_error": error / unit}
+            for name, unit in (("leakage", 1.0), ("flow_factor", mean_gap)):  # whose cube may overflow
+                relative, its_error = (number / unit / unit / unit for number in (value, error))
+                columns |= {f"{name}_{'xy'[axis]}": relative, f"{name}_{'xy'[axis]}_error": its_error}
             rows.append((axis, found.lower, found.upper, found.iterations))
         bounds = dict(zip(self.layout["leakage"], map(np.array, zip(*rows, strict=True)), strict=True))
         return {TABLE: {name: np.array(number) for name, number in columns.items()}, "leakage": bounds}
