@@ -274,3 +274,18 @@ def test_the_table_is_made_from_the_runs(tmp_path, capsys):
     assert '"nayak": ' in (tmp_path / "table/reference.html").read_text()
     assert reference_table.main([str(tmp_path / "none"), "--output", str(tmp_path / "table")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_reference_set_as_netcdf(tmp_path):
+    """Every number of the table, exactly, with a unit and a meaning; xarray and netCDF4 read it."""
+    xarray, netcdf4 = pytest.importorskip("xarray"), pytest.importorskip("netCDF4")
+    subprocess.run([sys.executable, TOP / "tools/release/netcdf.py", tmp_path], check=True, stdout=subprocess.DEVNULL)
+    with open(TOP / "pgfmd/theory/reference.csv", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    with xarray.open_dataset(tmp_path / "reference.nc", engine="h5netcdf") as found:
+        assert list(found.data_vars) == list(rows[0])
+        for name, column in found.data_vars.items():
+            assert column.values.tolist() == [float(row[name]) for row in rows]
+            assert column.attrs["units"] == "1" and len(column.attrs["long_name"]) > 5
+    with netcdf4.Dataset(tmp_path / "reference.nc") as other:
+        assert other["kappa_error"].long_name.startswith("area/pressure: error by grid and solver")

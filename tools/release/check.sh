@@ -9,13 +9,14 @@ cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 for name in tools cff; do python3 -m venv "$scratch/$name"; done
-"$scratch/tools/bin/pip" -q install build twine check-jsonschema
+"$scratch/tools/bin/pip" -q install build twine check-jsonschema h5netcdf h5py
 "$scratch/cff/bin/pip" -q install cffconvert # takes an older jsonschema
 "$scratch/tools/bin/python" -m build --outdir "$scratch/dist" . > "$scratch/build.log" || { tail -20 "$scratch/build.log"; exit 1; }
 "$scratch/tools/bin/twine" check --strict "$scratch"/dist/*
 "$scratch/cff/bin/cffconvert" --validate
 "$scratch/tools/bin/check-jsonschema" --builtin-schema vendor.github-workflows .github/workflows/tests.yml
 "$scratch/tools/bin/check-jsonschema" --builtin-schema vendor.readthedocs .readthedocs.yaml
+"$scratch/tools/bin/python" tools/release/netcdf.py "$scratch"
 
 cat > "$scratch/job.toml" << 'JOB'
 [grid]
