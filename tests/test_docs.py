@@ -132,6 +132,21 @@ def test_the_same_problem_in_three_programs():
         assert np.linalg.norm(pressure - ours) < 1e-3 * np.linalg.norm(ours), program
 
 
+def test_two_programs_beside_the_reference_set(capsys):
+    """⟨p²⟩ of one surface by tamaas and by ContactMechanics, as the pages show, agree to 1e-3, what their tolerances
+    leave, and lie within five scatters of a single surface (√8 standard errors of the mean of eight) of the set.
+    """
+    found = {}
+    task = next(task for task in TASKS if task.startswith("19. "))
+    for program, text in (("tamaas", task), ("ContactMechanics", (PAGES / "reference-set.md").read_text())):
+        pytest.importorskip(program)
+        found[program] = names = {}
+        exec(next(code for language, code in BLOCK.findall(text) if language == "python"), names)
+    mine, known = [names["mine"] for names in found.values()], names["known"]
+    assert mine[0] == pytest.approx(mine[1], rel=1e-3)
+    assert abs(mine[1] - known.value) < known.error + 5 * 8**0.5 * known.scatter
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The site, built with `mkdocs build --strict`: every page, link and docstring is there."""
