@@ -156,12 +156,27 @@ def test_exponents(folder):
                 x = load["q_over_q_l"][inside]
             results["joint", limits].append(-slopes(x, columns["stress"] + columns["contact"]))
             results["contact", limits].append(-slopes(x, columns["contact"]))
-    for kind in ("joint", "contact"):
-        finding = found(folder, "exponents")[f"μ {kind}, simulation"]
+            difference = slopes(x, columns["stress"]) - slopes(x, columns["contact"])
+            results["scaled difference", limits].append(difference * np.log(limits[1] / limits[0]))
+    names = {"joint": "μ joint", "contact": "μ contact", "scaled difference": "(μ_c − μ_σ) ln(window)"}
+    for kind, name in names.items():
+        finding = found(folder, "exponents")[f"{name}, simulation"]
         same(finding, results[kind, ranges[0]])
         middle = np.mean(results[kind, ranges[0]])
         spread = max(abs(np.mean(results[kind, limits]) - middle) for limits in ranges[1:])
         assert finding["choices"] == pytest.approx(spread, rel=1e-6)
+
+
+def test_local_exponents(folder):
+    """The joint exponent of each octave, of each surface."""
+    rows = table(folder, "exponents_data")
+    for low in (2, 4, 8):
+        values = []
+        for run in sorted({row["run"] for row in rows}):
+            loads = split([r for r in rows if r["run"] == run and low <= r["q_over_q_l"] <= 2 * low], "load").values()
+            x = next(iter(loads))["q_over_q_l"]
+            values.append(-slopes(x, [load[kind] for load in loads for kind in ("stress", "contact")]))
+        same(found(folder, "exponents")[f"local μ joint, {low} … {2 * low} q_l, simulation"], values)
 
 
 def test_bearing_exponents(folder):
@@ -226,6 +241,30 @@ def test_ratio_to_full_contact(folder):
             weight = rows["modes"] * part
             values.append(np.dot(weight, rows["stress"]) / np.dot(weight, rows["full_contact"]))
         same(found(folder, "persson_spectrum")[f"ratio to full contact, {setting}"], values)
+
+
+def test_ratio_to_f(folder):
+    """Geometric mean over bins of stress/(full contact · f), from 4 q_l to q_s/2 (16 q_l), of each surface."""
+    for (setting,), rows in split(table(folder, "persson_spectrum_data"), "setting").items():
+        ratios = []
+        for seed in np.unique(rows["seed"]):
+            part = (rows["seed"] == seed) & (rows["q_over_q_l"] >= 4) & (rows["q_over_q_l"] <= 16)
+            ratio = rows["stress"] / rows["full_contact"] / rows["f_persson"]
+            ratios.append(np.exp(np.mean(np.log(ratio[part]))))
+        same(found(folder, "persson_spectrum")[f"ratio/f_Persson, {setting}"], ratios)
+
+
+def test_largest_spectral_ratio(folder):
+    """Largest ratio in bins of 100 modes and more, and where it lies."""
+    for (setting,), rows in split(table(folder, "stress_contact_spectra_data"), "setting").items():
+        each = split([dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)], "seed")
+        stress, contact = (np.array([seed[kind] for seed in each.values()]) for kind in ("stress", "contact"))
+        first = next(iter(each.values()))
+        ratio = stress.sum(axis=0) / contact.sum(axis=0)
+        top = int(np.argmax(np.where(first["modes"] >= 100, ratio, 0)))
+        numbers = found(folder, "stress_contact_spectra")
+        same(numbers[f"largest ratio (bins of 100 modes and more), {setting}"], stress[:, top] / contact[:, top])
+        same(numbers[f"q/q_l of the largest ratio, {setting}"], first["q_over_q_l"][top])
 
 
 def test_patch_law(folder):
