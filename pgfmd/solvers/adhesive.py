@@ -59,7 +59,7 @@ class AdhesiveContact(AdhesiveModel):
         Collective.
         """
         start = self.residual(state, hold)
-        weight = self.weight(state.gap, 0.0, not careful)
+        weight = self.weight(state.gap, not careful)
         scale = state.residual**2 / (min(state.curvature, 1.0) * state.scale)
 
         def wanted(first: float) -> float:

@@ -45,9 +45,9 @@ def estimated(
         if far > farthest and state.curvature < 1:
             break
         contact.residual(state, hold)  # chooses the free points
-        weight = contact.weight(state.gap, far)
-        np.negative(pressed(contact, state, far), out=weight, where=~contact.free, casting="same_kind")
-        contact.count, actions = grid.size, contact.actions(hold)._replace(firm=inverse(contact, -weight))
+        weight = stiffening(contact, state, far).astype(np.float32)
+        contact.count, actions = grid.size, contact.actions(hold)._replace(firm=inverse(contact, weight))
+        np.negative(weight, out=weight)
         noise = grid.new_field(np.float32)
         seed = np.random.default_rng(7)
         seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
@@ -74,14 +74,24 @@ def local_compliance(contact: AdhesiveContact, hold: Hold) -> float:
 
 def inverse(contact: AdhesiveContact, added: np.ndarray) -> np.ndarray:
     """1/κ of the firm points, κ ≥ 1/G(0), in single precision; the others become the free ones."""
-    contact.free[...] = added < 1 / contact.local
-    return (1 / np.where(contact.free, np.inf, added)).astype(np.float32)
+    out = np.zeros_like(added, np.float32)
+    np.less(added, 1 / contact.local, out=contact.free)
+    return np.divide(1, added, out=out, where=~contact.free, casting="same_kind")
 
 
-def pressed(contact: AdhesiveContact, state: AdhesiveState, far: float) -> np.ndarray:
-    """κ = 2b/t − D̄ (nx_local, ny), meant for points that touch, where D̄ is the largest −W'' within t."""
-    bend = np.max(contact.law.steepest(np.array([contact.law.least]), far))
-    return np.minimum(2 * contact.slope(state, slice(None)) / max(far, 1e-300) - bend, LARGEST / contact.local)
+def stiffening(contact: AdhesiveContact, state: AdhesiveState, far: float) -> np.ndarray:
+    """−D̄ of the free points, κ = 2b/t − D̄ of others (nx_local, ny), D̄ the largest −W'' within t.  Collective."""
+    out = contact.grid.new_field()
+
+    def fill(s: slice) -> tuple[float]:
+        np.multiply(contact.slope(state, s), 2 / max(far, 1e-300), out=out[s])
+        out[s] *= ~contact.free[s]
+        out[s] -= contact.law.steepest(state.gap[s], far)
+        np.minimum(out[s], LARGEST / contact.local, out=out[s])
+        return (0.0,)
+
+    contact.bands(fill)
+    return out
 
 
 def proved(
@@ -107,7 +117,7 @@ def proved(
     square, mean = state.square * grid.size, 0.0 if hold.fixed else max(hold.spring, 1 / contact.softest)
     floor *= PART
     far = 2.01 * math.sqrt(local_compliance(contact, hold) * square) / floor
-    added = np.where(contact.free, -contact.law.steepest(state.gap, far), pressed(contact, state, far))
+    added = stiffening(contact, state, far)
     smaller = smaller_stiffness(grid, modulus / 2 * (1 - floor))
     impulse = np.zeros_like(added)
     first_here = grid.rows.start == 0 and len(impulse) > 0
@@ -136,8 +146,8 @@ def smaller_stiffness(grid: SlabGrid, factor: float) -> ColumnAction:
 
 
 def times(grid: SlabGrid, action: ColumnAction, field: np.ndarray) -> np.ndarray:
-    """The field (nx_local, ny) after a column action.  Collective."""
-    out = np.empty_like(field)
+    """The field (nx_local, ny) after a column action, in double precision.  Collective."""
+    out = grid.new_field()
 
     def fill(first: int, stop: int, rows: np.ndarray) -> None:
         rows[...] = field[first:stop]
@@ -165,8 +175,10 @@ def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: np.ndarra
         if negative:
             return False
         if grid.reduction.max(-v) < 0:
-            proof = times(grid, action, v.astype(np.float64))
-            proof += added * v
+            proof = times(grid, action, v)
+            for first in range(0, len(v), grid.band):
+                s = slice(first, first + grid.band)
+                proof[s] += added[s] * v[s]
             if grid.reduction.max(-proof) < -POSITIVE:
                 return True
     return False

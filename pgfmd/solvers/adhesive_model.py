@@ -261,14 +261,12 @@ class AdhesiveModel:
         np.multiply(force, -1 / (state.residual or 1.0), out=out, casting="same_kind")
         return out
 
-    def weight(self, gap: np.ndarray, distance: float, all_of_it: bool = True) -> np.ndarray:
-        """The largest D = −W'' within a distance of gaps, in single precision; or −W'' where that is negative.
-        Collective.
-        """
+    def weight(self, gap: np.ndarray, all_of_it: bool) -> np.ndarray:
+        """−W'' of gaps in single precision, or its negative part.  Collective."""
         out = self.grid.new_field(np.float32)
 
         def fill(s: slice) -> tuple[float]:
-            own = self.law.steepest(gap[s], distance) if distance else -self.law.curvature(gap[s])
+            own = -self.law.curvature(gap[s])
             out[s] = own if all_of_it else np.minimum(own, 0.0)
             return (0.0,)
 
