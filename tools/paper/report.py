@@ -343,8 +343,8 @@ def _method(source: Path) -> str:
     """How verdicts are found, and the commit that fixed the rules."""
     rules = "\n".join((claims.__doc__ or "").strip().splitlines()[3:])
     commit = _commit_of(source)
-    fixed = f" They were last changed in commit {html.escape(commit)}." if commit else ""
-    text = f"They were fixed before the runs that they judge.{fixed}"
+    fixed = f" Numbers and ranges were last changed in commit {html.escape(commit)}." if commit else ""
+    text = f"They were fixed before the runs that they judge, but for `only`, which a second reading asked for.{fixed}"
     return f"<h2>The rules</h2><p>{text}</p><pre>{html.escape(rules)}</pre>"
 
 
