@@ -9,9 +9,9 @@ per number: part, case, name, value.  Run on one thread; times are CPU time.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import math
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -194,16 +194,22 @@ def exact() -> Iterator[Row]:
 PARTS = {part.__name__: part for part in (stiffness, enclosed, percolation, leakage, exact, peer)}
 
 
-def main(path: str, *names: str) -> None:
+def main() -> None:
     """Writes the rows of the parts as they come."""
-    with Path(path).open("w", newline="") as file:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("parts", nargs="*", default=list(PARTS)[:-1], metavar="PART", help=", ".join(PARTS))
+    asked = parser.parse_args()
+    if unknown := [name for name in asked.parts if name not in PARTS]:
+        parser.error(f"{unknown[0]}: no such part; there are {', '.join(PARTS)}")
+    with asked.output.open("w", newline="") as file:
         out = csv.writer(file)
         out.writerow(("part", "case", "name", "value"))
-        for name in names or list(PARTS)[:-1]:
+        for name in asked.parts:
             for case, what, value in PARTS[name]():
                 out.writerow((name, case, what, f"{float(value):.4g}"))
                 file.flush()
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()
