@@ -104,6 +104,11 @@ class Contact:
         """u over the unit of displacement, of p/p̄ − 1 (N,)."""
         return self.compliance @ deviation + self.uniform
 
+    def work(self, deviation: np.ndarray):
+        """Σ x u of x = 1 + deviation.  In a periodic cell Σ u is 0, and under heavy loads its rounding would count."""
+        u = self.displace(deviation)
+        return deviation @ u + (0 if self.wraps else u.sum())
+
     def _matrix(self, spectrum: np.ndarray) -> np.ndarray:
         """The convolution (N, N) of a spectrum that lacks q = 0."""
         nx, ny = self.shape
@@ -156,7 +161,7 @@ class Contact:
         x, unit = np.asarray(pressure, np.float64).astype(Real).ravel() / mean, mean * self.pixel
         b, deviation = self.heights / unit, x - 1
         gap = self.displace(deviation) - b
-        work = x @ self.displace(deviation)
+        work = self.work(deviation)
         if zeta is None:
             programme = _Programme(self, b, Real(math.inf))
             bound = programme.bound(x, np.average(gap, weights=x))
@@ -281,7 +286,7 @@ class Solved:
     @property
     def scaled_work(self):
         """Σ x · Ax, twice the elastic energy."""
-        return self.x @ self.contact.displace(self.deviation)
+        return self.contact.work(self.deviation)
 
     @property
     def unit(self):
@@ -509,7 +514,7 @@ def _newton(contact: Contact, b: np.ndarray, zeta):
     t = logarithms - theirs
     series = t * t * (Real(1) / 2 + t / 3 + t * t / 8 + t**3 / 30)
     apart = np.sum(np.exp(theirs) * np.where(np.abs(t) < 1e-4, series, (t - 1) * np.exp(t) + 1)) * zeta
-    work = (1 + deviation) @ (displacement + contact.uniform)
+    work = contact.work(deviation)
     bound = apart / work if work > 0 else Real(0)
     if not bound <= 1e-18:
         raise Unable(f"exponential wall to {float(bound):.1e} only")
