@@ -152,7 +152,7 @@ def aspher(
 
 def _aspher_transforms(case: Case, result, engine: str) -> float:
     """Its kernel applications, and one more per iteration where its preconditioner transforms the full grid."""
-    spectral = engine == "fft" or (engine == "auto" and result.contact_fraction >= 0.4)
+    spectral = engine == "fft" or (engine == "auto" and np.mean(np.asarray(result.pressure) > 0) >= 0.4)
     total = 0.0
     for stage in result.stage_stats:
         name, _, rest = stage["name"].partition(":")
