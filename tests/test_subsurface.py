@@ -90,3 +90,15 @@ def test_refused(comm):
     for solid, why in ((Homogeneous(contact_modulus=1.0), "Poisson"), (elastic(1.0, 3.0), "half-space only")):
         with pytest.raises(InputError, match=why):
             RoughSurface(ContactProblem(grid, flat, solid, HardWall()), [Subsurface()])
+
+
+def test_lengths_whose_squares_overflow():
+    """Depth and value of the largest stress scale with the unit of length, to 1e200."""
+    x = np.arange(64) - 31.5
+    heights = -(x[:, None] ** 2 + x**2) / 200
+    usual, large = (
+        pgfmd.solve(heights * unit, 0.01, spacing=unit, tolerance=1e-16).observables(subsurface={})["loads"]
+        for unit in (1.0, 2.0**400)
+    )
+    assert large["von_mises_max"] == pytest.approx(usual["von_mises_max"], rel=1e-6)
+    assert large["von_mises_depth"] / 2.0**400 == pytest.approx(usual["von_mises_depth"], rel=1e-6)

@@ -132,7 +132,9 @@ class Subsurface(Observable):
 def _summit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Place and value of the largest y: of the parabola through it and its neighbours, unless it is at an end."""
     k = int(np.argmax(y))
-    if not 0 < k < len(x) - 1:
+    if not 0 < k < len(x) - 1 or not y[k] > 0:
         return float(x[k]), float(y[k])
-    a, b, c = np.polyfit(x[k - 1 : k + 2] - x[k], y[k - 1 : k + 2], 2)
-    return (float(x[k] - b / (2 * a)), float(c - b * b / (4 * a))) if a < 0 else (float(x[k]), float(y[k]))
+    width, height = x[k + 1] - x[k - 1], y[k]  # units in which squares of any lengths and pressures are numbers
+    a, b, c = np.polyfit((x[k - 1 : k + 2] - x[k]) / width, y[k - 1 : k + 2] / height, 2)
+    apex = (x[k] - b / (2 * a) * width, (c - b * b / (4 * a)) * height) if a < 0 else (x[k], y[k])
+    return float(apex[0]), float(apex[1])
