@@ -67,6 +67,15 @@ def test_plates_and_profiles(comm, axis):
         assert [found.lower, found.upper] == pytest.approx([expected[name]] * 2, rel=1e-10)
 
 
+def test_plates_of_any_shape(comm):
+    """Between plates K = g³ on any grid: a start that is exact but for rounding stays so, to 1e-10."""
+    rng = np.random.default_rng(4)
+    for _ in range(60):
+        shape, lengths, axis = rng.integers((8, 4), 28), 10 ** rng.uniform(-1, 1, 2), rng.integers(2)
+        found = flow(comm, np.full(shape, 0.5), axis, lengths=lengths)
+        assert [found.lower, found.upper] == pytest.approx([0.125, 0.125], rel=1e-10)
+
+
 def test_duality(comm):
     """K along x of a network times K along y of the dual one, whose faces have 1/T, is 1 (Keller 1964)."""
     rng = np.random.default_rng(5)

@@ -36,6 +36,8 @@ SIZES = 3, 6  # most points of an aggregate after the first and the second match
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
 INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor on the residual
+LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
+# along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 NOTHING = np.empty(0)  # in place of a target of 0
 NOWHERE = np.empty(0, np.int32)  # in place of aggregates: values are stored point by point
 
@@ -217,6 +219,8 @@ class Level:
             if square <= goal and k or square == 0:
                 break
             step = self.advance(x, r, self.cycle(r), step)
+            if step is None:
+                break
         return x
 
     def start(self, b: np.ndarray, kind: int) -> np.ndarray:
@@ -240,8 +244,10 @@ class Level:
             step = self.advance(x, r, self.cycle(r), step)
         return x
 
-    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Step | None) -> Step:
-        """One step along z made conjugate to the last one, whose memory is used.  Collective."""
+    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Step | None) -> Step | None:
+        """One step along z made conjugate to the last one, whose memory is used; none, and no change, if r is no more
+        than rounding.  Collective.
+        """
         lean = len(self.graph.first) == 0
         if step is None:
             direction, product = z, self.new() if not lean else NOTHING
@@ -253,6 +259,8 @@ class Level:
             self.rest(NOTHING, direction, product)
         energy = self.form(direction, direction) if lean else -self.dot(direction, product)
         length = self.dot(direction, r) / energy if energy > 0 else 0.0
+        if not abs(length) <= LONGEST:
+            return None
         add_scaled(x, length, direction, x)
         if lean:
             direction *= length

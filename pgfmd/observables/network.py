@@ -100,15 +100,18 @@ class Network:
             upper = level.form(u, u, kind)
             if estimate < least / 2:
                 least, since = estimate, iteration
-            stuck = iteration - since >= PATIENCE or not estimate > 0
+            stuck = iteration - since >= PATIENCE or not estimate > 0 or iteration > 0 and step is None
             if estimate <= ready * upper or stuck:
                 del z  # would be there at the peak of memory
-                flux, square = level.fluxes(r, with_flux)
+                r[:] = 0  # the updated residual drifts from that of u, to which the bounds belong
+                sources(level.graph, kind, r)
+                flux, square = level.fluxes(level.rest(r, u, r), with_flux)
                 square = self.grid.reduction.sum(square) / 2
                 if square <= width * upper or stuck:
                     fluxes = self._on_faces(u, kind, flux) if with_flux else None
                     return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
-                ready, z = 0.7 * width * estimate / square, level.cycle(r)
+                z, step = level.cycle(r), None
+                ready = 0.7 * width * estimate / square
             step = level.advance(u, r, z, step)
             del z
         raise SolverError(f"leakage: no bounds after {MOST} iterations")
