@@ -6,9 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from job_texts import rough_job
 from solids import elastic
 
 import pgfmd
+from pgfmd.application import job
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
@@ -16,7 +18,6 @@ from pgfmd.observables.partial_slip import PartialSlip
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
-from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 
 SPHERE = elastic(1.0, poisson=0.0)
@@ -97,16 +98,16 @@ def test_shift_is_met(comm):
     assert more["tangential_stiffness"] * 0.995 <= slope <= one["tangential_stiffness"] * 1.005
 
 
-def test_refused(comm):
+def test_refused():
     """No friction, no Poisson's ratio, a slab, a wall that yields: refused by name."""
-    grid = SlabGrid(comm, (8, 8))
-    problem = ContactProblem(grid, np.zeros(grid.local_shape), SPHERE, HardWall())
     slip = PartialSlip(friction=0.1)
-    for wrong, asked, why in (
-        (problem, PartialSlip(), "friction is missing"),
-        (problem.with_law(Hardness(hardness=1.0)), slip, "hard wall"),
-        (ContactProblem(grid, problem.heights, Homogeneous(contact_modulus=1.0), HardWall()), slip, "Poisson"),
-        (ContactProblem(grid, problem.heights, elastic(1.0, 3.0), HardWall()), slip, "half-spaces"),
+    for solid, law, asked, why in (
+        (SPHERE, HardWall(), PartialSlip(), "friction is missing"),
+        (SPHERE, Hardness(hardness=1.0), slip, "hard wall"),
+        (Homogeneous(contact_modulus=1.0), HardWall(), slip, "Poisson"),
+        (elastic(1.0, 3.0), HardWall(), slip, "half-spaces"),
     ):
         with pytest.raises(InputError, match=why):
-            asked.check_contact(wrong)
+            asked.check_contact(solid, law)
+    with pytest.raises(InputError, match="friction is missing"):  # before anything is computed
+        job.parse(rough_job(8, load={"pressure": [0.1]}, output={"observables": ["partial_slip"]}))

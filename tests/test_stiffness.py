@@ -161,4 +161,4 @@ def test_refused(comm):
     with pytest.raises(InputError, match='observable "stiffness"'):
         job.parse(rough_job(8, load={"pressure": [0.1]}, output={"fields": ["current_density"]}))
     with pytest.raises(InputError, match="hard, hardness and exponential"):
-        Stiffness().check_contact(slab.with_law(FormulaWall(pressure="exp(-gap)", gaps=(0.0, 9.0))))
+        Stiffness().check_contact(slab.solid, FormulaWall(pressure="exp(-gap)", gaps=(0.0, 9.0)))

@@ -165,6 +165,7 @@ class Job:
             raise InputError(f"output.observables: {ClosingLoad.name} needs load.percolation")
         for observable in self.output.asked:
             observable.check_in(self.grid.domain)
+            observable.check_contact(self.solid, self.wall)
         self.solver.check_domain(self.wall, self.solid, self.grid.domain)
 
     def _of_attraction(self) -> None:

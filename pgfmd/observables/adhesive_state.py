@@ -14,7 +14,8 @@ from pgfmd.options.text import show
 
 if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
-    from pgfmd.physics.problem import ContactProblem
+    from pgfmd.physics.laws.law import ContactLaw
+    from pgfmd.physics.solids.solid import Solid
 
 COLUMNS = {
     "energy": Dataset("{pressure}*{length}", "elastic energy and that of the attraction, per area of the cell"),
@@ -45,10 +46,10 @@ class Adhesion(Observable):
     where = "output.adhesion"
     layout = {"loads": COLUMNS}
 
-    def check_contact(self, problem: ContactProblem) -> None:
-        """Walls that attract only.  Collective."""
-        if problem.law.convex:
-            raise InputError(f"output.adhesion: wall.kind = {show(problem.law.kind)} does not attract")
+    def check_contact(self, solid: Solid, law: ContactLaw) -> None:
+        """Walls that attract only."""
+        if law.convex:
+            raise InputError(f"output.adhesion: wall.kind = {show(law.kind)} does not attract")
 
     def measure(self, contact: Contact) -> Groups:
         """As the solver counted."""

@@ -19,7 +19,8 @@ from pgfmd.observables.binning import wave_number_bins
 from pgfmd.observables.schema import Dataset, GroupLayout, Groups
 from pgfmd.options.rules import choice, flag, integer
 from pgfmd.options.section import Section, key
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.solids.solid import Solid
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +52,8 @@ class Observable(Section):
         """
         return Cost()
 
-    def check_contact(self, problem: ContactProblem) -> None:
-        """Raises InputError if it cannot be measured on contacts of this surface, solid and law.  Collective."""
+    def check_contact(self, solid: Solid, law: ContactLaw) -> None:
+        """Raises InputError if it cannot be measured on contacts of this solid and law."""
 
     def measure(self, contact: Any) -> Groups:
         """The groups of datasets and columns that it measures on a `Contact`, complete on rank 0.  Collective."""

@@ -15,7 +15,9 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import POSITIVE, number
 from pgfmd.options.section import key
+from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.solids.solid import Solid
 
 if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
@@ -62,15 +64,15 @@ class PartialSlip(Observable):
         """A second contact, its stiffness, and two convolutions; or some contacts until a shift is met."""
         return Cost(transforms=16.0 if self.shift is None else 60.0, memory=90.0)
 
-    def check_contact(self, problem: ContactProblem) -> None:
+    def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError without friction or Poisson's ratio, for other walls than a hard one, for no half-space."""
         if self.friction is None:
             raise InputError("output.partial_slip.friction is missing: the coefficient of friction")
-        if problem.law.kind != "hard":
-            raise InputError(f"output.partial_slip: of a hard wall, not {problem.law.kind}")
-        if problem.solid.poisson is None:
+        if law.kind != "hard":
+            raise InputError(f"output.partial_slip: of a hard wall, not {law.kind}")
+        if solid.poisson is None:
             raise InputError("output.partial_slip: the kernel depends on Poisson's ratio: give solid.poisson")
-        if not math.isinf(getattr(problem.solid, "thickness", 0.0)):
+        if not math.isinf(getattr(solid, "thickness", 0.0)):
             raise InputError("output.partial_slip: of half-spaces, not of a slab or a layered solid")
 
     def measure(self, contact: Contact) -> Groups:

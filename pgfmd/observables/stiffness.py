@@ -15,7 +15,8 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import POSITIVE, flag, number, pair
 from pgfmd.options.section import key
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.solids.solid import Solid
 
 if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
@@ -61,11 +62,11 @@ class Stiffness(Observable):
         """Some rounds of conjugate gradients on the particle–mesh; a mask, the residual, x, and the mesh."""
         return Cost(transforms=4.0 + 5.0 * self.half_grid, memory=20.0)
 
-    def check_contact(self, problem: ContactProblem) -> None:
+    def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError for walls without a stiffness, and for a conductance of what is no half-space."""
-        if problem.law.kind not in ("hard", "hardness", "exponential"):
-            raise InputError(f"output.stiffness: of walls hard, hardness and exponential, not {problem.law.kind}")
-        if self.conductivities and not math.isinf(getattr(problem.solid, "thickness", 0.0)):
+        if law.kind not in ("hard", "hardness", "exponential"):
+            raise InputError(f"output.stiffness: of walls hard, hardness and exponential, not {law.kind}")
+        if self.conductivities and not math.isinf(getattr(solid, "thickness", 0.0)):
             raise InputError("output.stiffness.conductivities: a conductance follows from the stiffness of half-spaces")
 
     def measure(self, contact: Contact) -> Groups:

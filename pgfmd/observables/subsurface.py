@@ -15,7 +15,8 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import many, number
 from pgfmd.options.section import key
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.laws.law import ContactLaw
+from pgfmd.physics.solids.solid import Solid
 
 if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
@@ -65,11 +66,11 @@ class Subsurface(Observable):
         """Five components at each depth; the spectrum, the sum of squares and a slice."""
         return Cost(transforms=0.5 + 2.5 * (len(self.depths) or DEPTHS), memory=32.0)
 
-    def check_contact(self, problem: ContactProblem) -> None:
+    def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError without Poisson's ratio, and for what is no half-space."""
-        if problem.solid.poisson is None:
+        if solid.poisson is None:
             raise InputError("output.subsurface: stresses depend on Poisson's ratio: give solid.poisson")
-        if not math.isinf(getattr(problem.solid, "thickness", 0.0)):
+        if not math.isinf(getattr(solid, "thickness", 0.0)):
             raise InputError("output.subsurface: stresses in a half-space only, not in a slab or a layered solid")
 
     def measure(self, contact: Contact) -> Groups:
