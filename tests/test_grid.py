@@ -9,7 +9,7 @@ import pytest
 from mpi4py import MPI
 
 from pgfmd.errors import InputError, SolverError
-from pgfmd.grid import aligned, grid_cost, transpose
+from pgfmd.grid import aligned, grid_cost, slab_grid, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import Interpolation, SubGrid, interpolate, restrict, restrict_locally
 from pgfmd.parallel import collectives, mpi
@@ -404,3 +404,19 @@ def test_error_of_one_rank_of_a_smaller_grid(comm, monkeypatch, error):
     if 1 < place.grid.comm.size < comm.size:
         await_all(comm)  # for which the others wait
         comm.bcast(None)
+
+
+def test_small_transforms_are_kept_for_the_next_grid():
+    """A grid that is freed leaves them to one like it, and to one only; no more than `SPARES` are kept."""
+    field = np.random.default_rng(4).standard_normal((12, 10))
+    first, second, third = (SlabGrid(MPI.COMM_SELF, (12, 10)) for _ in range(3))
+    spectrum, made = first.forward(field), first.transform()
+    first.free()
+    assert np.array_equal(second.forward(field), spectrum) and second.transform() is made
+    assert np.array_equal(third.forward(field), spectrum) and third.transform() is not made
+    for n in range(2 * slab_grid.SPARES):
+        grid = SlabGrid(MPI.COMM_SELF, (12, 11 + n))
+        grid.transform()
+        grid.free()
+    assert len(slab_grid._spares) == slab_grid.SPARES
+    assert SlabGrid(MPI.COMM_SELF, (12, 10)).transform() is not made

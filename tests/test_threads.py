@@ -3,9 +3,12 @@
 import os
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
+import pgfmd
 from pgfmd.parallel.threads import ThreadPool, Threads, threads_per_rank
 
 
@@ -138,3 +141,13 @@ def test_threads_that_the_environment_asks_for(monkeypatch, asked, count):
     """OMP_NUM_THREADS is taken where it is a number of threads that a machine can have, else the cores are counted."""
     monkeypatch.setenv("OMP_NUM_THREADS", asked)
     assert threads_per_rank() == (count or len(os.sched_getaffinity(0)))
+
+
+def test_solutions_of_several_threads_do_not_share_memory():
+    """Two threads that solve on grids alike, again and again, get what one gets."""
+    surfaces = np.random.default_rng(5).standard_normal((2, 48, 40))
+    alone = [pgfmd.solve(each, 0.1).pressure for each in surfaces]
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(5):
+            found = pool.map(lambda each: pgfmd.solve(each, 0.1).pressure, surfaces)
+            assert all(map(np.array_equal, found, alone))

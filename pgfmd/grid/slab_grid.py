@@ -12,6 +12,7 @@ DFT convention: `forward` is the plain sum over points, `backward` carries 1/(Nx
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -30,6 +31,11 @@ from pgfmd.parallel.mpi import MPI
 from pgfmd.parallel.threads import Threads, threads_per_rank
 
 BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into the cache together
+# One rank keeps transforms for the next grid alike: of so many modes at most, those of the last grids freed.  Each
+# belongs to one grid at a time, so that threads may solve at once.
+MOST_MODES, SPARES = 1 << 16, 16
+_spares: list[tuple[Hashable, Strips, dict[np.dtype, Transform | LibraryTransform]]] = []
+_lock = threading.Lock()
 
 
 def transform_work(shape: tuple[int, int], torus: tuple[int, int]) -> float:
@@ -102,6 +108,8 @@ class SlabGrid:
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
         self._transform_name = transform
+        alone = comm.size == 1 and self.modes <= MOST_MODES
+        self._kind: Hashable = (self.shape, self.torus, transform, self.threads.count) if alone else None
         self._strips: Strips | None = None
         self._planned: dict[np.dtype, Transform | LibraryTransform] = {}
         self.tables: dict[Hashable, np.ndarray] = {}  # symbols of solids, kept for the next load
@@ -114,13 +122,17 @@ class SlabGrid:
     def transform(self, dtype: DTypeLike = np.float64) -> Transform | LibraryTransform:
         """The transform in that precision, planned on first use.  Collective on first use."""
         dtype = np.dtype(dtype)
-        if dtype not in self._planned and self._transform_name == "mpi4py-fft":
+        if dtype in self._planned:
+            return self._planned[dtype]
+        if self._transform_name == "mpi4py-fft":
             self._planned[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
-        elif dtype not in self._planned:
-            if self._strips is None:
-                place = self.shape[0], self.torus[1]
-                self._strips = make_strips(self.comm, place, self._transform_name != "exchanged")
-            self._planned[dtype] = Transform(self._strips, self.shape, self.torus, dtype, self.threads)
+            return self._planned[dtype]
+        if self._strips is None and self._kind is not None and self._take_spare():
+            return self.transform(dtype)
+        if self._strips is None:
+            place = self.shape[0], self.torus[1]
+            self._strips = make_strips(self.comm, place, self._transform_name != "exchanged")
+        self._planned[dtype] = Transform(self._strips, self.shape, self.torus, dtype, self.threads)
         return self._planned[dtype]
 
     def new_field(self, dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -267,8 +279,23 @@ class SlabGrid:
             raise
         self.free()
 
+    def _take_spare(self) -> bool:
+        """Takes the transforms that a grid alike has freed; whether there are any."""
+        with _lock:
+            place = next((i for i, spare in enumerate(_spares) if spare[0] == self._kind), None)
+            if place is not None:
+                _, self._strips, self._planned = _spares.pop(place)
+        return place is not None
+
     def free(self) -> None:
-        """Free the memory of the transforms; the next use allocates it again.  Collective."""
+        """Free the memory of the transforms, or keep them for a grid alike; the next use takes or allocates them again.
+        Collective.
+        """
+        if self._kind is not None and self._strips is not None:
+            with _lock:
+                _spares.append((self._kind, self._strips, self._planned))
+                del _spares[:-SPARES]
+            self._strips, self._planned = None, {}
         for transform in self._planned.values():
             transform.free()
         self._planned = {}

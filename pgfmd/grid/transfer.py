@@ -5,6 +5,7 @@ restriction and interpolation, in a periodic cell spectral too.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -248,9 +249,10 @@ class Interpolation:
         return out
 
 
+@lru_cache(maxsize=16)
 def _means(domain: Domain, fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray]:
     """For each coarse point, the first of the fine points within two coarse spacings and their weights (coarse, TAPS),
-    whose sum is 1.
+    whose sum is 1; to read.
     """
     at = np.arange(coarse)
     if domain.wraps:

@@ -69,7 +69,8 @@ class Reduction:
     def sums(self, *values: float) -> np.ndarray:
         """Several local numbers summed over the ranks in one message.  Collective."""
         out = np.array(values, dtype=np.float64)
-        self.comm.Allreduce(MPI.IN_PLACE, out, MPI.SUM)
+        if self.comm.size > 1:
+            self.comm.Allreduce(MPI.IN_PLACE, out, MPI.SUM)
         return out
 
     def sums_of_blocks(self, parts: Mapping[int, tuple[float, ...]], count: int) -> np.ndarray:

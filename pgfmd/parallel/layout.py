@@ -64,7 +64,8 @@ class RowPlan:
     def __init__(self, layout: Layout, ranges: Sequence[Range], places: Sequence[int] | None = None) -> None:
         self.comm, rank = layout.comm, layout.comm.rank
         wanted = np.empty((layout.comm.size, len(ranges), 2), np.int64)
-        self.comm.Allgather(np.array(ranges, np.int64), wanted)
+        if self.comm.size > 1:
+            self.comm.Allgather(np.array(ranges, np.int64), wanted)
         lengths = [max(high - low, 0) for low, high in ranges]
         places = np.cumsum([0, *lengths[:-1]]).tolist() if places is None else places
         self.sends: list[tuple[int, int, int]] = []
@@ -77,7 +78,8 @@ class RowPlan:
                     self.copies.append((first, stop, at))
                 else:
                     self.receives.append((owner, at, at + stop - first))
-            self.sends += (piece for piece in _askers(wanted[:, which], layout) if piece[0] != rank)
+            if self.comm.size > 1:
+                self.sends += (piece for piece in _askers(wanted[:, which], layout) if piece[0] != rank)
 
     def fetch(self, source: np.ndarray, target: np.ndarray, threads: Threads | None = None) -> np.ndarray:
         """Brings rows of `source`, this rank's, to the `target`s of the ranks that need them; returns this rank's."""
@@ -119,7 +121,10 @@ class Exchange:
             self._sent.setdefault(rank, []).append(source[here(*rows)])
         for first, stop, at in plan.copies:
             part, to = source[here(first, stop)], target[there(at, at + stop - first)]
-            (threads or Threads(1)).split(partial(_copy, part, to), len(part))
+            if threads is None:
+                to[...] = part
+            else:
+                threads.split(partial(_copy, part, to), len(part))
 
     def give(self, plan: RowPlan, target: np.ndarray) -> list[Piece]:
         """Adds: the rows of `target` back to the ranks that hold them.  Returns what will have come to this one, those
@@ -157,8 +162,9 @@ class Exchange:
 
     def carry_out(self) -> None:
         """Sends what was added, and waits."""
-        self.start()
-        self.finish()
+        if self._sent or self._received:
+            self.start()
+            self.finish()
 
 
 class RowWindow:

@@ -99,6 +99,8 @@ class Threads:
 
     def collect(self, work: Callable[[int, int], object], total: int, block: int = 64) -> list:
         """What `work(first, stop)` returns for each block of 0 … total−1, in their order whatever thread made them."""
+        if 0 < total <= block:
+            return [work(0, total)]
         results: list = [None] * -(-total // block)
 
         def part(_: int, first: int, stop: int) -> None:
@@ -116,6 +118,7 @@ class Threads:
         that is free first: in place of `split` where some rows take longer than others.
         """
         if self.count == 1:
-            self.split(work, total)
+            if total > 0:
+                work(0, total)
         else:
             self.share(lambda _, first, stop: work(first, stop), total, max(least, total // (4 * self.count)))

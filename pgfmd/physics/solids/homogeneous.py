@@ -76,6 +76,9 @@ class Homogeneous(Solid):
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             return (rise * (1 + e) + 4 * t * e) / rise**2
 
+    def softest(self, lengths: tuple[float, float], spacing: tuple[float, float]) -> float:
+        return super().softest(lengths, spacing) if math.isfinite(self.thickness) else 1.0
+
     def mean_stiffness(self, periodic: bool = True) -> float:
         """Of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid base; E'/d on a frictionless one if lateral strain is
         free.

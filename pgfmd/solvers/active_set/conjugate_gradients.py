@@ -74,7 +74,7 @@ class ConjugateGradients:
             self.operator(direction, product)
             curvature, load, total = self._sums(d, product)
             shift = total * self.inverse_count - self.compliance * load
-            curvature += self.compliance * load**2
+            curvature += self.compliance * load * load
             if not curvature > 0:
                 return x, iteration
             step = real(before / curvature), real(shift)
@@ -89,10 +89,10 @@ class ConjugateGradients:
         self.mean = sum_z * self.inverse_count - sum_r * self.capacity
         return square - self.mean * sum_r
 
-    def _sums(self, a: np.ndarray, b: np.ndarray, *more: float) -> np.ndarray:
+    def _sums(self, a: np.ndarray, b: np.ndarray, *more: float) -> list[float]:
         """Σ a b, Σ a, Σ b and the sums of `more` numbers over all ranks.  Collective."""
         parts = self.threads.collect(lambda i, j: dot_and_sums(a, b, i, j), len(a), ENTRIES)
-        return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)), *more)
+        return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)), *more).tolist()
 
 
 @jit

@@ -10,6 +10,8 @@ counts as error too, and most of it lies in waves that the residual on the open 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
@@ -18,7 +20,7 @@ from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import FREE, ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.settling import Settling
-from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel, power_of
 from pgfmd.solvers.active_set.unknowns import Unknowns, add_points
 
 SCREENING = 0.15  # wave number, in 1/pixel, below which the preconditioner takes the compliance as constant
@@ -122,8 +124,8 @@ class GapSteps(Relaxation):
 
 def near_compliance(grid: SlabGrid, half_space: Symbol) -> Stencil:
     """An approximate inverse of the stiffness on a set: half_space(|q|), the compliance, screened and truncated."""
-    screen = SCREENING / np.sqrt(grid.pixel_area)
-    kernel = lattice_kernel(grid, lambda q: half_space(np.hypot(q, screen)))
+    compliance, power = power_of(half_space)
+    kernel = compliance * lattice_kernel(grid.spacing, power, SCREENING / math.sqrt(grid.pixel_area))
     waves = np.fft.fft2(np.roll(np.pad(kernel, (0, 64 - len(kernel))), (-RADIUS, -RADIUS), (0, 1))).real
     centre = kernel[RADIUS, RADIUS]
     kernel[RADIUS, RADIUS] += max(0, LEAST * centre - waves.min())  # needed for oblong pixels

@@ -14,6 +14,8 @@ transforms.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
@@ -22,7 +24,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import ColumnAction, scaling, sink
 from pgfmd.parallel.layout import Exchange, Piece
-from pgfmd.solvers.active_set.stencil import OFFSETS, RADIUS, Stencil, Symbol, symmetric_kernel
+from pgfmd.solvers.active_set.stencil import OFFSETS, RADIUS, Stencil, Symbol, power_of, symmetric_kernel
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, add_points, take_points
 
 FITTED = 16  # waves of the mesh each way to which the near part is fitted
@@ -49,7 +51,8 @@ class MeshResponse:
             shape, scale, shift = (shape[0] + MARGIN, shape[1] + MARGIN), (0.5, 0.5), 1
             lengths = 2 * shape[0] * grid.spacing[0], 2 * shape[1] * grid.spacing[1]
         self.place = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS)
-        kernel = near_kernel(grid.spacing, half_space)
+        factor, power = power_of(half_space)
+        kernel = factor * near_kernel(grid.spacing, power)
         self.stencil = Stencil(kernel)
         if self.place.grid is not None:
             self.influence = self._influence(self.place.grid, kernel, response)
@@ -125,8 +128,9 @@ class MeshResponse:
         return influence
 
 
-def near_kernel(spacing: tuple[float, float], half_space: Symbol) -> np.ndarray:
-    """Real-space values (7, 7) of the near part, zero beyond √10 pixels.  half_space(|q|): the operator A.
+@lru_cache(maxsize=16)
+def near_kernel(spacing: tuple[float, float], power: int) -> np.ndarray:
+    """Real-space values (7, 7) of the near part, zero beyond √10 pixels, for the operator A = |q|^power; to read.
 
     Four waves of the grid are one wave on the mesh.  With their spline weights W, the near part N and the influence I,
     the response to them is diag(N) + I W Wᵀ.  The kernel minimises Σ D_ij²/A_i of its difference D from diag(A), over
@@ -135,7 +139,7 @@ def near_kernel(spacing: tuple[float, float], half_space: Symbol) -> np.ndarray:
     waves = (np.arange(FITTED) + 0.5) / FITTED * np.pi / 2  # of the mesh, in radians per pixel
     along = np.concatenate([waves, waves - np.pi])
     x, y = np.meshgrid(along, along, indexing="ij")
-    root = np.sqrt(half_space(np.hypot(x / spacing[0], y / spacing[1])))
+    root = np.hypot(x / spacing[0], y / spacing[1]) ** (power / 2)
     # W² of the cubic B-spline: its values at every half of a node's distance, transformed
     weights = np.prod([(16 + 23 * np.cos(q) + 8 * np.cos(2 * q) + np.cos(3 * q)) / 48 for q in (x, y)], axis=0) ** 2
     answered = weights / root / np.sqrt(_over_aliases(weights / root**2) * _over_aliases(weights))

@@ -16,7 +16,7 @@ from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel.layout import Exchange
 from pgfmd.solvers.active_set.block_stiffness import FACTOR, FEWEST, Blocks, Sums
-from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel
+from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel, power_of
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, Unknowns
 
 SHIFT = FACTOR.bit_length() - 1  # FACTOR = 2^SHIFT
@@ -30,7 +30,8 @@ class MultilevelStiffness:
 
     def __init__(self, grid: SlabGrid, half_space: Symbol, stiffness: Symbol) -> None:
         """half_space(|q|): stiffness of a half-space, for the near part; stiffness(|q|): of the solid, for the far."""
-        self.grid, kernel = grid, lattice_kernel(grid, half_space)
+        modulus, power = power_of(half_space)
+        self.grid, kernel = grid, modulus * lattice_kernel(grid.spacing, power)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(kernel)
         large = min(grid.torus) >= FEWEST * FACTOR

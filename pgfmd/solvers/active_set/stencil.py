@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from pgfmd.grid.kernels import jit, u
-from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.solvers.active_set.unknowns import HALO, Part, Points, SetVector
 
 Symbol = Callable[[np.ndarray], np.ndarray]
@@ -20,15 +20,22 @@ OFFSETS = tuple((i, j) for i in range(RADIUS + 1) for j in range(RADIUS + 1) if 
 ROWS = 32  # evaluated together: with `RADIUS` rows more on each side they stay in cache
 
 
-def lattice_kernel(grid: SlabGrid, symbol: Symbol) -> np.ndarray:
-    """Real-space values of `symbol(|q|)` on the pixel lattice, (7, 7), zero beyond √10 pixels.
+def power_of(half_space: Symbol) -> tuple[float, int]:
+    """The c and the power n = ±1 of a half-space's stiffness or compliance, c |q|ⁿ."""
+    one, two = (float(half_space(np.array(q))) for q in (1.0, 2.0))
+    return one, 1 if two > one else -1
+
+
+@lru_cache(maxsize=64)
+def lattice_kernel(spacing: tuple[float, float], power: int, screen: float = 0.0) -> np.ndarray:
+    """Real-space values of (|q|² + screen²)^(power/2) on the pixel lattice, (7, 7), zero beyond √10 pixels; to read.
 
     They are computed on a grid of 64 × 64 with the same spacing: a short-ranged kernel does not depend on the cell.
     """
     n = 64
-    ax, ay = grid.spacing
+    ax, ay = spacing
     q = np.hypot(2 * np.pi * np.fft.fftfreq(n, ax)[:, None], 2 * np.pi * np.fft.rfftfreq(n, ay)[None, :])
-    kernel = np.fft.irfft2(symbol(q), s=(n, n))
+    kernel = np.fft.irfft2(np.hypot(q, screen) ** power, s=(n, n))
     return symmetric_kernel([kernel[offset] for offset in OFFSETS])
 
 

@@ -30,15 +30,15 @@ class Unknowns:
     (below `level` at 0, above it at `highest`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; lists and extended, `Points` without and with a halo of `HALO` rows; own,
-    the slice of the columns of `extended` that are those of `lists`.
+    the slice of the columns of `extended` that are those of `lists`; repeated, on one rank alone, where the values of
+    the halo are in `lists` and in `extended`.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
     def __init__(self, grid: SlabGrid, fields: Fields, level: float = 0.0, highest: float = math.inf) -> None:
         """fields: pressure and gap (nx_local, ny).  Collective."""
         self.grid, rows = grid, grid.local_shape[0]
-        self.halo, around = grid.around(HALO, rows), grid.neighbours(fields, HALO, (0.0, math.inf))
-
+        self.halo = grid.around(HALO, rows)
         real = fields[1].dtype.type  # of the limits too, since loops that convert are slower
 
         def choose(pressure: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -47,12 +47,26 @@ class Unknowns:
             return counts, columns[:found].copy()
 
         parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows, grid.band)
-        before, after = (choose(*(field[part] for field in around)) for part in (slice(HALO), slice(HALO, None)))
+        alone = grid.comm.size == 1 and min(len(parts[0][0]), len(parts[-1][0])) >= HALO
+        if alone and grid.domain.wraps:  # the halo repeats rows of its own
+            (first, start), (last, end) = parts[0], parts[-1]
+            before = last[-HALO:], end[len(end) - int(last[-HALO:].sum()) :]
+            after = first[:HALO], start[: int(first[:HALO].sum())]
+        else:
+            around = grid.neighbours(fields, HALO, (0.0, math.inf))
+            before, after = (choose(*(field[part] for field in around)) for part in (slice(HALO), slice(HALO, None)))
         counts, lists = zip(before, *parts, after, strict=True)
         columns, offsets = self.extended = np.concatenate(lists), np.concatenate([[0], *counts]).cumsum()
         own = offsets[HALO : HALO + rows + 1]
         self.own, self.count = slice(own[0], own[-1]), int(own[-1] - own[0])
         self.lists: Points = columns[self.own], own - own[0]
+        self.repeated: list[tuple[slice, slice]] | None = None
+        if alone:
+            here = self.lists[1].item
+            self.repeated = [
+                (slice(here(first), here(stop)), slice(int(offsets[at]), int(offsets[at + stop - first])))
+                for first, stop, at in self.halo.copies
+            ]
 
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
@@ -80,6 +94,10 @@ class SetVector:
 
     def send(self, exchange: Exchange) -> None:
         """Adds to an exchange what brings the present values of the halo.  `own` may be read meanwhile."""
+        if self.points.repeated is not None:
+            for here, there in self.points.repeated:
+                self.all[there] = self.own[here]
+            return
         exchange.fetch(self.points.halo, self.own, self.all, (self.points.lists[1], self.points.extended[1]))
 
     def exchange(self) -> None:
