@@ -124,8 +124,10 @@ def solve(
     comm: MPI.Comm | None = None,
     threads: int | None = None,
     progress: bool | None = None,
-) -> Contact | Iterator[Contact]:
+) -> Contact | Iterator[Contact] | list[Contact]:
     """The contact of one surface at one load, or an iterator over its contacts at a list of them.  Collective.
+
+    Or, for heights (B, nx, ny), the list of the contacts of B surfaces at one load, each as if it were solved alone.
 
     heights: without `comm` the whole surface (nx, ny), solved by this process alone; with it this rank's rows
     (nx_local, ny), split as `parallel.slab` does.  Any consistent units.  The fields of the answer are split like them.
@@ -164,6 +166,8 @@ def solve(
     >>> [round(contact.mean_gap, 3) for contact in pgfmd.solve(heights, [0.01, 0.02, 0.04])]
     [0.287, 0.132, 0.028]
     """
+    if getattr(heights, "ndim", 2) == 3 and not is_topography(heights):
+        return _batch(heights, {name: value for name, value in locals().items() if name != "heights"})
     comm = ALONE if comm is None else comm
     imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
     imposed |= {"displacement": displacement, "force": force, "percolation": percolation}
@@ -210,6 +214,16 @@ def solve(
         return next(contacts)
     finally:
         contacts.close()
+
+
+def _batch(surfaces: np.ndarray, options: dict[str, Any]) -> list[Contact]:
+    """The contacts of surfaces (B, nx_local, ny).  Collective."""
+    comm = ALONE if options["comm"] is None else options["comm"]
+    _agree(comm, (len(surfaces),))
+    with raise_together(comm):
+        if not len(surfaces) or options["start"] is not None or any(np.ndim(options[name]) for name in IMPOSED):
+            raise InputError("heights (B, nx, ny): B ≥ 1 surfaces take one load, as a number, and no start")
+    return [solve(heights, **options) for heights in surfaces]
 
 
 def certify(
@@ -404,6 +418,7 @@ def _solve(
         bar.hide()
 
 
+IMPOSED = "pressure", "contact_area", "mean_gap", "displacement", "force"
 BOUNDARY = choice(*DOMAINS)
 SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow
 

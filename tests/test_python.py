@@ -123,6 +123,22 @@ def test_a_list_is_solved_as_it_is_asked_for(comm, heights):
     contacts.close()
 
 
+def test_a_batch_is_its_surfaces_one_by_one(comm, heights):
+    """Heights (B, nx, ny) give the contacts of each, to the last bit; lists of loads, a start and none are refused."""
+    surfaces = np.stack([heights, 2 * heights, -heights])
+    for imposed in ({"pressure": 0.02}, {"contact_area": 0.2}):
+        for contact, alone in zip(pgfmd.solve(surfaces, comm=comm, **imposed), surfaces, strict=True):
+            assert np.array_equal(contact.pressure, pgfmd.solve(alone, comm=comm, **imposed).pressure)
+    for wrong in ({"pressure": [0.1]}, {"pressure": 0.1, "start": surfaces}):
+        with pytest.raises(InputError, match="B ≥ 1 surfaces"):
+            pgfmd.solve(surfaces, comm=comm, **wrong)
+    with pytest.raises(InputError, match="B ≥ 1 surfaces"):
+        pgfmd.solve(surfaces[:0], 0.1, comm=comm)
+    if comm.size > 1:
+        with pytest.raises(InputError, match="different contacts"):
+            pgfmd.solve(surfaces[: comm.rank + 1], 0.1, comm=comm)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
