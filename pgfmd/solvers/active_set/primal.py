@@ -19,7 +19,7 @@ from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, ConjugateGradi
 from pgfmd.solvers.active_set.feasible import Feasible
 from pgfmd.solvers.active_set.particle_mesh import MeshResponse, inner_response
 from pgfmd.solvers.active_set.preconditioner import MultilevelStiffness
-from pgfmd.solvers.active_set.unknowns import Unknowns
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 
 CLOSE = 3e-5  # least part of the energy error that one step can leave: of the mesh's response, see `near_kernel`
 LEAST_PART = 5e-5  # the least that the first of two steps aims at
@@ -109,11 +109,12 @@ class PressureSteps(Relaxation):
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
-            change = near.below(0.0, state.pressure)
+            before = near.values(state.pressure)
             self._solve(state, system, wanted)
             if goal > SURE * square and wanted**2 * square < 1.1 * goal:
                 return
-            change.own -= near.below(0.0, state.pressure).own
+            change = SetVector(near)
+            change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
             response = np.empty(near.count, np.float32)
             self.inner.apply(change, response)
             near.add(state.gap, response)

@@ -66,10 +66,11 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: n
     if solid.get("kind", "homogeneous") != "homogeneous":
         slab = SolidOfFactors(solid["contact_modulus"], factor=factor_of(solid, table))
     if is_open:
-        d, shape = slab.thickness, list(n)
-        if d < 3 * max(spacings):  # `open_kernel.layer_table` takes the modes of a torus on which the slab is thin
-            shape = [max(count, math.ceil(1.01 * d / (0.04 * a))) for count, a in zip(shape, spacings, strict=True)]
-        torus = OPEN.torus((shape[0], shape[1]), tuple(spacings))
+        d, torus = slab.thickness, OPEN.torus((n[0], n[1]), tuple(spacings))
+        if 0.02 * min(map(math.prod, zip(torus, spacings, strict=True))) < d < 3 * max(spacings):
+            # `open_kernel.layer_table` takes the modes of a torus on which the slab is thin.
+            nx, ny = (max(count, math.ceil(1.01 * d / (0.04 * a))) for count, a in zip(n, spacings, strict=True))
+            torus = OPEN.torus((nx, ny), tuple(spacings))
         if 3 * max(spacings) <= d < THIN * math.hypot(*(a * count for a, count in zip(spacings, n, strict=True))):
             return UNJUDGED, "the reference does not sum so many oscillations"
         contact: reference.Contact = reference.OpenContact(heights, tuple(spacings), slab, torus)
