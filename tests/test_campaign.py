@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections import Counter
 
@@ -95,6 +96,56 @@ def test_the_judge_sees_what_is_wrong(tmp_path, monkeypatch, spoil, said):
     verdict, detail = running.run(case, tmp_path / "case")
     assert verdict == (cases.WRONG if said else cases.RIGHT), detail
     assert any(words in detail for words in said.split("|"))
+
+
+WALLS = {
+    "formula": {"kind": "formula", "pressure": "exp(-(gap / 0.3))", "gaps": [0.0, 9.0]},
+    "adhesive": {"kind": "adhesive", "range": 1.5, "work": 0.3},
+    "potential": {"kind": "potential", "pressure": "0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))",
+                  "gaps": [0.3, 10.0]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", WALLS)
+def test_the_judge_knows_other_walls(tmp_path, monkeypatch, kind):
+    """Contacts under a formula and under attraction are in equilibrium; a field or number that is spoilt is seen."""
+    heights = 0.1 * np.random.default_rng(1).standard_normal((6, 5))
+    case, given, judge = cases.Case(0, SOUND | {"wall": WALLS[kind]}, heights, "simulate"), [], running.judge
+    monkeypatch.setattr(running, "judge", lambda *everything: given.append(everything) or judge(*everything))
+    assert running.run(case, tmp_path / "case") == (cases.RIGHT, "")
+    job, heights, (answer,), factor = given[0]
+    for name, spoil in {
+        "pressure": answer.pressure * (1 + 0.01 * np.sign(answer.pressure - answer.pressure.mean())),
+        "gap": answer.gap + 0.01 * np.cos(np.arange(5)), "mean_gap": answer.mean_gap + 0.01,
+        "elastic_energy": answer.elastic_energy * 1.01,
+    }.items():  # fmt: skip
+        assert judge(job, heights, [dataclasses.replace(answer, **{name: spoil})], factor)[0] == cases.WRONG, name
+
+
+@pytest.mark.mpi
+def test_ranks_are_compared_with_one(comm, shared_tmp_path, monkeypatch):
+    """A job is right beside one rank; a field, a column or a dataset of a group that depends on the ranks is seen."""
+    if comm.size == 1:
+        pytest.skip("needs several ranks")
+    document = SOUND | {"output": SOUND["output"] | {"observables": ["spectra", "leakage"]}}
+    case = cases.Case(0, document, np.random.default_rng(1).standard_normal((6, 5)), "simulate")
+    assert running.run_beside_one(case, shared_tmp_path / "sound", comm) == (cases.RIGHT, "")
+    answered = running.answered
+    for number, spoil in enumerate((
+        lambda answer: answer.columns.__setitem__("kappa", answer.columns["kappa"] * 1.01),
+        lambda answer: answer.groups["stress_spectrum"]["value"].__imul__(1.01),
+        lambda answer: answer.pressure.__imul__(1.01),
+    )):  # fmt: skip
+
+        def spoilt(case, folder, comm=None, spoil=spoil):
+            found = answered(case, folder, comm)
+            if comm is not None and comm.rank == 0:
+                spoil(found[2][0])
+            return found
+
+        monkeypatch.setattr(running, "answered", spoilt)
+        verdict, detail = running.run_beside_one(case, shared_tmp_path / str(number), comm)
+        assert comm.bcast(verdict) == cases.WRONG, detail
 
 
 def rough(hurst: float, slope: float, seed: int, **more: float) -> dict:

@@ -42,7 +42,7 @@ def draw(seed: int, number: int, extension: str = "") -> Case:
     if chance.random() < 0.2:
         document["run"] = {"checkpoint_interval": [0.0, math.inf, 60.0][chance.integers(3)]}
     factor = None
-    if chance.random() < 0.35 or extension:
+    if chance.random() < 0.5 or extension:
         factor = _extend(chance, document, size, modulus, spacing, extension)
     for name in [name for name, table in document.items() if not table]:
         del document[name]
@@ -217,49 +217,91 @@ def _solver(chance, wall: dict) -> dict:
     return table
 
 
-EXTENSIONS = ("open", "layered", "table", "attracts", "follows", "seeds")
+EXTENSIONS = ("open", "layered", "table", "attracts", "formula", "second", "refined", "closes", "follows", "seeds")
 
 
 def _extend(chance, document: dict, size: float, modulus: float, spacing, extension: str) -> np.ndarray | None:
-    """Change a job in place: open boundaries, a layered solid or a table, a wall that attracts, what follows from a
-    contact, or several seeds.  Returns q and F(q) of a table.
+    """Change a job in place: a kind that few jobs have, and often what follows from its contact.  Returns q and F(q) of
+    a table.
     """
-    way = extension or chance.choice(EXTENSIONS, p=[0.2, 0.15, 0.15, 0.2, 0.2, 0.1])
-    step = float(min(spacing))
+    way = extension or str(chance.choice(EXTENSIONS, p=[0.15, 0.1, 0.1, 0.15, 0.15, 0.05, 0.05, 0.05, 0.15, 0.05]))
+    step, factor = float(min(spacing)), None
     if way == "open":
         document["grid"]["boundary"] = "open"
         if "pressure" in document["load"] and chance.random() < 0.3:
             document["load"]["force"] = document["load"].pop("pressure")
+        if chance.random() < 0.2:
+            document["solid"] = _layer(chance, modulus, step)
     elif way == "layered":
-        document["solid"] = {
-            "kind": "layered", "contact_modulus": modulus, "poisson": float(chance.uniform(-0.5, 0.49)),
-            "thickness": step * 10 ** float(chance.uniform(-2, 2)),
-            "base_modulus": modulus * 10 ** float(chance.uniform(-4, 4)),
-            "base_poisson": float(chance.uniform(-0.5, 0.49)),
-        }  # fmt: skip
+        document["solid"] = _layer(chance, modulus, step)
     elif way == "table":
         document["solid"] = {"kind": "table", "contact_modulus": modulus, "path": "factor.npy"}
         first = 10 ** chance.uniform(-2, 1) / step
-        return np.array([[first, 10 ** chance.uniform(-2, 2)],
-                         [first * 10 ** chance.uniform(0.1, 2), 10 ** chance.uniform(-2, 2)]])  # fmt: skip
+        factor = np.array([[first, 10 ** chance.uniform(-2, 2)],
+                           [first * 10 ** chance.uniform(0.1, 2), 10 ** chance.uniform(-2, 2)]])  # fmt: skip
     elif way == "attracts":
-        reach = size * 10 ** float(chance.uniform(-1, 1.5))
-        process_zone = step * 10 ** float(chance.uniform(-0.3, 1.5))  # ρ²E'/w
-        document["wall"] = {
-            "kind": str(chance.choice(["adhesive", "dugdale"])), "range": reach,
-            "work": modulus * reach**2 / process_zone,
-        }  # fmt: skip
-        if chance.random() < 0.3:
-            document["load"]["cycle"] = True
+        _attract(chance, document, size * 10 ** float(chance.uniform(-1, 1.5)), modulus, step)
+    elif way == "formula":
+        document["wall"] = _formula(chance, size, modulus * size / step)
         document["solver"].pop("method", None)
-    elif way == "follows":
+    elif way == "second":
+        document["surface"]["second"] = {"kind": "sinusoid", "amplitude": size * float(chance.uniform(-2, 2))}
+    elif way == "refined":
+        document["grid"]["refine"] = int(chance.integers(1, 4))
+    elif way == "closes":
+        document["load"] = {"percolation": "gap"}
+        if chance.random() < 0.5:
+            document["load"]["percolation_accuracy"] = 10.0 ** float(chance.uniform(-4, -0.5))
+    elif way == "seeds" and document["surface"]["kind"] == "self-affine":
+        document["surface"]["seed"] = [int(seed) for seed in chance.integers(0, 1000, 2)]
+    if way == "follows" or chance.random() < 0.3:
         document["output"]["observables"] = [str(name) for name in chance.permutation(FOLLOWS)[: chance.integers(1, 5)]]
         if "partial_slip" in document["output"]["observables"]:
             document["output"]["partial_slip"] = {"friction": 10 ** float(chance.uniform(-2, 1))}
-        document["solid"].setdefault("poisson", 0.25)
-    elif document["surface"]["kind"] == "self-affine":
-        document["surface"]["seed"] = [int(seed) for seed in chance.integers(0, 1000, 2)]
-    return None
+        if document["solid"].get("kind") != "layered":
+            document["solid"].setdefault("poisson", 0.25)
+    return factor
+
+
+def _layer(chance, modulus: float, step: float) -> dict:
+    """The table of a layered solid."""
+    return {
+        "kind": "layered", "contact_modulus": modulus, "poisson": float(chance.uniform(-0.5, 0.49)),
+        "thickness": step * 10 ** float(chance.uniform(-2, 2)),
+        "base_modulus": modulus * 10 ** float(chance.uniform(-4, 4)), "base_poisson": float(chance.uniform(-0.5, 0.49)),
+    }  # fmt: skip
+
+
+def _attract(chance, document: dict, reach: float, modulus: float, step: float) -> None:
+    """A wall that attracts within a reach, and how its branch is followed."""
+    process_zone = step * 10 ** float(chance.uniform(-0.3, 1.5))  # ρ²E'/w
+    kind, tension = str(chance.choice(["adhesive", "dugdale", "potential"])), modulus * reach / process_zone
+    document["wall"] = {"kind": kind, "range": reach, "work": tension * reach}
+    if kind == "dugdale" and chance.random() < 0.3:
+        document["wall"]["edge"] = float(chance.uniform(0, 2))
+    if kind == "potential":
+        scaled = f"(gap / {reach!r} - 1)"
+        document["wall"] = {"kind": kind, "pressure": f"{4 * tension!r} * (exp(-2 * {scaled}) - exp(-{scaled}))",
+                            "gaps": [0.3 * reach, 15.0 * reach]}  # fmt: skip
+    if chance.random() < 0.3:
+        document["load"]["cycle"] = True
+    if chance.random() < 0.2:
+        document["load"]["branch"] = str(chance.choice(["cold", "probe"]))
+    document["solver"].pop("method", None)
+
+
+def _formula(chance, size: float, stress: float) -> dict:
+    """The table of a wall that is a formula of the gap."""
+    reach, most = size * 10 ** float(chance.uniform(-1.5, 1)), stress * 10 ** float(chance.uniform(-1.5, 1.5))
+    scaled = f"(gap / {reach!r})"
+    written, least, last = (
+        (f"exp(-{scaled})", chance.uniform(-5, 5), 30.0),
+        (f"{scaled}**-{chance.integers(1, 10)}", 0.3, 30.0),
+        (f"max(1 - {scaled}, 0)", 0.0, float(chance.uniform(0.5, 2))),
+        (f"erfc({scaled})", -1.0, 10.0),
+        (f"1 / (1 + {scaled}**2)", 0.0, 5.0),
+    )[chance.integers(5)]
+    return {"kind": "formula", "pressure": f"{most!r} * {written}", "gaps": [float(least * reach), last * reach]}
 
 
 FOLLOWS = ("stiffness", "percolation", "leakage", "partial_slip", "subsurface", "discretisation", "gap_spectrum",
@@ -321,10 +363,10 @@ def _solvable(document: dict, spoilt: bool) -> bool:
     return (
         not spoilt
         and "kind" not in document["solid"]
-        and "boundary" not in document["grid"]
-        and wall.get("kind") not in ("adhesive", "dugdale")
+        and not set(document["grid"]) & {"boundary", "refine"}
+        and wall.get("kind") not in ("adhesive", "dugdale", "potential")
         and document["surface"].get("kind") == "file"
-        and not set(document["surface"]) & {"detrend", "periodic", "height_scale"}
+        and not set(document["surface"]) & {"detrend", "periodic", "height_scale", "second"}
         and isinstance(load.get("pressure"), float)
         and "sigma_ref" not in wall
         and "contact_modulus" in document["solid"]

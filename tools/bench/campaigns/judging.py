@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import reference
 
+from campaigns import walls
 from campaigns.random_case import RIGHT, UNJUDGED, WRONG
 from pgfmd.grid.domain import OPEN
 
@@ -19,6 +20,7 @@ ROUNDING_OF_ONE = 2.3e-16
 THIN = 0.01  # thickness over the diagonal below which the reference does not sum a slab's kernel
 ROUNDING = 1e-12  # of sums over the grid, relative to their largest terms
 FLOOR = 1e-30  # relative energy error of a double's last digit
+IMPOSED = (*reference.CONTROLS, "force")
 
 
 @dataclass
@@ -34,25 +36,34 @@ class Answer:
     gap: np.ndarray
     target: float | None = None
     groups: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # what observables measured
+    columns: dict[str, float] = field(default_factory=dict)  # of the table of loads
+
+
+def control_of(job: dict) -> str:
+    """The key of [load] that says what is imposed."""
+    return next(name for name in (*IMPOSED, "percolation") if name in job["load"])
 
 
 def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: np.ndarray | None = None):
     """(verdict, what is wrong) of the answers to an effective job; table (2, 2): q and F of such a solid."""
     if wrong := next(filter(None, map(wrong_groups, answers)), ""):
         return WRONG, wrong
-    attracts = job["wall"]["kind"] in ("adhesive", "dugdale")
+    attracts = job["wall"]["kind"] in walls.ATTRACTIVE
     is_open = job["grid"].get("boundary") == "open"
-    if answers and (attracts or is_open and job["solid"].get("kind", "homogeneous") != "homogeneous"):
-        traction = job["wall"]["work"] / job["wall"]["range"] if attracts else 0.0
-        wrong = next(filter(None, (wrong_feasible(job, each, traction) for each in answers)), "")
-        return (WRONG, wrong) if wrong else (UNJUDGED, "no reference: only feasible pressures were checked")
     if not answers:
         return UNJUDGED, "no load was solved"
-    control = next(name for name in (*reference.CONTROLS, "force") if name in job["load"])
+    if attracts or is_open and job["solid"].get("kind", "homogeneous") != "homogeneous":
+        traction = walls.tension(job["wall"]) if attracts else 0.0
+        if wrong := next(filter(None, (wrong_feasible(job, each, traction) for each in answers)), ""):
+            return WRONG, wrong
+        if is_open:
+            return UNJUDGED, "no reference: only feasible pressures were checked"
+    control = control_of(job)
     if heights is None or answers[0].pressure is None or job.get("output", {}).get("precision") == "float32":
         for answer in answers:
             values = [getattr(answer, name) for name in ("mean_pressure", "mean_gap", "elastic_energy")]
-            if not all(map(math.isfinite, values)) or not 0 <= answer.certified_error <= job["solver"]["tolerance"]:
+            certified = attracts or 0 <= answer.certified_error <= job["solver"]["tolerance"]
+            if not all(map(math.isfinite, values)) or not certified:
                 return WRONG, f"numbers {values}, certified {answer.certified_error}"
         return UNJUDGED, "fields that are needed were not asked for"
     if wrong := wrong_heights(job, heights):
@@ -61,6 +72,8 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: n
     n = job["grid"]["n"]
     cell = job["grid"]
     spacings = cell.get("spacing") or [a / count for a, count in zip(cell.get("length", n), n, strict=True)]
+    if cell.get("refine", 1) > 1:
+        n, spacings = list(heights.shape), [a / cell["refine"] for a in spacings]
     slab = reference.Solid(solid["contact_modulus"], solid.get("thickness", math.inf), solid.get("base", "free"),
                            solid.get("poisson", 0.25))  # fmt: skip
     if solid.get("kind", "homogeneous") != "homogeneous":
@@ -81,7 +94,11 @@ def judge(job: dict, heights: np.ndarray | None, answers: list[Answer], table: n
             target = answer.target / math.prod(a * count for a, count in zip(spacings, n, strict=True))
             near = abs(answer.mean_pressure - target) <= 4 * ROUNDING_OF_ONE * abs(target)
             answer.target = answer.mean_pressure if near else target
-        if wrong := wrong_answer(contact, job, control, answer):
+        if attracts or job["wall"]["kind"] == "formula":
+            wrong = (walls.wrong_attraction if attracts else walls.wrong_formula)(contact, job, control, answer)
+            if wrong:
+                return WRONG, f"{control} = {answer.target:g}: {wrong}"
+        elif wrong := wrong_answer(contact, job, control, answer):
             return WRONG, f"{control} = {answer.target:g}: {wrong}"
     return RIGHT, ""
 
@@ -127,7 +144,7 @@ def wrong_feasible(job: dict, answer: Answer, traction: float) -> str:
     if answer.pressure is None:
         return ""
     mean = float(np.mean(answer.pressure.astype(reference.Real)))
-    size, zeta = float(np.abs(answer.pressure).max()), job["wall"].get("zeta")
+    size = float(np.abs(answer.pressure).max())
     single = job["output"].get("precision") == "float32"
     if not (np.isfinite(answer.pressure).all() and np.isfinite(answer.gap).all()):
         return "not finite"
@@ -136,7 +153,8 @@ def wrong_feasible(job: dict, answer: Answer, traction: float) -> str:
         return f"tension {answer.pressure.min():.6g} beyond {traction:.6g}"
     if abs(mean - answer.mean_pressure) > room:
         return f"mean pressure {answer.mean_pressure!r}, of the field {mean!r}"
-    if zeta is None and (answer.gap.min() < 0 or np.any(answer.gap[answer.pressure > 0])):
+    touches = job["wall"]["kind"] not in ("exponential", "formula", "potential")
+    if touches and (answer.gap.min() < 0 or np.any(answer.gap[answer.pressure > 0])):
         return "a gap in contact, or overlap"
     return ""
 
@@ -144,6 +162,8 @@ def wrong_feasible(job: dict, answer: Answer, traction: float) -> str:
 def wrong_heights(job: dict, heights: np.ndarray) -> str:
     """What is wrong with heights of the kinds that have a formula."""
     surface, n = job["surface"], job["grid"]["n"]
+    if "second" in surface or job["grid"].get("refine", 1) > 1:
+        return ""
     x, y = (np.arange(count)[:, None] / count for count in n)
     if surface["kind"] == "sinusoid":
         waves = surface.get("waves", 1)
@@ -238,7 +258,7 @@ def wrong_gap(exact: reference.Solved, answer: Answer, zeta) -> str:
 
 def wrong_control(exact: reference.Solved, job: dict, control: str, answer: Answer) -> str:
     """Whether what was imposed was reached, to the tolerance that is stated."""
-    if control in ("pressure", "force"):
+    if control in ("pressure", "force", "percolation"):
         return ""
     contact = exact.contact
     if control == "contact_area":

@@ -14,14 +14,33 @@ from pathlib import Path
 import numpy as np
 import reference
 
-from campaigns.judging import Answer, judge
-from campaigns.random_case import REFUSED, RIGHT, TRACEBACK, UNCERTIFIED, UNJUDGED, WRONG, Case, toml
+from campaigns.comparing import compare
+from campaigns.judging import IMPOSED, Answer, control_of, judge
+from campaigns.random_case import BAD, REFUSED, RIGHT, TRACEBACK, UNCERTIFIED, UNJUDGED, WRONG, Case, toml
 
 HANG = 120.0  # seconds of processor time that a job of at most 24² points may take
 
 
 def run(case: Case, folder: Path, comm=None) -> tuple[str, str]:
     """(verdict, what is wrong or was refused) of a job, run in `folder`.  Collective over comm."""
+    return answered(case, folder, comm)[:2]
+
+
+def run_beside_one(case: Case, folder: Path, comm) -> tuple[str, str]:
+    """The same, on the ranks of comm and on one, whose answers are to agree.  Collective."""
+    many = answered(case, folder / "many", comm)
+    bad = next((each[:2] for each in comm.allgather(many) if each[0] in BAD), None)
+    if bad is not None or comm.rank:
+        return bad or many[:2]
+    one = answered(case, folder / "one", None)
+    if one[0] in BAD:
+        return one[:2]
+    wrong = compare(case, one, many)
+    return (WRONG, f"on {comm.size} ranks: {wrong}") if wrong else many[:2]
+
+
+def answered(case: Case, folder: Path, comm=None) -> tuple[str, str, list[Answer]]:
+    """(verdict, what is wrong or was refused, answers on rank 0).  Collective over comm."""
     from mpi4py import MPI
 
     from pgfmd.errors import InputError, SolverError
@@ -40,21 +59,21 @@ def run(case: Case, folder: Path, comm=None) -> tuple[str, str]:
             warnings.simplefilter("always")
             job, heights, answers = WAYS[case.way](case, folder, comm)
     except InputError as error:
-        return _line(str(error), REFUSED)
+        return (*_line(str(error), REFUSED), [])
     except SolverError as error:
-        return _line(str(error), UNCERTIFIED)
+        return (*_line(str(error), UNCERTIFIED), [])
     except Exception:
-        return TRACEBACK, traceback.format_exc()
+        return TRACEBACK, traceback.format_exc(), []
     leaks = [f"{warning.message} ({Path(warning.filename).name}:{warning.lineno})" for warning in caught]
     if leaks:
-        return WRONG, f"warning: {leaks[0]}"
+        return WRONG, f"warning: {leaks[0]}", []
     if comm.rank:
-        return RIGHT, ""
+        return RIGHT, "", []
     try:
         with np.errstate(all="ignore"):
-            return judge(job, heights, answers, case.factor)
+            return (*judge(job, heights, answers, case.factor), answers)
     except reference.Unable as error:
-        return UNJUDGED, str(error)
+        return UNJUDGED, str(error), answers
 
 
 def _line(message: str, verdict: str) -> tuple[str, str]:
@@ -75,7 +94,7 @@ def _by_solve(case: Case, folder: Path, comm):
     ]
     options = {key: solid[key] for key in ("contact_modulus", "thickness", "base", "poisson") if key in solid}
     options |= {key: solver[key] for key in ("tolerance", "method") if key in solver}
-    if wall.get("kind") == "hardness":
+    if wall.get("kind") in ("hardness", "formula"):
         options["wall"] = wall
     if wall.get("kind") == "exponential":
         options["zeta"] = wall["zeta"]
@@ -144,15 +163,17 @@ def _read(folder: Path, job: str):
     job = tomllib.loads(job)
     where = sorted((folder / "out").glob("seed_*")) or [folder / "out"]
     results = pgfmd.Results(where[-1])
-    control = next(name for name in (*reference.CONTROLS, "force") if name in job["load"])
+    control = control_of(job)
     names = ("mean_pressure", "contact_area", "mean_gap", "elastic_energy", "certified_error")
     fields = [name for name in ("pressure", "gap") if name in job["output"]["fields"]]
     answers = []
     steps = len(results.loads["mean_pressure"])
-    for index, target in enumerate(job["load"][control] if steps == len(job["load"][control]) else [math.nan] * steps):
+    targets = job["load"][control]
+    for index, target in enumerate(targets if steps == len(targets) and control in IMPOSED else [math.nan] * steps):
         row = {name: float(results.loads[name][index]) for name in names}
         arrays = {name: results.field(name, load=index) for name in fields} if len(fields) == 2 else {}
         found = {name: dict(results[index][name]) for name in results[index]}
-        answers.append(Answer(**row, **({"pressure": None, "gap": None} | arrays), target=target, groups=found))
+        answers.append(Answer(**row, **({"pressure": None, "gap": None} | arrays), target=target, groups=found,
+                              columns={name: column[index] for name, column in results.loads.items()}))  # fmt: skip
     heights = results.field("height") if "height" in job["output"]["fields"] else None
     return job, heights, answers
