@@ -430,3 +430,20 @@ def test_transforms_do_not_grow_with_the_scales(n, wavelength, hurst, pressure, 
     contact = solve(heights, pressure, contact_modulus=1.0)
     assert contact.certified_error <= 1e-8
     assert contact.transforms <= most
+
+
+@pytest.mark.parametrize(("shape", "sides", "most"), [((8192, 128), (1, 1), 9), ((512, 512), (1, 4), 5)])
+@pytest.mark.parametrize("pressure", [0.01, 0.15])
+def test_strips_and_oblong_pixels_take_few_transforms(shape, sides, most, pressure):
+    """A certified 1e-8 within so many transform pairs, where grids and mesh coarsen by length (36 and 8 to 10 before).
+    """
+    if MPI.COMM_WORLD.size > 1:
+        pytest.skip("the counts are those of one rank")
+    waves = [2 * np.pi * np.fft.fftfreq(n, side) for n, side in zip(shape, sides, strict=True)]
+    q, noise = np.hypot(waves[0][:, None], waves[1]), np.random.default_rng(1).standard_normal(shape)
+    rough = np.where((q > 0) & (q <= 2 * np.pi / 16 / max(sides)), np.maximum(q, 1e-30) ** -1.8, 0)
+    heights = np.fft.ifft2(np.fft.fft2(noise) * rough).real
+    slopes = np.gradient(heights, *sides)
+    contact = solve(heights / np.hypot(*slopes).std(), pressure, spacing=sides)
+    assert 0.01 < contact.contact_area < 0.6 and contact.certified_error <= 1e-8
+    assert contact.transforms <= most

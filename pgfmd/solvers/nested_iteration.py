@@ -16,7 +16,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
 
-COARSEST = 32  # points of the shorter side below which coarser grids gain nothing
+COARSEST, NARROWEST = 32, 8  # root of the number of points, and points of the shorter side, not to be coarsened
 FLAT = 1e-2  # rms height on a coarse grid over that on the fine one, below which its solution is no good start
 
 StateType = TypeVar("StateType", bound=SolverState)
@@ -104,7 +104,7 @@ class NestedIteration(Generic[StateType]):
 
     def coarser(self, problem: ContactProblem) -> Coarse | None:
         """The next coarser grid, or None if the solution there would be no good start.  Collective."""
-        if min(problem.grid.shape) <= COARSEST:
+        if problem.grid.size <= COARSEST**2 or min(problem.grid.shape) <= NARROWEST:
             return None
         place = SubGrid.coarse(problem.grid)
         heights = restrict_locally(problem.grid, place, problem.heights)

@@ -88,12 +88,17 @@ class Blocks:
         if (blocks := self.place.grid) is not None:
             soft, stiff = SOFTENING * side / stiffness(np.array(1 / pixel)), stiffness(np.sqrt(blocks.q_squared()))
             self.stiffness = (self.area / blocks.modes * stiff / (1 + soft * stiff)).astype(np.float32)
-            if min(self._torus(larger(shape))) >= FEWEST:
+            if self._enough(larger(shape)):
                 self.coarser = Blocks(blocks, side * FACTOR, stiffness, pixel)
         self.transformed = 0.0
-        while not self.transformed or min(self._torus(shape)) >= FEWEST:
+        while not self.transformed or self._enough(shape):
             work = transform_work(shape, self._torus(shape))
             self.transformed, shape = self.transformed + work * math.prod(shape), larger(shape)
+
+    def _enough(self, shape: tuple[int, int]) -> bool:
+        """Whether a grid of blocks of that shape is worth its larger blocks."""
+        nx, ny = self._torus(shape)
+        return nx * ny >= FEWEST**2 and min(nx, ny) >= FACTOR
 
     def _torus(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Modes of a grid of blocks of that shape."""

@@ -28,10 +28,14 @@ from pgfmd.solvers.active_set.stencil import OFFSETS, RADIUS, Stencil, Symbol, p
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, add_points, take_points
 
 FITTED = 16  # waves of the mesh each way to which the near part is fitted
-MOST_OBLONG = 1.25  # ratio of the two grid spacings up to which a round stencil serves
+FACTORS = (2.0, (2, 2)), (8.0, (4, 1))
+"""Up to which ratio of the larger to the smaller spacing the mesh has so many times their spacing."""
+SPLINE = {1: (2, 1), 2: (16, 23, 8, 1), 4: (128, 235, 184, 121, 64, 27, 8, 1)}
+"""The cubic B-spline at points 0, 1, … of which so many are one node apart, up to a factor; twice that beside 0."""
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 MARGIN = 4  # nodes beyond half the points, where the mesh does not wrap
-SMALLEST = 256, 64  # points of the shorter side below which full transforms are as cheap; the same of padded ones
+SMALLEST = 256, 64  # root of the number of points below which full transforms are as cheap; the same of padded ones
+NARROWEST = 32  # points of the shorter side
 
 Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """First node and weights (nx_local, 4) of each row; nodes, periodic, and weights (ny, 4) of each column."""
@@ -44,15 +48,16 @@ class MeshResponse:
         """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself; mean: that
         for the mean mode, on rank 0.
         """
-        self.grid, self._mean = grid, mean
-        shape, lengths = (-(-grid.shape[0] // 2), -(-grid.shape[1] // 2)), grid.lengths
+        self.grid, self._mean, self.factors = grid, mean, mesh_factors(grid.spacing) or (2, 2)
+        (fx, fy), lengths = self.factors, grid.lengths
+        shape = -(-grid.shape[0] // fx), -(-grid.shape[1] // fy)
         scale, shift = (shape[0] / grid.shape[0], shape[1] / grid.shape[1]), 0
         if not grid.domain.wraps:  # splines reach a node beyond the first point and two beyond the last
-            shape, scale, shift = (shape[0] + MARGIN, shape[1] + MARGIN), (0.5, 0.5), 1
-            lengths = 2 * shape[0] * grid.spacing[0], 2 * shape[1] * grid.spacing[1]
+            shape, scale, shift = (shape[0] + MARGIN, shape[1] + MARGIN), (1 / fx, 1 / fy), 1
+            lengths = fx * shape[0] * grid.spacing[0], fy * shape[1] * grid.spacing[1]
         self.place = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS)
         factor, power = power_of(half_space)
-        kernel = factor * near_kernel(grid.spacing, power)
+        kernel = factor * near_kernel(grid.spacing, power, self.factors)
         self.stencil = Stencil(kernel)
         if self.place.grid is not None:
             self.influence = self._influence(self.place.grid, kernel, response)
@@ -113,7 +118,8 @@ class MeshResponse:
         """Factors of the mesh's modes (nky_local, nx): the response less that of the truncated near part."""
         offsets, waves = np.arange(-RADIUS, RADIUS + 1), (mesh.qx[0], mesh.qy[:, 0])
         cos_x, cos_y = (np.cos(np.outer(q, a * offsets)) for q, a in zip(waves, self.grid.spacing, strict=True))
-        spline_x, spline_y = (_spline_response(q * a / (2 * np.pi)) for q, a in zip(waves, mesh.spacing, strict=True))
+        cycles = (q * a / (2 * np.pi) for q, a in zip(waves, mesh.spacing, strict=True))
+        spline_x, spline_y = map(_spline_response, cycles, self.factors)
         across, influence = kernel.T @ cos_x.T, np.empty(mesh.spectral_shape, np.float32)
         share = self.grid.pixel_area / (mesh.modes * mesh.pixel_area)
 
@@ -129,31 +135,31 @@ class MeshResponse:
 
 
 @lru_cache(maxsize=16)
-def near_kernel(spacing: tuple[float, float], power: int) -> np.ndarray:
+def near_kernel(spacing: tuple[float, float], power: int, factors: tuple[int, int]) -> np.ndarray:
     """Real-space values (7, 7) of the near part, zero beyond √10 pixels, for the operator A = |q|^power; to read.
 
     Four waves of the grid are one wave on the mesh.  With their spline weights W, the near part N and the influence I,
     the response to them is diag(N) + I W Wᵀ.  The kernel minimises Σ D_ij²/A_i of its difference D from diag(A), over
     waves evenly spread, with the best I for each: the energy of the error for a white change of the pressure.
     """
-    waves = (np.arange(FITTED) + 0.5) / FITTED * np.pi / 2  # of the mesh, in radians per pixel
-    along = np.concatenate([waves, waves - np.pi])
-    x, y = np.meshgrid(along, along, indexing="ij")
+    halves = (np.arange(FITTED) + 0.5) / FITTED * np.pi
+    along = [np.concatenate([halves / f - 2 * np.pi / f * k for k in range(f)]) for f in factors]
+    x, y = np.meshgrid(*(np.where(q < -np.pi, q + 2 * np.pi, q) for q in along), indexing="ij")
     root = np.hypot(x / spacing[0], y / spacing[1]) ** (power / 2)
-    # W² of the cubic B-spline: its values at every half of a node's distance, transformed
-    weights = np.prod([(16 + 23 * np.cos(q) + 8 * np.cos(2 * q) + np.cos(3 * q)) / 48 for q in (x, y)], axis=0) ** 2
-    answered = weights / root / np.sqrt(_over_aliases(weights / root**2) * _over_aliases(weights))
+    values = (sum(c * np.cos(j * q) for j, c in enumerate(SPLINE[f])) for q, f in zip((x, y), factors, strict=True))
+    weights = np.prod([value / sum(SPLINE[f]) for value, f in zip(values, factors, strict=True)], axis=0) ** 2
+    answered = weights / root / np.sqrt(_over_aliases(weights / root**2, factors) * _over_aliases(weights, factors))
     terms = np.array([(1 + (i > 0)) * (1 + (j > 0)) * np.cos(i * x) * np.cos(j * y) for i, j in OFFSETS] + [root**2])
     terms /= root
-    by_mesh = _over_aliases(terms * answered)[:, :FITTED, :FITTED]
+    by_mesh = _over_aliases(terms * answered, factors)[:, :FITTED, :FITTED]
     normal = np.einsum("aij,bij", terms, terms) - np.einsum("aij,bij", by_mesh, by_mesh)
     return symmetric_kernel(list(np.linalg.solve(normal[:-1, :-1], normal[:-1, -1])))
 
 
-def _over_aliases(values: np.ndarray) -> np.ndarray:
-    """Sums over the four waves of the grid that are one wave on the mesh, at each of them."""
-    for axis in (-2, -1):
-        values = values + np.roll(values, FITTED, axis)
+def _over_aliases(values: np.ndarray, factors: tuple[int, int]) -> np.ndarray:
+    """Sums over the waves of the grid that are one wave on the mesh, at each of them."""
+    for axis, factor in zip((-2, -1), factors, strict=True):
+        values = values + sum(np.roll(values, FITTED * k, axis) for k in range(1, factor))
     return values
 
 
@@ -165,8 +171,12 @@ def _splines(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return (base - 1).astype(np.int32), weights.astype(np.float32)
 
 
-def _spline_response(x: np.ndarray) -> np.ndarray:
-    """Ŵ²/(Σ Ŵ²)², the sum over aliases, at x cycles per node; Ŵ = sinc⁴, the transform of the cubic B-spline."""
+def _spline_response(x: np.ndarray, factor: int) -> np.ndarray:
+    """Ŵ²/(Σ Ŵ²)², the sum over aliases, at x cycles per node; Ŵ = sinc⁴, the transform of the cubic B-spline.  Where
+    each point is a node, 1/W² with its values there.
+    """
+    if factor == 1:
+        return 9 / (2 + np.cos(2 * np.pi * x)) ** 2
     s = np.sin(np.pi * x) ** 2
     return np.sinc(x) ** 8 / (1 - 4 / 3 * s + 2 / 5 * s**2 - 4 / 315 * s**3) ** 2
 
@@ -194,13 +204,21 @@ class FullResponse:
         """There is nothing to free."""
 
 
+def mesh_factors(spacing: tuple[float, float]) -> tuple[int, int] | None:
+    """Spacings of the mesh over those of the grid, along x and y; None if pixels are too oblong for one."""
+    ratio = max(spacing) / min(spacing)
+    small, large = next((factors for most, factors in FACTORS if ratio <= most), (0, 0))
+    return ((small, large) if spacing[0] <= spacing[1] else (large, small)) if small else None
+
+
 def inner_response(
     grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction, mean: float = 0.0
 ) -> MeshResponse | FullResponse:
-    """A `MeshResponse` on large grids of nearly square pixels, if the solid responds like a half-space to short waves;
-    else a `FullResponse`: `action` multiplies modes by A.  Collective.
+    """A `MeshResponse` on large grids whose pixels are not too oblong, if the solid responds like a half-space to short
+    waves; else a `FullResponse`: `action` multiplies modes by A.  Collective.
     """
-    if min(grid.shape) >= SMALLEST[not grid.domain.wraps] and max(grid.spacing) <= MOST_OBLONG * min(grid.spacing):
+    large = grid.size >= SMALLEST[not grid.domain.wraps] ** 2 and min(grid.shape) >= NARROWEST
+    if large and mesh_factors(grid.spacing):
         q = np.array(0.25 * np.pi / max(grid.spacing))
         if abs(response(q) / half_space(q) - 1) < 1e-2:
             return MeshResponse(grid, half_space, response, mean)

@@ -34,7 +34,7 @@ class MultilevelStiffness:
         self.grid, kernel = grid, modulus * lattice_kernel(grid.spacing, power)
         kernel[RADIUS, RADIUS] -= NEUTRAL * kernel.sum()
         self.near = Stencil(kernel)
-        large = min(grid.torus) >= FEWEST * FACTOR
+        large = grid.modes >= (FEWEST * FACTOR) ** 2 and min(grid.torus) >= FACTOR**2
         self.blocks = Blocks(grid, FACTOR, stiffness, min(grid.spacing)) if large else None
 
     def apply(self, residual: SetVector, out: np.ndarray, near_only: bool = False) -> None:
