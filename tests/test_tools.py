@@ -31,6 +31,7 @@ import contact_patches  # noqa: E402
 import estimators  # noqa: E402
 import exponents  # noqa: E402
 import figures  # noqa: E402
+import leakage  # noqa: E402
 import plotting  # noqa: E402
 import reading  # noqa: E402
 import report  # noqa: E402
@@ -55,8 +56,12 @@ lame_mu = 1
 [output]
 fields = {fields}
 observables = {observables}
+[output.partial_slip]
+friction = 0.3
 """
 ALL = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
+FOLLOWING = {"percolation": ("gap",), "leakage": ("flux_x", "flux_y"), "partial_slip": ("traction", "pressure"),
+             "subsurface": ("von_mises",)}  # fmt: skip
 HARD, SOFT = 'kind = "hard"', 'kind = "exponential"\nzeta = 0.25'
 
 
@@ -95,6 +100,8 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     made["none to full"] = run("none-to-full", load="pressure = [0.0, 0.003, 0.3]")
     attracting = 'kind = "adhesive"\nwork = 0.02\nrange = 1.0'
     made["adhesive"] = run("adhesive", wall=attracting, n=32, keep=(), load="mean_gap = [0.6, 0.5, 0.4]")
+    following = {field for names in FOLLOWING.values() for field in names}
+    made["following"] = run("following", rough(shortest=8.0), keep=tuple(FOLLOWING), fields=sorted(following))
     made["areas"] = run("areas", load="contact_area = [0.04, 0.08]")
     return made
 
@@ -307,6 +314,7 @@ KINDS = {
     ("one load",): GENERAL - {"contact_stiffness"},
     ("none to full",): GENERAL,
     ("areas",): GENERAL,
+    ("following",): {"area_load", "overview", "contact_stiffness", "autocorrelations", "correlation_decay", *FOLLOWING},
     ("grid16", "grid32", "grid48"): GENERAL - {"contact_stiffness"} | {"resolution"},
     ("kept", "file", "soft1", "nothing", "areas", "none to full"): GENERAL | {"field_theory"},
 }
@@ -369,7 +377,7 @@ def test_every_figure_is_saved_without_mpi4py(runs, tmp_path):
     """Where mpi4py cannot be imported, each figure writes PNG, PDF, a CSV with curves, and its numbers."""
     soft, grids = ("soft1", "soft2"), ("grid16", "grid32", "grid48")
     which = {figure: ["kept"] for figure in figures.FIGURES} | {"field_theory": soft, "resolution": grids}
-    which["force_approach"] = ["adhesive"]
+    which |= {"force_approach": ["adhesive"]} | dict.fromkeys(FOLLOWING, ["following"])
     calls = {figure: [str(runs[name]) for name in names] for figure, names in which.items()}
     script = f"""
 import sys
@@ -387,7 +395,7 @@ for figure, folders in {calls!r}.items():
         with open(tmp_path / f"{figure}.csv", encoding="utf-8") as file:
             rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
         # theories of adhesion are those of spheres; stiffness at fixed contact is an observable of its own
-        least = 1 if figure in ("force_approach", "contact_stiffness") else 2
+        least = 1 if figure in ("force_approach", "contact_stiffness", "partial_slip") else 2
         assert len({row["curve"] for row in rows}) >= least
         assert all(np.isfinite(float(row["x"])) for row in rows)
 
@@ -668,4 +676,14 @@ def test_a_curve_without_points_has_no_entry_in_the_legend():
     sheet.curve(0, [], [], "nothing", error=[])
     sheet.curve(0, [1.0, 2.0], [1.0, np.nan], "there")
     assert sheet.panels[0].get_legend_handles_labels()[1] == ["there"]
+    plotting.plt.close(sheet.figure)
+
+
+def test_lines_of_the_flow_cross_the_row_of_the_constriction(runs):
+    """Each line is there once; a line that bends back may cross more often."""
+    sheet = figures.draw("leakage", [runs["following"]])
+    pieces = sheet.panels[1].collections[0].get_segments()
+    flowing = [load for load in reading.loads([runs["following"]]) if load.number("flow_factor_x") > 0]
+    x, _ = leakage.constriction(flowing[-1])
+    assert sum(piece[:, 0].min() <= x < piece[:, 0].max() for piece in pieces) >= leakage.LINES
     plotting.plt.close(sheet.figure)

@@ -34,7 +34,7 @@ def draw(loads: list[Load]) -> Sheet:
     sheet = Sheet(1, 2)
     for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
         height = rms_height(group.loads[0])
-        for kind, points in (("fixed contact", fixed(group)), ("between loads", secants(group))):
+        for kind, points in (("fixed contact", column(group, "stiffness")), ("between loads", secants(group))):
             rows = sorted(means(points))
             if not rows:
                 continue
@@ -59,15 +59,14 @@ def draw(loads: list[Load]) -> Sheet:
 
 
 Points = Iterable[tuple[object, float, float, float]]
-"""What tells the load, p̄/(E′ḡ), K and its error, of each seed."""
+"""What tells the load, p̄/(E′ḡ), a value and its error, of each seed."""
 
 
-def fixed(group: Ensemble) -> Points:
-    """K at fixed contact, where the observable was measured and is finite."""
+def column(group: Ensemble, name: str) -> Points:
+    """A column of the table of loads with its error, where it is finite."""
     for load in group:
-        value, error = load.number("stiffness"), load.number("stiffness_error")
-        if math.isfinite(value):
-            yield load.target, reduced(load), value, error
+        if math.isfinite(value := load.number(name)):
+            yield load.target, reduced(load), value, load.number(f"{name}_error")
 
 
 def secants(group: Ensemble) -> Points:
@@ -84,15 +83,15 @@ def secants(group: Ensemble) -> Points:
 
 
 def means(points: Points) -> Iterator[tuple[float, float, float, int]]:
-    """p̄/(E′ḡ), K, its error, and number of seeds, of each load."""
+    """p̄/(E′ḡ), the mean value, its error, and number of seeds, of each load."""
     same: dict[object, list[tuple[float, ...]]] = {}
     for key, *values in points:
         same.setdefault(key, []).append(tuple(values))
     for values in same.values():
-        x, stiffness, own = np.array(values).T
-        error = standard_error(stiffness)
+        x, found, own = np.array(values).T
+        error = standard_error(found)
         bar = float(own[0]) if error is None else float(error)
-        yield float(x.mean()), float(stiffness.mean()), bar if math.isfinite(bar) else 0.0, len(stiffness)
+        yield float(x.mean()), float(found.mean()), bar if math.isfinite(bar) else 0.0, len(found)
 
 
 def rms_height(load: Load) -> float:

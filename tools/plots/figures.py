@@ -37,6 +37,10 @@ FIGURES = (
     "correlation_decay",
     "force_approach",
     "contact_stiffness",
+    "percolation",
+    "leakage",
+    "partial_slip",
+    "subsurface",
 )
 
 

@@ -15,8 +15,8 @@ import figures
 import matplotlib
 import numpy as np
 from choosing import NEEDS as TESTS
+from maps import PIXELS, show_field, thinned, thinned_blocks, unit_text
 from matplotlib.colors import LightSource, ListedColormap, LogNorm, PowerNorm
-from matplotlib.patches import Rectangle
 from overview_charts import distribution, scaled_spectra
 from overview_page import write_page
 from patch_areas import PATCHES, areas
@@ -36,7 +36,6 @@ OPTIONS = {
     "--no-tiles": {"action": "store_false", "dest": "tiles",
                    "help": "no folder beside the page: of a large field, a coarse picture and its most loaded part"},
 }  # fmt: skip
-PIXELS = 1024  # a larger field is thinned to about this many points per side
 MOST_POINTS = 2**24  # of a grid whose spectra are made from the fields, if the run kept none
 
 
@@ -86,79 +85,49 @@ def _panels(run: list[Load], notes: list[str]) -> Iterator[Callable]:
     yield draw_numbers if len(run) == 1 else lambda sheet, panel, _: draw_loads(sheet, panel, run)
 
 
-def thinned(load: Load, name: str) -> np.ndarray:
-    """The field on every k-th point, read in row blocks: float array of at most about PIXELS × PIXELS."""
-    return _thinned(load, load.results.blocks(name, None if name == "height" else load.index))
-
-
-def _thinned(load: Load, blocks) -> np.ndarray:
-    step = max(1, max(load.results.shape) // PIXELS)
-    parts = [values[-rows.start % step :: step, ::step].copy() for rows, values in blocks]  # a view keeps its block
-    return np.concatenate(parts)
-
-
-def _unit(load: Load, name: str) -> str:
-    """The unit of "length" or "pressure" as text in a figure, in which $ would begin a formula."""
-    return load.unit(name).replace("$", "?")
-
-
-def _show(sheet: Sheet, panel: int, load: Load, values: np.ndarray, label: str | None = None, **style):
-    """A field in a panel, x to the right and y upwards, with a bar of its colours if it has a label."""
-    axes, (lx, ly), unit = sheet.panels[panel], load.results.lengths, _unit(load, "length")
-    image = axes.imshow(values.T, origin="lower", extent=(0, lx, 0, ly), interpolation="nearest", **style)
-    axes.set(xlabel=f"x / {unit or 'length'}", ylabel=f"y / {unit or 'length'}")
-    if load.open:
-        axes.add_patch(Rectangle((0, 0), lx, ly, fill=False, ec=RED, lw=1.2))
-        axes.set(xlim=(-0.04 * lx, 1.04 * lx), ylim=(-0.04 * ly, 1.04 * ly))
-    if label is not None:
-        bar = axes.figure.colorbar(image, ax=axes, label=label, orientation="horizontal", pad=0.02, shrink=0.9)
-        bar.ax.tick_params(which="both", top=False)
-        if "norm" not in style or style["norm"] is None:
-            bar.ax.locator_params(nbins=4)  # numbers of four digits would touch
-
-
 def draw_surface(sheet: Sheet, panel: int, load: Load):
     """The heights, lit from the side, with the contact on top."""
     height = thinned(load, "height")
     light = LightSource(azdeg=135, altdeg=40)
     span = np.ptp(height) or 1.0
     shaded = 0.6 * (height - height.min()) / span + 0.4 * light.hillshade(height.T, vert_exag=60 / span).T
-    _show(sheet, panel, load, shaded, cmap="gray", vmin=-0.1, vmax=1)
+    show_field(sheet, panel, load, shaded, cmap="gray", vmin=-0.1, vmax=1)
     if "pressure" not in load.fields:
         return
     pressure = thinned(load, "pressure")
     contact = np.ma.masked_where(pressure <= 0, pressure)
     top = float(np.quantile(pressure[pressure > 0], 0.99)) if np.any(pressure > 0) else 1.0
     colours = ListedColormap(matplotlib.colormaps["inferno"](np.linspace(0.35, 1, 256)))  # bright against the grey
-    unit = _unit(load, "pressure")
-    _show(sheet, panel, load, contact, "pressure" + (f" / {unit}" if unit else ""), cmap=colours, vmin=0, vmax=top)
+    unit = unit_text(load, "pressure")
+    show_field(sheet, panel, load, contact, "pressure" + (f" / {unit}" if unit else ""), cmap=colours, vmin=0, vmax=top)
     if math.isfinite(load.area):
-        sheet.panels[panel].set_title(f"contact on {100 * load.area:.2g} % of the surface")
+        sheet.panels[panel].set_title(f"contact on {100 * load.area:.2g} % of the surface", loc="right")
 
 
 def draw_gap(sheet: Sheet, panel: int, load: Load):
     """The gap; blank where it is 0."""
-    gap, unit = thinned(load, "gap"), _unit(load, "length")
+    gap, unit = thinned(load, "gap"), unit_text(load, "length")
     shown = np.ma.masked_where(gap <= 0, gap) if load.releases else gap
     norm = PowerNorm(0.5, vmin=0) if load.releases else None
-    _show(sheet, panel, load, shown, "gap" + (f" / {unit}" if unit else ""), cmap="viridis", norm=norm)
+    show_field(sheet, panel, load, shown, "gap" + (f" / {unit}" if unit else ""), cmap="viridis", norm=norm)
 
 
 def draw_patches(sheet: Sheet, panel: int, load: Load):
     """The contact patches, coloured by their area."""
     count = max(1, 2**22 // load.results.shape[1])
     starts = range(0, load.results.shape[0], count)
-    area = _thinned(load, ((slice(start, None), rows) for start, rows in zip(starts, areas(load, count), strict=True)))
-    unit, point = _unit(load, "length"), float(np.prod(load.spacings))
+    blocks = ((slice(start, None), rows) for start, rows in zip(starts, areas(load, count), strict=True))
+    area = thinned_blocks(load, blocks)
+    unit, point = unit_text(load, "length"), float(np.prod(load.spacings))
     norm = LogNorm(point, max(float(area.max()), 10 * point))
     label = "area of the patch" + (" / points" if unit == "grid spacings" else f" / {unit}²" if unit else "")
-    _show(sheet, panel, load, np.ma.masked_where(area <= 0, area), label, cmap="cividis", norm=norm)
+    show_field(sheet, panel, load, np.ma.masked_where(area <= 0, area), label, cmap="cividis", norm=norm)
 
 
 def draw_numbers(sheet: Sheet, panel: int, load: Load):
     """The numbers of a single load, as text."""
     axes, (nx, ny) = sheet.panels[panel], load.results.shape
-    unit, length = _unit(load, "pressure"), _unit(load, "length")
+    unit, length = unit_text(load, "pressure"), unit_text(load, "length")
     numbers = {
         "points": f"{nx} × {ny}", "mean pressure": f"{load.mean_pressure:.4g} {unit}",
         "contact area": f"{load.area:.4g}", "corrected": f"{load.corrected_area:.4g}",
@@ -178,7 +147,7 @@ def draw_loads(sheet: Sheet, panel: int, run: Sequence[Load]):
     touching = [load for load in run if load.area > 0]
     name, used = ("corrected_area", touching) if touching else ("", run)
     y = [load.corrected_area if touching else load.number("mean_gap") for load in used]
-    std, unit = run[0].full_contact_std, _unit(run[0], "pressure")
+    std, unit = run[0].full_contact_std, unit_text(run[0], "pressure")
     x = np.array([load.mean_pressure for load in used]) / (std if std > 0 else 1)
     errors = [load.area_error for load in used]
     error = np.array(errors) if name and np.all(np.isfinite(errors)) else None
@@ -187,7 +156,7 @@ def draw_loads(sheet: Sheet, panel: int, run: Sequence[Load]):
         p = np.geomspace(x.min(), x.max(), 60)
         sheet.curve(panel, p, persson.contact_fraction(p, 1.0), "Persson", color=BLACK)
     label = r"$\bar p\,/\,(E'\bar g/2)$" if std > 0 else r"$\bar p$" + (f" / {unit}" if unit else "")
-    gap = "mean gap" + (f" / {_unit(run[0], 'length')}" if _unit(run[0], "length") else "")
+    gap = "mean gap" + (f" / {unit_text(run[0], 'length')}" if unit_text(run[0], "length") else "")
     sheet.label(panel, label, "contact area $f_c$" if touching else gap, scale="log" if touching else "semilogx")
 
 

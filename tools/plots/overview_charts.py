@@ -27,6 +27,12 @@ def some(loads: Sequence[Load], most: int) -> list[Load]:
     return [loads[place] for place in places]
 
 
+FOLLOWING = {
+    "Flow factors of the gap": {"flow_factor_x": "along x", "flow_factor_y": "along y"},
+    "Stiffness of the interface": {"stiffness": "at fixed contact", "tangential_stiffness": "tangential"},
+    "Conductance of the interface": {"conductance": "conductance"},
+}  # charts of what follows from a contact: title, columns and their names
+
 DIGITS = {"certified_error": 2, "transforms": 3, "seconds": 3}  # of numbers in the table; of others 5
 
 
@@ -65,10 +71,12 @@ def _plain(unit: object, load: Load) -> str:
 def charts(loads: Sequence[Load], notes: list[str]) -> list[dict]:
     """Curves of all loads."""
     found = [_area_load(loads)] if len(loads) > 1 else []
-    for draw, lacking in ((_distributions, "histogram"), (_spectra, "spectra")):
-        chart = draw(some(loads, MOST_CURVES))
+    found += [_columns(loads, title, names) for title, names in FOLLOWING.items() if len(loads) > 1]
+    kept = {"histogram": _distributions(some(loads, MOST_CURVES)), "spectra": _spectra(some(loads, MOST_CURVES))}
+    found += kept.values()
+    for chart in found:
         chart["curves"] = [curve for curve in chart["curves"] if curve["x"]]  # no entry of a legend without a curve
-        found.append(chart)
+    for lacking, chart in kept.items():
         if not chart["curves"]:
             notes.append(f'{chart["title"]} is not shown: the run kept no observable "{lacking}"')
     if len(loads) > MOST_CURVES:
@@ -129,6 +137,19 @@ def _area_load(loads: Sequence[Load]) -> dict:
         theory = persson.contact_fraction(p, loads[0].full_contact_std)
         curves.append(_curve(p, theory, "Persson's theory", colour=BLACK))
     return {"title": "Contact area against load", "xlabel": label, "xlog": True, "ylog": True, "curves": curves}
+
+
+def _columns(loads: Sequence[Load], title: str, names: dict[str, str]) -> dict:
+    """Columns of the table of loads against the mean pressure, where they are above 0."""
+    unit, curves = loads[0].unit("pressure"), []
+    for (column, name), colour in zip(names.items(), (BLUE, RED), strict=False):
+        used = [load for load in loads if load.mean_pressure > 0 and load.number(column) > 0]
+        bars = [load.number(f"{column}_error") for load in used]
+        curves.append(_curve([load.mean_pressure for load in used], [load.number(column) for load in used], name,
+                             colour=colour, dots=True, error=[bar if math.isfinite(bar) else 0.0 for bar in bars],
+                             loads=[load.index for load in used]))  # fmt: skip
+    label = "mean pressure" + (f" / {unit}" if unit else "")
+    return {"title": title, "xlabel": label, "xlog": True, "ylog": True, "curves": curves}
 
 
 def _distributions(loads: Sequence[Load]) -> dict:

@@ -47,6 +47,7 @@ plt.rcParams.update({
     "legend.labelspacing": 0.25,
     "figure.constrained_layout.use": True,
     "axes.linewidth": 0.6,
+    "axes.formatter.use_mathtext": True,
     "lines.linewidth": 1.1,
     "lines.markersize": 3.2,
     "lines.markeredgewidth": 0.7,
@@ -287,12 +288,13 @@ def guide(axes, x, y0: float, exponent: float, text: str, *, above: bool = False
 
 
 def _label_short_decades(axis):
-    """On a logarithmic axis of less than two decades label 1, 2 and 5; in less than .8 of a decade 1, 2, 3, 4, 6 and 8,
-    in less than half a decade 1 to 9.  Ticks at given places stay.
+    """On a logarithmic axis of less than two decades label 1 and 3; in less than 1.3 decades 1, 2 and 5; in less than
+    .8 of a decade 1, 2, 3, 4, 6 and 8, in less than half a decade 1 to 9.  Ticks at given places stay.
     """
     low, high = sorted(axis.get_view_interval())
     if axis.get_scale() == "log" and high < 100 * low and not isinstance(axis.get_major_locator(), FixedLocator):
-        digits = (1, 2, 5) if high > 6.3 * low else (1, 2, 3, 4, 6, 8) if high > 3 * low else range(1, 10)
+        span, ladder = high / low, ((20, (1, 3)), (6.3, (1, 2, 5)), (3, (1, 2, 3, 4, 6, 8)), (1, range(1, 10)))
+        digits = next(subs for least, subs in ladder if span > least)
         axis.set_major_locator(LogLocator(subs=digits))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())

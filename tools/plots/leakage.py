@@ -1,0 +1,85 @@
+"""Leakage: flow factors against load, and the flow through the gap of the last load.
+
+    pgfmd plot leakage DIR…
+"""
+
+from __future__ import annotations
+
+import sys
+
+import figures
+import numpy as np
+from contact_stiffness import column, means
+from maps import show_field, thinned
+from matplotlib.colors import LogNorm
+from plotting import BLACK, RED, Sheet, limited, style
+from reading import Load
+from samples import ensembles
+
+from pgfmd.errors import InputError
+
+CAPTION = """(a) Pressure flow factor, the conductivity of the gap over the cube of the mean gap, along x (full symbols)
+and along y (open). Bars: standard error over seeds; of one seed, the error that its run estimated. (b) Flux
+in the gap of the last load, on a logarithmic scale. Equal parts of it flow between neighbouring lines. Circle: the
+critical constriction. White: contact."""
+NEEDS = ("load", "roughness", "leakage")
+LINES = 16  # streamlines
+DIM = 1e-4  # part of the largest flux below which all is drawn alike
+
+
+def draw(loads: list[Load]) -> Sheet:
+    """Flow factors of all settings, and streamlines of the last load whose fluxes were kept."""
+    sheet = Sheet(1, 2)
+    for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
+        for axis, filled in (("x", True), ("y", False)):
+            rows = sorted(means(column(group, f"flow_factor_{axis}")))
+            if closed := sum(not row[1] > 0 for row in rows):
+                sheet.notes.append(f"{group.name}: no flow along {axis} at {closed} of {len(rows)} loads")
+            if open_ := [row for row in rows if row[1] > 0]:
+                x, value, error, _ = np.array(open_).T
+                name = f"{group.label + ', ' if group.label else ''}along {axis}"
+                sheet.curve(0, x, value, name, error=error, ls="none", **style(number, filled=filled))
+                sheet.findings.add(f"flow factor at the lowest load, {name}", value[0])
+    if not sheet.panels[0].has_data():
+        raise InputError("leakage: nothing to draw: no path through the gap percolates at any load")
+    sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", r"flow factor $K/\bar u^3$", scale="log", columns=2)
+    flowing = [load for load in loads if {"flux_x", "flux_y"} <= load.fields and load.number("flow_factor_x") > 0]
+    if flowing:
+        draw_stream(sheet, 1, flowing[-1])
+    else:
+        sheet.notes.append('no panel (b): give output.fields "flux_x" and "flux_y"; they are those of a flow along x')
+        sheet.drop(1)
+    return sheet
+
+
+def draw_stream(sheet: Sheet, panel: int, load: Load) -> None:
+    """The size of the flux, and lines along it through the row of the constriction, or through the first row."""
+    flux = np.array([thinned(load, name) for name in ("flux_x", "flux_y")], float)
+    size = np.hypot(*flux)
+    shown = np.ma.masked_where(size == 0, size / size.max())
+    show_field(sheet, panel, load, shown, "flux over the largest", cmap="viridis", norm=LogNorm(DIM, 1.0))
+    axes, (lx, ly) = sheet.panels[panel], load.results.lengths
+    x, y = ((np.arange(count) + 0.5) * length / count for count, length in zip(size.shape, (lx, ly), strict=True))
+    place = constriction(load)
+    row = int(place[0] / lx * len(x)) if place else 0
+    passed = np.cumsum(np.maximum(flux[0][row], 0.0))
+    parts = (np.arange(LINES) + 0.5) / LINES * passed[-1]
+    starts = np.column_stack([np.full(LINES, x[row]), y[np.searchsorted(passed, parts)]])
+    axes.streamplot(x, y, *flux.transpose(0, 2, 1), start_points=starts, color=BLACK, linewidth=0.4, arrowsize=0.4,
+                    broken_streamlines=False)  # fmt: skip
+    axes.set(xlim=(0, lx), ylim=(0, ly))
+    if place:
+        axes.plot(*place, "o", mec=RED, mfc="none", ms=9, mew=1.2)
+
+
+def constriction(load: Load, axis: str = "x") -> tuple[float, float] | None:
+    """Where the critical constriction is; None if no path percolates, or the run did not look for it."""
+    if "percolation" not in load.kept:
+        return None
+    row, column = (float(load.groups["percolation"][f"constriction_{axis}_{place}"]) for place in ("row", "column"))
+    ax, ay = load.spacings
+    return ((row + 0.5) * ax, (column + 0.5) * ay) if row >= 0 else None
+
+
+if __name__ == "__main__":
+    sys.exit(figures.main(["leakage", *sys.argv[1:]]))
