@@ -212,6 +212,11 @@ FOUND_BY_CAMPAIGNS = {
         "wall": {"kind": "dugdale", "range": 2389.1836154813072, "work": 2.2130949900382757},
         "load": {"mean_gap": 50072.67957950608, "gap_tolerance": 3.847e-06},
     },
+    "energies whose square overflows": {
+        "grid": {"n": [4, 3], "length": [6.794271133419311e83, 5.095703350064483e83]},
+        "solid": {"contact_modulus": 3.602393312973145e86, "poisson": -0.55}, "surface": rough(0.92, 0.0523, 6),
+        "load": {"contact_area": 0.24975}, "output": SOUND["output"] | {"observables": ["discretisation"]},
+    },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
         "load": {"displacement": 1e23},

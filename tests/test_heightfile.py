@@ -439,7 +439,7 @@ def test_grid_cell_and_unit_must_be_those_of_the_file(comm, package, shape, leng
     [
         ("", "m", 'if it is in µm, begin it with "# Lateral units: µm" and "# Value units: µm"'),
         ("# Lateral units: um\n# Value units: um\n", "um", 'length_unit = "m" under [output]'),
-        ("", "length", "write length = [8, 8] under [grid]; or leave out"),
+        ("", "length", '"# Value units: µm", and write length_unit = "m" under [output]); or leave out'),
     ],
 )
 def test_points_in_another_unit_than_the_job(comm, shared_tmp_path, header, unit, words):

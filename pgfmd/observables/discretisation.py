@@ -159,7 +159,7 @@ def solver_errors(
     bound = 2 * energy * solution.certified_error
     mean = solution.mean_pressure
     soft = problem.law.range_at(mean) * mean if mean > 0 else 0.0
-    work = 2 * math.sqrt(bound * (energy + soft / 2)) + bound
+    work = 2 * math.sqrt(bound) * math.sqrt(energy + soft / 2) + bound
     scales = {
         "perimeter": math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths),
         "mean_gap": work / (mean or math.nan),

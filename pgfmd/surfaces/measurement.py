@@ -120,16 +120,20 @@ class Measurement:
         return converted
 
     def _other_unit(self, sides: list[float], lengths: tuple[float, float], unit: str | None) -> str:
-        """Advice where the cell has the sides of the file in another unit, which the job, or a text, does not say."""
-        known = usual_name(self.unit or unit)
+        """Advice where the cell has the sides of the file in another unit, which the job (then in metres) or a text does
+        not say.
+        """
+        job = "" if usual_name(unit) in UNITS else ', and write length_unit = "m" under [output]'
+        known = usual_name(self.unit or ("m" if job else unit))
         if known not in UNITS or not (self.unit or self.format.startswith("text")):
             return ""
-        factors = {name: conversion(known, name) if self.unit else conversion(name, known) for name in UNITS}
-        for name, factor in factors.items():
+        for name in UNITS:
+            factor = conversion(known, name) if self.unit else conversion(name, known)
             if np.allclose(np.multiply(sides, factor), lengths, rtol=CELL_DIGITS, atol=0):
                 if self.unit:
                     return f' (or length_unit = "{name}" under [output], if the lengths of the job are in it)'
-                return f' (or, if it is in {name}, begin it with "# Lateral units: {name}" and "# Value units: {name}")'
+                lines = f'"# Lateral units: {name}" and "# Value units: {name}"'
+                return f" (or, if it is in {name}, begin it with {lines}{job})"
         return ""
 
     def converted(self, unit: str | None) -> Measurement:
