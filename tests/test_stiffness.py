@@ -70,6 +70,17 @@ def test_bounds_enclose_dense_algebra(comm, law):
             assert found.upper <= found.lower * (1 + 1.01 * width)
 
 
+@pytest.mark.mpi
+def test_bounds_of_an_unfinished_solution(comm, monkeypatch):
+    """Under an exponential wall the bounds enclose K after any number of iterations, though they are far apart."""
+    law, pressure = ExponentialWall(zeta=1e-4), np.random.default_rng(2).exponential(size=(12, 9))
+    exact = dense(pressure, law)
+    for most in (1, 2, 5, 20):
+        monkeypatch.setattr("pgfmd.solvers.fixed_contact.MOST_ITERATIONS", most)
+        found = stiffness_of(comm, pressure, law, 1e-9)
+        assert found.lower <= exact <= found.upper
+
+
 def disc(n, radius):
     """Points within a radius of a place between points; their number."""
     x = np.arange(n) - n / 2 - 0.31

@@ -150,24 +150,26 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
         return value - value**2 * (2 * square + rest) / size, value
 
     square = goal = reduction.dot(residual, residual)
-    for _ in range(MOST_ITERATIONS):
+    for iteration in range(MOST_ITERATIONS):
         grid.convolve(source(root * direction), respond, sink(product))
         product *= root
         product += direction
         curvature = reduction.dot(direction, product)
-        if not curvature > 0:  # the residual is nothing but rounding
-            break
-        step = square / curvature
-        y += step * direction
-        residual -= step * product
+        stuck = not curvature > 0  # the residual is nothing but rounding
+        if not stuck:
+            y += square / curvature * direction
+            residual -= square / curvature * product
         last, square = square, reduction.dot(residual, residual)
-        direction *= square / last
-        direction += residual
-        if square <= goal:
+        if square <= goal or stuck or iteration == MOST_ITERATIONS - 1:
+            grid.convolve(source(root * y), respond, sink(product))
+            residual[...] = root - y - root * product  # the updated one drifts from that of y
+            square = reduction.dot(residual, residual)
             lower, upper = bounds()
-            if upper - lower <= width * upper:
+            if upper - lower <= width * upper or stuck:
                 break
             goal = square * max(CUT**2, width * upper / (upper - lower) / 2)
+        direction *= square / last
+        direction += residual
     y *= root
     y *= size / reduction.sum(y)
     return Increment(y, unit / upper, unit / lower if lower > 0 else math.inf, grid.transforms - before)
