@@ -36,11 +36,14 @@ def profile(comm, pressure, poisson, depths):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("along", [0, 1])
-def test_wave(comm, along):
-    """Under p = 1 + cos qx the solid is in plane strain: Airy's closed form at each depth, to 1e-10."""
+@pytest.mark.parametrize("count", [3, 16])
+def test_wave(comm, along, count):
+    """Under p = 1 + cos qx, waves of two points included, the solid is in plane strain: Airy's closed form at each
+    depth, to 1e-10.
+    """
     n, nu, depths = 32, 0.3, (0.0, 1.5, 4.0)
     x = np.arange(n)
-    q = 2 * math.pi * 3 / n
+    q = 2 * math.pi * count / n
     wave = np.repeat(1 + np.cos(q * x)[:, None], 18, axis=1)
     found = profile(comm, np.ascontiguousarray(wave if along == 0 else wave.T), nu, depths)
     for z, largest in zip(depths, found["von_mises_max"], strict=True):

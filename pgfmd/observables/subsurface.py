@@ -102,7 +102,7 @@ class Subsurface(Observable):
         grid, nu = contact.grid, float(contact.problem.solid.poisson or 0.0)
         qx, qy = grid.qx.copy(), grid.qy.copy()
         for q, count, length in zip((qx, qy), grid.shape, grid.lengths, strict=True):
-            q[np.isclose(2 * abs(q), 2 * math.pi * count / length, atol=0)] = 0  # waves of two points have no direction
+            q[np.isclose(2 * abs(q), 2 * math.pi * count / length, atol=0)] = 0  # waves of two points: no shear
         total = np.zeros(grid.local_shape)
 
         def component(which: int, weight: float) -> None:
@@ -112,7 +112,7 @@ class Subsurface(Observable):
                 unit, qz = np.where(q > 0, q, 1.0), q * depth
                 bent = 1 - qz - 2 * nu
                 factor = (
-                    lambda: -bent * ((qx / unit) ** 2 - (y / unit) ** 2),
+                    lambda: -bent * ((grid.qx / unit) ** 2 - (grid.qy[first:stop] / unit) ** 2),
                     lambda: np.where(q > 0, nu - 0.5 - 1.5 * qz, -(1 - 2 * nu) / (1 - nu)),
                     lambda: -bent * (qx / unit) * (y / unit),
                     lambda: 1j * depth * qx,
