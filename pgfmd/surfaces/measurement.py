@@ -120,7 +120,7 @@ class Measurement:
         return converted
 
     def _other_unit(self, sides: list[float], lengths: tuple[float, float], unit: str | None) -> str:
-        """Advice where the cell has the sides of the file in another unit, which a job (in metres) or text leaves out."""
+        """Advice where the cell has the sides of the file in another unit, which a job or text leaves out."""
         job = "" if usual_name(unit) in UNITS else ', and write length_unit = "m" under [output]'
         known = usual_name(self.unit or ("m" if job else unit))
         if known not in UNITS or not (self.unit or self.format.startswith("text")):
