@@ -24,6 +24,7 @@ in the gap of the last load, on a logarithmic scale. Equal parts of it flow betw
 critical constriction. White: contact."""
 NEEDS = ("load", "roughness", "leakage")
 LINES = 16  # streamlines
+COARSE = 256  # points each way of the flux that lines follow
 DIM = 1e-4  # part of the largest flux below which all is drawn alike
 
 
@@ -53,22 +54,30 @@ def draw(loads: list[Load]) -> Sheet:
 
 
 def draw_stream(sheet: Sheet, panel: int, load: Load) -> None:
-    """The size of the flux, and lines along it through the row of the constriction, or through the first row."""
+    """The size of the flux, and lines along it, which begin in the row where it is spread most widely."""
     flux = np.array([thinned(load, name) for name in ("flux_x", "flux_y")], float)
     size = np.hypot(*flux)
     shown = np.ma.masked_where(size == 0, size / size.max())
     show_field(sheet, panel, load, shown, "flux over the largest", cmap="viridis", norm=LogNorm(DIM, 1.0))
-    axes, (lx, ly) = sheet.panels[panel], load.results.lengths
-    x, y = ((np.arange(count) + 0.5) * length / count for count, length in zip(size.shape, (lx, ly), strict=True))
-    place = constriction(load)
-    row = int(place[0] / lx * len(x)) if place else 0
-    passed = np.cumsum(np.maximum(flux[0][row], 0.0))
-    parts = (np.arange(LINES) + 0.5) / LINES * passed[-1]
-    starts = np.column_stack([np.full(LINES, x[row]), y[np.searchsorted(passed, parts)]])
-    axes.streamplot(x, y, *flux.transpose(0, 2, 1), start_points=starts, color=BLACK, linewidth=0.4, arrowsize=0.4,
-                    broken_streamlines=False)  # fmt: skip
-    axes.set(xlim=(0, lx), ylim=(0, ly))
-    if place:
+    axes, lengths = sheet.panels[panel], load.results.lengths
+    for axis in (1, 2):  # means over blocks
+        side = -(-flux.shape[axis] // COARSE)
+        flux = np.add.reduceat(flux, np.arange(0, flux.shape[axis], side), axis) / side
+    spread = np.maximum(flux[0], 0.0)
+    row = int(np.argmax(spread.sum(axis=1) ** 2 / np.maximum((spread**2).sum(axis=1), 1e-300)))
+    passed = np.cumsum(spread[row]) / spread[row].sum()
+    columns = np.searchsorted(passed, (np.arange(LINES) + 0.5) / LINES)
+    # nine copies of the cell, so that lines go on beyond its borders
+    x, y = (
+        (np.arange(3 * count) + 0.5) * length / count - length
+        for count, length in zip(flux.shape[1:], lengths, strict=True)
+    )
+    starts = np.meshgrid(x[row :: len(x) // 3], np.add.outer(y[:: len(y) // 3], y[columns] - y[0]).ravel())
+    copies = np.transpose(starts).reshape(-1, 2)
+    axes.streamplot(x, y, *np.tile(flux, (1, 3, 3)).transpose(0, 2, 1), start_points=copies, color=BLACK,
+                    linewidth=0.4, arrowsize=0.4, broken_streamlines=False)  # fmt: skip
+    axes.set(xlim=(0, lengths[0]), ylim=(0, lengths[1]))
+    if place := constriction(load):
         axes.plot(*place, "o", mec=RED, mfc="none", ms=9, mew=1.2)
 
 
