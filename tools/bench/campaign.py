@@ -29,9 +29,9 @@ from pathlib import Path
 
 import numpy as np
 from campaigns.drawing import EXTENSIONS, draw
-from campaigns.random_case import BAD, HANGS, RIGHT, TRACEBACK, VERDICTS, show
+from campaigns.random_case import BAD, HANGS, RIGHT, TRACEBACK, VERDICTS, kind, show
 from campaigns.running import HANG, run, run_beside_one
-from campaigns.shrinking import kind, shrink
+from campaigns.shrinking import shrink
 from launching import descendants
 
 ASLEEP = 20  # times HANG, of wall time: a process that waits for nothing
@@ -47,7 +47,7 @@ def work_together(seed: int, first: int, count: int, extension: str = "") -> Non
         for number in range(first, first + count):
             if comm.rank == 0:
                 print(json.dumps({"begun": number, "pid": os.getpid()}), flush=True)
-            began, case = time.perf_counter(), draw(seed, number, extension)
+            began, case = time.perf_counter(), draw(seed, number, extension, comm.size)
             case.way = "simulate" if case.way == "command" else case.way
             verdict, detail = run_beside_one(case, place / str(number), comm)
             request = comm.Ibarrier()  # one rank judges; the others sleep
@@ -134,7 +134,7 @@ def supervise(seed: int, first: int, count: int, extension: str = "", ranks: int
                 errors.seek(0)
                 detail = f"the process ended: {errors.read()[-2000:]}"
                 yield {"number": number, "verdict": verdict, "detail": detail, "seconds": HANG,
-                       "minimal": show(draw(seed, number, extension), "")}  # fmt: skip
+                       "minimal": show(draw(seed, number, extension, ranks), "")}  # fmt: skip
                 number += 1
 
 
@@ -173,7 +173,7 @@ def main(arguments: list[str] | None = None) -> int:
         (work_together if options.ranks > 1 else work)(options.seed, *options.work, options.extension)
         return 0
     if options.only is not None:
-        case = draw(options.seed, options.only, options.extension)
+        case = draw(options.seed, options.only, options.extension, options.ranks)
         with tempfile.TemporaryDirectory(prefix="pgfmd-campaign-") as folder:
             verdict, detail = run(case, Path(folder) / "case")
         print(f"{show(case, '')}{verdict}: {detail}")

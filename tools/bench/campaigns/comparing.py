@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from campaigns.judging import Answer
-from campaigns.random_case import REFUSED, UNCERTIFIED, UNJUDGED, WRONG, Case
+from campaigns.random_case import REFUSED, UNCERTIFIED, UNJUDGED, WRONG, kind
 
 SAME = 1e-6  # relative distance of two pressures from which what follows from them is not compared
 CARRIED = 1e3  # times that distance: how far numbers of the same contact may be apart, besides ROUNDING
@@ -16,12 +16,12 @@ EFFORT = {"iterations", "transforms", "seconds", "labellings", "max_violation", 
 PLACES = ("row", "column", "von_mises_depth")  # of extremes, which several points may share
 
 
-def compare(case: Case, one: tuple, many: tuple) -> str:
+def compare(one: tuple, many: tuple) -> str:
     """What differs between (verdict, detail, answers) on one rank and on several; empty if nothing does."""
     if one[0] != many[0]:
         doubtful = {one[0], many[0]} <= {UNCERTIFIED, UNJUDGED, "right"}  # at the limit of rounding
         return "" if doubtful else f"ends differently: {one[:2]} on one rank, {many[:2]} on several"
-    if one[0] == REFUSED and one[1] != many[1].replace("/many/", "/one/") and not case.spoilt:
+    if one[0] == REFUSED and kind(*one[:2]) != kind(*many[:2]):
         return f"other words: {one[1]!r} on one rank, {many[1]!r} on several"
     if one[0] in (WRONG, REFUSED, UNCERTIFIED):
         return ""

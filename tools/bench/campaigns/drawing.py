@@ -12,10 +12,12 @@ from campaigns.random_case import Case
 LARGEST_SIDE = 24
 
 
-def draw(seed: int, number: int, extension: str = "") -> Case:
-    """The job of that number; the same whatever was drawn before.  extension: one of `EXTENSIONS` that it must have."""
+def draw(seed: int, number: int, extension: str = "", ranks: int = 1) -> Case:
+    """The job of that number; the same whatever was drawn before.  extension: one of `EXTENSIONS` that it must have;
+    ranks: how many rows it has at least.
+    """
     chance = np.random.default_rng([seed, number])
-    shape = [_side(chance), _side(chance)]
+    shape = [max(_side(chance), ranks), _side(chance)]
     if max(shape) < 2:
         shape[chance.integers(2)] = 2
     if chance.random() < 0.4:

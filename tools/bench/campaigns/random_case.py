@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,14 @@ class Case:
     way: str  # "solve" (arrays), "simulate" (in this process) or "command" (in another one)
     spoilt: bool = False  # a value was replaced by another that is probably wrong
     factor: np.ndarray | None = None  # (2, 2): q and F(q) of a solid that is a table
+
+
+def kind(verdict: str, detail: str) -> str:
+    """What failures of one kind share: verdict and detail without numbers; of a traceback the last lines."""
+    if verdict == TRACEBACK:
+        detail = " ".join(detail.strip().splitlines()[-3:])
+    detail = re.sub(r"\S*/job\.toml", "job.toml", detail)
+    return verdict + " " + re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?|\binf\b|\bnan\b", "#", detail)[:160]
 
 
 def toml(document: dict) -> str:

@@ -35,7 +35,7 @@ def run_beside_one(case: Case, folder: Path, comm) -> tuple[str, str]:
     one = answered(case, folder / "one", None)
     if one[0] in BAD:
         return one[:2]
-    wrong = compare(case, one, many)
+    wrong = compare(one, many)
     return (WRONG, f"on {comm.size} ranks: {wrong}") if wrong else many[:2]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import reference
 
-from campaigns.random_case import TRACEBACK, Case
+from campaigns.random_case import Case, kind
 from campaigns.running import run
 
 
@@ -65,11 +64,3 @@ def shrink(case: Case, verdict: str, detail: str, folder: Path, tries: int = 60)
         else:
             break
     return best, said
-
-
-def kind(verdict: str, detail: str) -> str:
-    """What failures of one kind share: verdict and detail without numbers; of a traceback the last lines."""
-    if verdict == TRACEBACK:
-        detail = " ".join(detail.strip().splitlines()[-3:])
-    detail = re.sub(r"\S*/job\.toml", "job.toml", detail)
-    return verdict + " " + re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?|\binf\b|\bnan\b", "#", detail)[:160]
