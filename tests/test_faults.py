@@ -114,10 +114,10 @@ import numpy as np, pgfmd
 from mpi4py.MPI import COMM_WORLD as comm
 from pgfmd.grid.transforms import Transform
 original = Transform.rows_forward
-def failing(self, fill):
+def failing(self, *arguments):
     if comm.rank == 1:
         raise MemoryError("the last straw")
-    original(self, fill)
+    original(self, *arguments)
 Transform.rows_forward = failing
 heights = np.cos(2 * np.pi * np.arange(320) / 320)[:, None] + np.zeros(320)
 pgfmd.solve(np.split(heights, 2)[comm.rank], 0.1, comm=comm)

@@ -46,7 +46,7 @@ class LibraryTransform:
         # The library's own arrays, of both directions: the field (nx_local, ny) and its spectrum (nx, nky_local).
         self._field, self._spectrum = self._fft.forward.input_array, self._fft.forward.output_array
 
-    def rows_forward(self, fill: RowAction) -> None:
+    def rows_forward(self, fill: RowAction, filled: tuple[int, int] | None = None) -> None:
         """Real rows, made by `fill(first, stop, rows)`, to their spectrum.  Collective."""
         field = self._field
         self.threads.share(lambda _, a, b: fill(a, b, field[a:b]), len(field), ROWS)

@@ -197,13 +197,22 @@ class SlabGrid:
             between()
         transform.rows_backward(drain)
 
-    def convolve(self, fill: RowAction, action: ColumnAction, drain: RowAction, dtype: DTypeLike = np.float64) -> None:
+    def convolve(
+        self,
+        fill: RowAction,
+        action: ColumnAction,
+        drain: RowAction,
+        dtype: DTypeLike = np.float64,
+        filled: tuple[int, int] | None = None,
+    ) -> None:
         """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform back, and hand
-        the rows to `drain`.  No 1/N is applied.  Collective.
+        the rows to `drain`.  No 1/N is applied.  filled: first and stop of the global rows, if not all, that are not 0
+        (open boundaries).  Collective.
         """
-        transform = self.transform(dtype)
-        self.transforms += self.work * transform.cost
-        transform.rows_forward(fill)
+        transform, (first, stop) = self.transform(dtype), filled or (0, self.shape[0])
+        transform.rows_forward(fill, (first - self.rows.start, stop - self.rows.start))
+        zeros = 1 - (stop - first) / self.shape[0]  # whose transforms are a quarter of a pair's in a periodic cell
+        self.transforms += (self.work - zeros * self.torus[1] / self.shape[1] / 4) * transform.cost
         transform.columns(action)
         transform.rows_backward(drain)
 

@@ -238,17 +238,22 @@ class Transform:
                 array[...] = 0  # planning leaves arbitrary numbers, which could be NaN
         return self._known[key]
 
-    def rows_forward(self, fill: RowAction) -> None:
-        """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  Collective."""
+    def rows_forward(self, fill: RowAction, filled: tuple[int, int] | None = None) -> None:
+        """Real rows, made by `fill(first, stop, block)`, to row-transformed rows in the strips.  filled: first and stop
+        of the rows, if not all, that are not 0.  Collective.
+        """
         plans = self._plans("rows", "half", True)
 
         def one(thread: int, first: int, stop: int) -> None:
             worker = self.workers[thread]
-            fill(first, stop, worker.points[: stop - first])
-            if worker.points is not worker.rows:
-                worker.rows[:, : self.shape[1]] = worker.points
-                worker.rows[:, self.shape[1] :] = 0
-            plans[thread]()
+            if filled is not None and not (first < filled[1] and filled[0] < stop):
+                worker.half[...] = 0
+            else:
+                fill(first, stop, worker.points[: stop - first])
+                if worker.points is not worker.rows:
+                    worker.rows[:, : self.shape[1]] = worker.points
+                    worker.rows[:, self.shape[1] :] = 0
+                plans[thread]()
             self.strips.put(self.parts, first, worker.padded_half[: stop - first])
 
         self.strips.begin()

@@ -335,11 +335,11 @@ class MeanGap(Control):
         return abs(self.reached(found) - self.approach(target)) / self.allowed(found, target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """`bound` over the tolerance, and with open boundaries that of the mean displacement ⟨Gδ⟩ for an error δ of the
-        pressure: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² ≤ 2B max Â per point.  Collective.
+        """`bound` over the tolerance; of the mean gap with open boundaries also that of the mean displacement ⟨Gδ⟩ for
+        an error δ of the pressure: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² ≤ 2B max Â per point.  Collective.
         """
         bound = self.bound(found)
-        if not self.grid.domain.wraps:
+        if not (self.grid.domain.wraps or isinstance(self, Displacement)):
             above = 2 * found.elastic_energy * max(found.certified_error, LEAST_ERROR)
             bound += math.sqrt(2 * above * self.grid.reduction.max(self.problem.solid.modes(self.grid)))
         return bound / self.allowed(found, target)

@@ -18,7 +18,7 @@ from pgfmd.solvers.active_set.active_set import Relaxation, State
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
-from pgfmd.solvers.active_set.primal import PressureSteps
+from pgfmd.solvers.active_set.primal import LIGHTEST, PressureSteps
 from pgfmd.solvers.active_set.thin import ThinSteps, is_thin
 from pgfmd.solvers.active_set.unknowns import Fields
 from pgfmd.solvers.controls import stress_of_full_contact
@@ -28,6 +28,7 @@ from pgfmd.solvers.second_order import Rounding
 from pgfmd.solvers.solution import Monitor
 
 MOST_ROWS = 512  # of which a stress is measured: a part of a hundred of a transform at 8192²
+PUNCH = 2.6  # Â(0) p̄/δ of a square punch on a half-space, 2.244 · 1.1523; 1 on a thin slab
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
 
 
@@ -105,7 +106,12 @@ class ActiveSetIteration(NestedIteration[State]):
     def coarsest(self, problem: ContactProblem, exact: bool) -> State:
         """From a uniform pressure."""
         if problem.imposed is not None:
-            guess = problem.imposed.guess(stress_of_full_contact(problem), self.rms, problem.grid.size)
+            grid, imposed = problem.grid, problem.imposed
+            guess = imposed.guess(stress_of_full_contact(problem), self.rms, grid.size)
+            if not (imposed.area or grid.domain.wraps):  # a flat punch as high bears more
+                summit = grid.reduction.max(problem.heights)
+                most = PUNCH * max(imposed.approach + summit, LIGHTEST * summit)
+                guess = min(guess, most / grid.reduction.max(problem.solid.modes(grid)))
             state = self.coarsest(problem.imposing(None, guess), True)
             state.clipped = False
             if problem.imposed.area:

@@ -177,7 +177,7 @@ def _on_rectangle(
     real = np.dtype(np.float32 if tolerance >= SINGLE else np.float64)
     with wide.freed():
         action = solid.in_units(height, most).apply_compliance(wide, real, 1 / wide.modes)
-        wide.convolve(fill, action, drain, real)
+        wide.convolve(fill, action, drain, real, (top, bottom))
     put(found.gap, gap)
     # The error of λ is that of `controls.MeanGap`.
     error, reach = found.certified_error, found.elastic_energy / found.mean_pressure
