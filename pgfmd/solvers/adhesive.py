@@ -21,6 +21,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pgfmd.errors import SolverError, Unreachable
+from pgfmd.grid.transforms import sink
 from pgfmd.solvers.adhesive_inner import conjugate_gradients, least_ritz
 from pgfmd.solvers.adhesive_model import AdhesiveModel, AdhesiveState, Hold
 
@@ -40,7 +41,7 @@ class AdhesiveContact(AdhesiveModel):
         if self.grid is self.patch:
             return gap
         inside = np.isfinite(self._padded(gap, math.nan))
-        found = np.where(inside, self._padded(gap, 0.0), self.law.farthest - self.heights)
+        found = np.where(inside, self._padded(gap, 0.0), self.law.farthest - self.rigid(slice(None)))
         found -= np.where(inside, 0.0, self.grid.reduction.max(np.where(inside, -np.inf, found)) - self.law.farthest)
         hold, none = Hold("displacement", self.summit, spring=self.spring), self.grid.new_field(np.float32)
         none[...] = 0
@@ -54,10 +55,8 @@ class AdhesiveContact(AdhesiveModel):
 
     def direction(
         self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Newton's direction and, if one was met, a direction of negative curvature.  careful: without W''.
-        Collective.
-        """
+    ) -> tuple[np.ndarray, bool]:
+        """Newton's direction, and whether `search` is one of negative curvature.  careful: without W''.  Collective."""
         start = self.residual(state, hold)
         weight = self.weight(state.gap, not careful)
         scale = state.residual**2 / (min(state.curvature, 1.0) * state.scale)
@@ -73,7 +72,7 @@ class AdhesiveContact(AdhesiveModel):
             state.curvature = 1e-3 if bent_down else max(least_ritz(steps)[0], 1e-3)
         state.negative |= bent_down
         found *= np.float32(state.residual)
-        return found, self.search.copy() if bent_down else None
+        return found, bent_down and self.largest(lambda s: np.abs(self.search[s])) > 0  # else it underflows
 
     def minimise(
         self,
@@ -82,77 +81,94 @@ class AdhesiveContact(AdhesiveModel):
         tolerance: float,
         see: Callable[[AdhesiveState], None] | None = None,
     ) -> AdhesiveState:
-        """The minimum of the energy down from a gap, which it takes over.  Collective.
+        """The minimum of the energy down from a gap, which becomes that of the minimum.  Collective.
 
         Ends when ⟨r, Gr⟩/2ν, ν estimated, is at most the tolerance times 2 E_el, or only rounding is left of it.
         Raises SolverError after `MOST_STEPS`.
         """
+        state, ended = self.lowered(gap, hold, tolerance, see)
+        if not ended:
+            raise SolverError(
+                f"adhesive contact: the energy error stays at {state.error:.1e}, above the tolerance {tolerance:.1e}; "
+                "allow a larger tolerance, or a finer grid where the process zone is short"
+            )
+        return state
+
+    def lowered(
+        self, gap: np.ndarray, hold: Hold, tolerance: float, see: Callable[[AdhesiveState], None] | None
+    ) -> tuple[AdhesiveState, bool]:
+        """The same, and whether it ended.  Collective."""
         state, radius, careful = self.state(gap), RADIUS, 0
         while state.iterations < MOST_STEPS:
             found, down = self.direction(state, hold, tolerance, careful > 0)
-            if down is not None and not self.grid.reduction.any(bool(down.any())):
-                down = None  # it underflows
             state.error = state.square / (min(state.curvature, 1.0) * state.scale)
             if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
             if see is not None:
                 see(state)
-            if (state.error <= tolerance and down is None) or state.residual == 0:
-                return state
-            lowered, radius = self.step(state, hold, (found, down), radius)
-            if lowered is None:
-                if careful:
-                    if state.error <= max(1e3 * tolerance, 1e-9):
-                        return state  # rounding
-                    break
-                careful = 2
-                continue
-            careful = max(careful - 1, 0)
-            state = lowered
-        raise SolverError(
-            f"adhesive contact: the energy error stays at {state.error:.1e}, above the tolerance {tolerance:.1e}; "
-            "allow a larger tolerance, or a finer grid where the process zone is short"
-        )
+            if (state.error <= tolerance and not down) or state.residual == 0:
+                return state, True
+            fell, radius = self.step(state, hold, (found, down), radius)
+            del found
+            if not fell and careful:
+                return state, state.error <= max(1e3 * tolerance, 1e-9)  # rounding
+            careful = max(careful - 1, 0) if fell else 2
+        return state, False
 
     def step(
-        self, state: AdhesiveState, hold: Hold, ways: tuple[np.ndarray, np.ndarray | None], radius: float
-    ) -> tuple[AdhesiveState | None, float]:
-        """The first state, along fractions of a direction, that passes `fallen`; None if none does.  Collective."""
-        found, down = ways
-        trials = [found]
-        if down is not None:
-            work = self.bands(lambda s: (float(np.sum(down[s] * self.slope(state, s))), float(np.abs(down[s]).max())))
-            largest = self.grid.reduction.max(np.abs(down))
-            down *= np.float32(math.copysign(radius / largest, -work[0]))
-            trials.insert(0, found + down)
-        for trial in trials:
-            near = self.grid.reduction.max(np.abs(np.where(state.gap < self.law.least + NEAR, trial, 0)))
+        self, state: AdhesiveState, hold: Hold, ways: tuple[np.ndarray, bool], radius: float
+    ) -> tuple[bool, float]:
+        """Moves the state by the first fraction of a direction that `moved` takes; False if it takes none.  Collective.
+
+        ways: Newton's direction, and whether `search` is added to it at first.
+        """
+        found, both = ways
+        trials = [(found, HALVINGS)]
+        if both:
+            down = self.search
+            work = self.bands(lambda s: (float(np.sum(down[s] * self.slope(state, s))),))[0]
+            down *= np.float32(math.copysign(radius / self.largest(lambda s: np.abs(down[s])), -work))
+            trials.insert(0, (found + down, 3))
+        for way, halvings in trials:
+            near = self.largest(
+                lambda s, w=way: np.abs(w[s]) * (state.gap[s] < self.law.least + NEAR)  # type: ignore[misc]
+            )
             part = min(1.0, 1.5 * radius / near) if near > 0 else 1.0
-            for halving in range(HALVINGS if trial is trials[-1] else 3):
-                new = self.moved(state, hold, trial, part)
-                if new is not None:
-                    return new, min(radius * (2.0 if halving == 0 else 1.0), LARGEST_RADIUS)
+            for halving in range(halvings):
+                if self.moved(state, hold, way, part):
+                    return True, min(radius * (2.0 if halving == 0 else 1.0), LARGEST_RADIUS)
                 state.refused += 1
                 part, radius = part / 2, max(radius / 2, 1e-3)
-        return None, RADIUS
+        return False, RADIUS
 
     def slope(self, state: AdhesiveState, rows: slice) -> np.ndarray:
         """f − μ of some rows."""
         return state.stress[rows] + self.law.traction(state.gap[rows]) - state.pull
 
-    def moved(self, state: AdhesiveState, hold: Hold, way: np.ndarray, part: float) -> AdhesiveState | None:
-        """The state after a part of a way, or None if the energy does not fall all along.  Collective."""
-        gap, law = np.maximum(state.gap + part * way.astype(np.float64), self.law.least), self.law
+    def moved(self, state: AdhesiveState, hold: Hold, way: np.ndarray, part: float) -> bool:
+        """Moves the state by a part of a way if the energy falls all along, and says whether it did.  Collective."""
+        gap, law = self.grid.new_field(), self.law
+
+        def advance(s: slice) -> None:
+            np.multiply(way[s], part, out=gap[s])
+            gap[s] += state.gap[s]
+            np.maximum(gap[s], law.least, out=gap[s])
+
+        self.rows(advance)
         if hold.fixed:
             self.to_mean(gap, hold.gap)
-        stress = self.evaluate(gap, np.empty_like(gap))
-        new, size = AdhesiveState(gap, stress), self.grid.size
+        stiffened, size = self.spare, self.grid.size  # K of the move
+
+        def fill(first: int, stop: int, rows: np.ndarray) -> None:
+            np.subtract(gap[first:stop], state.gap[first:stop], out=rows)
+
+        self.grid.convolve(fill, self.stiffness[np.float64], sink(stiffened))
 
         def sums(s: slice) -> tuple[float, ...]:
-            move, change = gap[s] - state.gap[s], stress[s] - state.stress[s]
+            move = gap[s] - state.gap[s]
             old_bend, new_bend = law.curvature(state.gap[s]), law.curvature(gap[s])
             return (
-                float(np.vdot(move, state.stress[s])), float(np.vdot(move, change)),
+                float(np.vdot(move, state.stress[s])), float(np.vdot(move, stiffened[s])),
                 float(np.sum(law.energy(gap[s]) - law.energy(state.gap[s]))),
                 float(np.vdot(move, np.maximum(-old_bend, -new_bend) * move)), float(move.sum()),
             )  # fmt: skip
@@ -163,7 +179,7 @@ class AdhesiveContact(AdhesiveModel):
         spring = 0.0 if hold.fixed else hold.spring * total * total
         rounding = SAME * (abs(state.elastic) + abs(state.law) + abs(held))
         if not change <= rounding:
-            return None
+            return False
         if second + spring <= bend:  # not convex along the way
 
             def slopes(s: slice) -> tuple[float, ...]:
@@ -173,8 +189,9 @@ class AdhesiveContact(AdhesiveModel):
             along = self.bands(slopes) / size
             for t, pulled in zip(WAYS, along, strict=True):
                 if first + t * second + pulled + hold.force(state.mean + t * total) * total > rounding:
-                    return None
-        for name in ("inner", "refused", "negative", "curvature"):
-            setattr(new, name, getattr(state, name))
-        new.iterations, new.error, new.drop = state.iterations + 1, state.error, state.drop - change
-        return self.measure(new)
+                    return False
+        self.rows(lambda s: np.add(state.stress[s], stiffened[s], out=state.stress[s]))
+        np.copyto(state.gap, gap)
+        state.iterations, state.drop = state.iterations + 1, state.drop - change
+        self.measure(state)
+        return True

@@ -6,7 +6,6 @@ and the area leapt, the branch has ended between two targets: the place is bisec
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import logging
 import math
@@ -15,7 +14,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pgfmd.errors import InputError, SolverError
+from pgfmd.errors import InputError
 from pgfmd.options.text import show
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
@@ -39,7 +38,12 @@ ROUGH = 1e-5  # certified error of the contact under a hard wall with which a se
 FAR = 0.05  # distance t from the minimum, in ranges, beyond which ν is not sought where inner iterations found it small
 SHARPER = 1e-4  # of the tolerance, where a state could not be certified
 COLD, FOLLOWED, PROBED = range(3)
+NONE = np.empty(0)
 log = logging.getLogger("pgfmd")
+
+
+def _bare(point: tuple[float, AdhesiveState]) -> tuple[float, AdhesiveState]:
+    return point[0], dataclasses.replace(point[1], gap=NONE, stress=NONE)
 
 
 class Branch:
@@ -59,10 +63,10 @@ class Branch:
         self.load, self.name, self.problem, self.grid, self.tolerance = (
             load, load.control, problem, problem.grid, tolerance
         )  # fmt: skip
+        self.stickiness = resolved(problem, problem.law)
         self.contact = AdhesiveContact(problem)
         self.last: tuple[float, AdhesiveState] | None = None
-        self.before: tuple[float, np.ndarray] | None = None
-        self.stickiness = resolved(problem, problem.law)
+        self.change: tuple[float, np.ndarray] | None = None  # of targets and gaps to the last ones
 
     def hold(self, target: float) -> Hold:
         """What a target holds, in units of the law."""
@@ -92,33 +96,40 @@ class Branch:
         """The next target continues from this gap (nx_local, ny), that of an earlier target.  Collective."""
         if gap is not None:
             self.last = target, self.contact.state(self.contact.around(gap / self.contact.length))
+            self.last[1].stress = NONE
 
     def solution(self, target: float) -> ContactSolution:
         """The contact at that target, on the branch of the last one.  Collective.  Raises SolverError."""
         began, transforms = time.perf_counter(), self.contact.grid.transforms
+        self.contact.allocate()
         hold, way = self.hold(target), FOLLOWED
         jump, drop, gradual = (math.nan,) * 4, 0.0, False
         if self.last is None or self.load.branch != "follow":
             state, way = self._cold(hold), PROBED if self.load.branch == "probe" else COLD
         else:
-            before, state = self.last, self._from(self.last, target, self.before)
+            before, state = _bare(self.last), self._from(self.last, target, extrapolated=True)
             while state.negative and self._leapt(before[1], state) and self.load.jump_accuracy:
-                ends = self._bisected(before, (target, state))
-                gradual = ends is None
-                if ends is None:
+                ends = [self.last, (target, state)]
+                del state  # as the fields of what is not needed any more take memory
+                gradual = not self._bisect(ends)
+                self.last = ends[gradual - 1]
+                if not gradual:
+                    jump = ends[0][0], ends[1][0], self._pressure(ends[0][1]), self._pressure(ends[1][1])
+                    drop += self._drop(ends[0], ends[1], True)
+                    self._tell(*ends)
+                    before = _bare(ends[1])
+                reached = ends[1] if ends[1][0] == target else None
+                del ends
+                state = reached[1] if reached else self._from(self.last, target)
+                if reached or gradual:
                     break
-                low, before = ends
-                jump = low[0], before[0], self._pressure(low[1]), self._pressure(before[1])
-                drop += self._drop(low, before, True)
-                self._tell(low, before)
-                if before[0] == target:
-                    state = before[1]
-                    break
-                state = self._from(before, target)
             if state.negative and before[0] != target:
                 sudden = not gradual and self._leapt(before[1], state)
                 drop += max(self._drop(before, (target, state), sudden), 0.0)
-        self.before = (self.last[0], self.last[1].gap) if self.last and math.isnan(jump[0]) else None
+        if self.last and math.isnan(jump[0]) and self.last[0] != target:
+            change = self.contact.grid.new_field(np.float32)
+            np.subtract(state.gap, self.last[1].gap, out=change, casting="same_kind")
+            self.change = target - self.last[0], change
         self.last = target, state
         lost = drop * self.contact.length * self.contact.pressure / self.contact.share
         return self._solution(state, hold, {
@@ -157,19 +168,22 @@ class Branch:
         self,
         last: tuple[float, AdhesiveState],
         target: float,
-        before: tuple[float, np.ndarray] | None = None,
         tolerance: float = 0.0,
+        extrapolated: bool = False,
     ) -> AdhesiveState:
-        """The contact at a target, from another; extrapolated if one before that is given.  Collective."""
+        """The contact at a target, from another.  extrapolated: by the last change, which is lost.  Collective."""
         hold, least, gap = self.hold(target), self.contact.law.least, last[1].gap.copy()
-        if before is not None and last[0] != before[0]:
-            ratio = (target - last[0]) / (last[0] - before[0])
+        (step, way), self.change = self.change if extrapolated and self.change else (0.0, gap), None
+        if step:
+            ratio = (target - last[0]) / step
             if abs(ratio) <= 2:
-                np.add(gap, ratio * (last[1].gap - before[1]), out=gap, where=gap > least)
+                way *= np.float32(ratio)
+                np.add(gap, way, out=gap, where=gap > least)
                 np.maximum(gap, least, out=gap)
                 if not hold.fixed:  # a large step of the load may extrapolate into far too much contact
                     energies = [s.energy + hold.energy(s.mean) for s in (self.contact.state(gap), last[1])]
-                    gap = gap if energies[0] < energies[1] else last[1].gap.copy()
+                    np.copyto(gap, gap if energies[0] < energies[1] else last[1].gap)
+        del way
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
         return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see)
@@ -177,28 +191,28 @@ class Branch:
     def _leapt(self, old: AdhesiveState, new: AdhesiveState) -> bool:
         return abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
 
-    def _bisected(
-        self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState]
-    ) -> tuple[tuple[float, AdhesiveState], tuple[float, AdhesiveState]] | None:
-        """The last state before a jump and the first after it; None where the area changes gradually.  Collective.
+    def _bisect(self, ends: list[tuple[float, AdhesiveState]]) -> bool:
+        """Makes the ends the last state before a jump and the first after it; False where the area changes gradually.
+        Collective.
 
         A jump that makes up half of the change or more leaves at least `SUDDEN` of it in one half of the interval.
         """
-        width = self.load.jump_accuracy * abs(high[0] - low[0])
-        loose = LOOSE
-        while abs(high[0] - low[0]) > width:
-            target = (low[0] + high[0]) / 2
-            middle = target, self._from(low, target, tolerance=loose)
+        width, loose = self.load.jump_accuracy * abs(ends[1][0] - ends[0][0]), LOOSE
+        while abs(ends[1][0] - ends[0][0]) > width:
+            ends[0][1].stress = ends[1][1].stress = NONE
+            self.last, target = ends[0], (ends[0][0] + ends[1][0]) / 2
+            middle = self._from(self.last, target, tolerance=loose)
             first, second, whole = (
                 abs(new.near - old.near)
-                for old, new in ((low[1], middle[1]), (middle[1], high[1]), (low[1], high[1]))
+                for old, new in ((ends[0][1], middle), (middle, ends[1][1]), (ends[0][1], ends[1][1]))
             )  # fmt: skip
             if max(first, second) < SUDDEN * whole:
-                return None
+                return False
             if loose:  # the first only tells whether there is a jump; its states are reported
-                middle, loose = (target, self._from(low, target)), 0.0
-            low, high = (low, middle) if first >= second else (middle, high)
-        return low, high
+                del middle
+                middle, loose = self._from(self.last, target), 0.0
+            ends[1 if first >= second else 0] = target, middle
+        return True
 
     def _drop(self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState], sudden: bool) -> float:
         """Energy per point lost from one state to the next, over w: the work done less the energy gained.
@@ -227,27 +241,38 @@ class Branch:
     ) -> ContactSolution:
         """The contact in units of the job.  Collective."""
         contact, law = self.contact, self.contact.law
+        if not state.stress.size:
+            state.stress = contact.evaluate(state.gap, contact.grid.new_field())
         floor, bound, distance = estimated(contact, state, hold, FAR)
         if floor <= 0 or bound > self.tolerance * state.scale / 2:  # within a smaller distance, ν may be larger
             part = min(floor / 2, 0.5) if floor > 0 else SHARPER
-            with contextlib.suppress(SolverError):  # the same on all ranks
-                state = contact.minimise(state.gap, hold, self.tolerance * part, self._see)
+            state.stress = NONE
+            state, _ = contact.lowered(state.gap, hold, self.tolerance * part, self._see)
+            self.last = self.last and (self.last[0], state)
             floor, bound, distance = estimated(contact, state, hold)
         proof = proved(contact, state, hold, floor)
         floor, bound, distance = proof or (floor, bound, distance)
         scale, size = contact.length * contact.pressure / contact.share, self.grid.size
-        pressure = -law.traction(state.gap)  # also where a point still touches that the solid pulls more
-        np.maximum(pressure, state.stress - state.pull, out=pressure, where=state.gap <= law.least)
+        pressure = contact.grid.new_field()
+
+        def fill(s: slice) -> None:  # the law's also where a point still touches that the solid pulls more
+            pressure[s] = -law.traction(state.gap[s])
+            np.maximum(pressure[s], state.stress[s] - state.pull, out=pressure[s], where=state.gap[s] <= law.least)
+            pressure[s] *= contact.pressure
+
+        contact.rows(fill)
+        state.stress = NONE
+        contact.allocate(False)  # observables need memory too
         if contact.spring and not self.grid.domain.wraps:  # the mean of the displacement is elastic
             state = dataclasses.replace(state, elastic=state.elastic + state.pull**2 / (2 * contact.spring))
-        pressure, gap = contact.unpadded(pressure) * contact.pressure, contact.unpadded(state.gap)
+        pressure, gap = contact.unpadded(pressure), contact.unpadded(state.gap)
         kind = "global" if hold.fixed and self._convex() else "local"
         certificate: Certificate | str = "the least curvature of the energy is not known to be positive"
         if floor > 0:
             error = bound / (2 * state.elastic) if state.elastic else 0.0
             certificate = Certificate(error, kind, "proved" if proof or kind == "global" else "estimated", self.name)
         mean, total, tension, pulled = self.grid.reduction.sums(  # the mean misses a load by that of the residual
-            float(pressure.sum()), float(gap.sum()), float(np.minimum(pressure, 0.0).sum()),
+            float(pressure.sum()), float(gap.sum()), float(np.sum(pressure, where=pressure < 0)),
             float(np.count_nonzero((pressure < 0) & (gap <= law.least))),
         ) / size  # fmt: skip
         known = details | {
@@ -282,14 +307,17 @@ class Branch:
 
 def roughness(problem: ContactProblem) -> tuple[float, float]:
     """Rms of |∇h| and of ∇²h by differences between neighbours, the border left out.  Collective."""
-    grid, rows = problem.grid, problem.grid.rows
-    count = len(problem.heights)
-    last = min(rows.stop + 2, grid.shape[0]) if count else rows.stop
-    heights = np.concatenate([problem.heights, grid.fetch(problem.heights, rows.stop, last)])
-    (dx, dy), own = grid.spacing, slice(count)
-    x, y = np.diff(heights, axis=0)[own] / dx, np.diff(problem.heights, axis=1) / dy
-    bend = np.diff(heights, 2, axis=0)[:, 1:-1] / dx**2 + np.diff(heights[1:-1], 2, axis=1) / dy**2
-    sums = grid.reduction.sums(*(float(v) for each in (x, y, bend) for v in (np.vdot(each, each), each.size)))
+    grid, own = problem.grid, problem.heights
+    last = min(grid.rows.stop + 2, grid.shape[0]) if len(own) else grid.rows.stop
+    after, (dx, dy) = grid.fetch(own, grid.rows.stop, last), grid.spacing
+
+    def sums_of(first: int, stop: int) -> list[float]:
+        rows = np.concatenate([own[first : stop + 2], after[: max(0, stop + 2 - len(own))]])
+        x, y = np.diff(rows, axis=0)[: stop - first] / dx, np.diff(own[first:stop], axis=1) / dy
+        bend = np.diff(rows, 2, axis=0)[:, 1:-1] / dx**2 + np.diff(rows[1:-1], 2, axis=1) / dy**2
+        return [float(v) for each in (x, y, bend) for v in (np.vdot(each, each), each.size)]
+
+    sums = grid.reduction.sums(*np.sum(grid.threads.collect(sums_of, len(own), grid.band), axis=0))
     return math.hypot(*np.sqrt(sums[0:3:2] / np.maximum(sums[1:4:2], 1))), math.sqrt(sums[4] / max(sums[5], 1))
 
 

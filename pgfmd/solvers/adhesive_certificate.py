@@ -8,11 +8,12 @@ convex where gaps change by at most t, and at its rim exceeds that of g.  D̄ is
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transforms import ColumnAction, sink
+from pgfmd.grid.transforms import ColumnAction
 from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact
@@ -27,6 +28,7 @@ MOST_PROOF = 40  # conjugate gradients of a proof, for each of
 GOALS = 1e-3, 0.03  # what is left of the 1 that is asked, in the norm of P, of it at first and then of that
 LARGEST = 100.0  # of 1/G(0) that κ counts at most: more would give the same, by more iterations
 POSITIVE = 1e-3  # least value of Mv, of which 1 was asked, that rounding in double precision cannot make of one ≤ 0
+Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 
 
 def estimated(
@@ -44,17 +46,17 @@ def estimated(
     for _ in range(TRIES):
         if far > farthest and state.curvature < 1:
             break
-        contact.residual(state, hold)  # chooses the free points
-        weight = stiffening(contact, state, far).astype(np.float32)
-        contact.count, actions = grid.size, contact.actions(hold)._replace(firm=inverse(contact, weight))
-        np.negative(weight, out=weight)
+        weight = softened(contact, stiffening(contact, state, hold, far))
+        contact.count, actions = grid.size, contact.actions(hold)._replace(firm=True)
         noise = grid.new_field(np.float32)
         seed = np.random.default_rng(7)
         seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
-        noise[...] = (seed.random(noise.shape) - 0.5) * contact.free
+        for row, free in zip(noise, contact.free, strict=True):
+            row[...] = (seed.random(row.shape) - 0.5) * free
         if hold.fixed:
             noise -= np.float32(grid.reduction.sum(noise) / grid.size)
         _, negative, _, steps = conjugate_gradients(contact, noise, weight, actions, lambda _: 1e-6, LANCZOS)
+        del noise, weight  # their memory
         if negative:
             return 0.0, math.inf, far
         floor, error = least_ritz(steps)
@@ -72,25 +74,29 @@ def local_compliance(contact: AdhesiveContact, hold: Hold) -> float:
     return contact.local + mean / contact.grid.size
 
 
-def inverse(contact: AdhesiveContact, added: np.ndarray) -> np.ndarray:
-    """1/κ of the firm points, κ ≥ 1/G(0), in single precision; the others become the free ones."""
-    out = np.zeros_like(added, np.float32)
-    np.less(added, 1 / contact.local, out=contact.free)
-    return np.divide(1, added, out=out, where=~contact.free, casting="same_kind")
+def stiffening(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float) -> Stiffening:
+    """−D̄ of the free points, κ = 2b/t − D̄ of others, D̄ the largest −W'' within t.  Collective."""
+    contact.residual(state, hold)  # chooses the free points
+    free, factor = contact.free.copy(), 2 / max(far, 1e-300)
+
+    def added(s: slice) -> np.ndarray:
+        out = contact.slope(state, s)
+        out *= factor * ~free[s]
+        out -= contact.law.steepest(state.gap[s], far)
+        return np.minimum(out, LARGEST / contact.local, out=out)
+
+    return added
 
 
-def stiffening(contact: AdhesiveContact, state: AdhesiveState, far: float) -> np.ndarray:
-    """−D̄ of the free points, κ = 2b/t − D̄ of others (nx_local, ny), D̄ the largest −W'' within t.  Collective."""
-    out = contact.grid.new_field()
+def softened(contact: AdhesiveContact, added: Stiffening) -> np.ndarray:
+    """−`added` in single precision; the points where that is more than −1/G(0) become the free ones."""
+    out = contact.grid.new_field(np.float32)
 
-    def fill(s: slice) -> tuple[float]:
-        np.multiply(contact.slope(state, s), 2 / max(far, 1e-300), out=out[s])
-        out[s] *= ~contact.free[s]
-        out[s] -= contact.law.steepest(state.gap[s], far)
-        np.minimum(out[s], LARGEST / contact.local, out=out[s])
-        return (0.0,)
+    def fill(s: slice) -> None:
+        np.negative(added(s), out=out[s], casting="same_kind")
+        np.greater(out[s], -1 / contact.local, out=contact.free[s])
 
-    contact.bands(fill)
+    contact.rows(fill)
     return out
 
 
@@ -112,26 +118,34 @@ def proved(
         return None
     if not isinstance(contact.law, AdhesiveWall) or floor < WORTH:
         return None
-    contact.residual(state, hold)  # chooses the free points
     modulus = solid.in_units(contact.length, contact.pressure).contact_modulus
     square, mean = state.square * grid.size, 0.0 if hold.fixed else max(hold.spring, 1 / contact.softest)
     floor *= PART
     far = 2.01 * math.sqrt(local_compliance(contact, hold) * square) / floor
-    added = stiffening(contact, state, far)
-    smaller = smaller_stiffness(grid, modulus / 2 * (1 - floor))
-    impulse = np.zeros_like(added)
-    first_here = grid.rows.start == 0 and len(impulse) > 0
-    if first_here:
-        impulse[0, 0] = 1
-    row = times(grid, smaller, impulse)
-    if first_here:
-        row[0, 0] = -np.inf
-    extra = -0.999 * grid.reduction.max(row) * grid.size
+    modulus *= (1 - floor) / 2
+    contact.coupling = contact.coupling or least_coupling(grid)
+    extra = 0.999 * modulus * contact.coupling * grid.size
     stiff = extra if hold.fixed else min(extra, hold.spring - floor * mean)
-    action = contact.with_mean(smaller, stiff)
-    if not is_m_matrix(contact, action, added, stiff):
+    action = contact.with_mean(smaller_stiffness(grid, modulus), stiff)
+    if not is_m_matrix(contact, action, stiffening(contact, state, hold, far), stiff):
         return None
     return floor, square / (2 * floor) / grid.size, far
+
+
+def least_coupling(grid: SlabGrid) -> float:
+    """The least −K_M between two points, for ½E' = 1.  Collective."""
+    most, first_here = list[float](), grid.rows.start == 0
+
+    def impulse(first: int, stop: int, rows: np.ndarray) -> None:
+        rows[...] = 0
+        rows[:1, :1] = first == 0 and first_here
+
+    def keep(first: int, stop: int, block: np.ndarray) -> None:
+        block[:1, :1] -= 1e300 * (first == 0 and first_here)
+        most.append(float(block.max()))
+
+    grid.convolve(impulse, smaller_stiffness(grid, 1.0), keep)
+    return -grid.reduction.max(most)
 
 
 def smaller_stiffness(grid: SlabGrid, factor: float) -> ColumnAction:
@@ -145,40 +159,35 @@ def smaller_stiffness(grid: SlabGrid, factor: float) -> ColumnAction:
     return act
 
 
-def times(grid: SlabGrid, action: ColumnAction, field: np.ndarray) -> np.ndarray:
-    """The field (nx_local, ny) after a column action, in double precision.  Collective."""
-    out = grid.new_field()
-
-    def fill(first: int, stop: int, rows: np.ndarray) -> None:
-        rows[...] = field[first:stop]
-
-    grid.convolve(fill, action, sink(out))
-    return out
-
-
-def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: np.ndarray, mean: float) -> bool:
-    """Whether a v > 0 with Mv > 0 was found, where M is the action, of that `mean` stiffness, plus `added` (nx_local,
-    ny), which decides the free points.  Collective.
+def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: Stiffening, mean: float) -> bool:
+    """Whether a v > 0 with Mv > 0 was found, where M is the action, of that `mean` stiffness, plus what is `added`,
+    which decides the free points.  Collective.
 
     Conjugate gradients for Mv = 1 in single precision: any v will do if the test at the end, in double, passes.
     """
     grid, soften = contact.grid, contact.with_mean(contact.compliance, 1 / max(mean, 1 / contact.softest))
-    actions = Actions(soften, action, False, inverse(contact, added))
-    weight, left = -added.astype(np.float32), grid.new_field(np.float32)
+    actions, least = Actions(soften, action, False, True), list[float]()
+    weight, left = softened(contact, added), grid.new_field(np.float32)
     left[...] = 1
     v = np.zeros_like(left)
+
+    def fill(first: int, stop: int, rows: np.ndarray) -> None:
+        rows[...] = v[first:stop]
+
+    def keep(first: int, stop: int, rows: np.ndarray) -> None:
+        least.append(-float(np.min(rows + added(slice(first, stop)) * v[first:stop])))
+
     for goal in GOALS:
         found, negative, _, _ = conjugate_gradients(
             contact, left, weight, actions, lambda _, goal=goal: goal, MOST_PROOF  # type: ignore[misc]
         )
-        v += found
+        np.add(v, found, out=v)
+        del found
         if negative:
             return False
-        if grid.reduction.max(-v) < 0:
-            proof = times(grid, action, v)
-            for first in range(0, len(v), grid.band):
-                s = slice(first, first + grid.band)
-                proof[s] += added[s] * v[s]
-            if grid.reduction.max(-proof) < -POSITIVE:
+        if grid.reduction.min(v) > 0:
+            least.clear()
+            grid.convolve(fill, action, keep)
+            if grid.reduction.max(least) < -POSITIVE:
                 return True
     return False

@@ -45,18 +45,18 @@ def conjugate_gradients(
     per point, and (step, ratio) of each iteration, which give the spectrum.  Collective.
     """
     grid, z, d, (soften, stiffen, fixed, firm) = model.grid, model.image, model.search, actions
-    free = model.free if firm is None else np.ones_like(model.free)
+    free = np.ones_like(model.free) if firm else model.free
     threads, rows, inverse = grid.threads, len(free), 1 / model.count if fixed and model.count else 0.0
     residual, x, steps = start, grid.new_field(np.float32), list[tuple[float, float]]()
     x[...] = d[...] = 0
 
     def softened(rows: np.ndarray, s: slice) -> tuple[float, float]:
-        if firm is not None:
-            np.copyto(rows, firm[s] * residual[s], where=~model.free[s])
+        if firm:
+            np.divide(residual[s], -weight[s], out=rows, where=~model.free[s])
         return masked(rows, residual[s], free[s], z[s])
 
     def precondition() -> tuple[float, float]:
-        square, total = apply(grid, soften, (residual,) if firm is None else (residual, model.free), softened)
+        square, total = apply(grid, soften, (residual, model.free) if firm else (residual,), softened)
         return max(square, 0.0), total * inverse
 
     square, mean = precondition()

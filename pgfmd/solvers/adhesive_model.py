@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgfmd.grid.aligned import new_field
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import ColumnAction, sink
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall
@@ -46,14 +47,14 @@ class Hold:
 
 
 class Actions(NamedTuple):
-    """Of an inner problem.  fixed: whether its unknowns sum to 0; firm: an approximate inverse for points that are not
-    free, which are unknowns then.
+    """Of an inner problem.  fixed: whether its unknowns sum to 0; firm: whether points that are not free are unknowns
+    too, of an approximate inverse −1/weight.
     """
 
     soften: ColumnAction
     stiffen: ColumnAction
     fixed: bool
-    firm: np.ndarray | None = None
+    firm: bool = False
 
 
 @dataclass
@@ -113,24 +114,35 @@ class AdhesiveModel:
         self.length, self.pressure = self.law.units
         patch, reduce = self.patch, self.patch.reduction
         self.top = reduce.max(problem.heights)
-        below = (problem.heights - self.top) / self.length
         solid = problem.solid.in_units(self.length, self.pressure)
-        self.grid, self.spring = patch, solid.mean_stiffness()
+        self.grid, self.spring, self.summit = patch, solid.mean_stiffness(), 0.0
         if not patch.domain.wraps:
+            below = self.rigid(slice(None))
             self.grid = SlabGrid(patch.comm, patch.torus, patch.period, patch.asked_threads)
-            below = self._padded(below, 2 * reduce.min(below) - self.law.farthest)
+            self.below = self._padded(below, 2 * reduce.min(below) - self.law.farthest)
             modes = solid.modes(patch)  # collective
             self.spring = 1 / reduce.min(modes[0, 0] if patch.columns.start == 0 else math.inf)
         grid, self.share = self.grid, patch.size / self.grid.size
-        self.summit = -reduce.sum(below) / grid.size  # highest above the mean height
-        self.heights = below + self.summit
+        self.summit = -float(self.bands(lambda s: (float(self.rigid(s).sum()),))[0]) / grid.size  # over the mean height
         scale = 1 / grid.size
         self.stiffness = {real: solid.apply_stiffness(patch, real, scale) for real in (np.float32, np.float64)}
         self.compliance = solid.apply_compliance(patch, np.float32, scale)
         self.local = mean_compliance(patch, solid)  # of one point
         self.softest = float(solid.compliance(np.array(2 * math.pi / max(grid.lengths))))  # to the longest wave
-        self.image, self.search = grid.new_field(np.float32), grid.new_field(np.float32)
-        self.free = np.empty(grid.local_shape, np.bool_)
+        self.allocate()
+        self.coupling = 0.0  # see `adhesive_certificate.least_coupling`
+
+    def allocate(self, wanted: bool = True) -> None:
+        """Makes the fields of inner iterations, or frees them."""
+        shape = self.grid.local_shape if wanted else (0, 0)
+        self.spare, self.free = new_field(shape), np.empty(shape, np.bool_)
+        self.image, self.search = self.spare.ravel().view(np.float32).reshape(2, *shape)
+
+    def rigid(self, rows: slice) -> np.ndarray:
+        """Heights of some rows above their mean, in units of the law."""
+        if self.grid is not self.patch:
+            return self.below[rows] + self.summit
+        return (self.problem.heights[rows] - self.top) / self.length + self.summit
 
     def _padded(self, field: np.ndarray, value: float) -> np.ndarray:
         """A field of the patch (nx_local, ny) on the torus, with that value beyond.  Collective."""
@@ -149,8 +161,16 @@ class AdhesiveModel:
 
     def bands(self, work: Callable[[slice], tuple[float, ...]]) -> np.ndarray:
         """The sums of what `work` returns for bands of rows.  Collective."""
-        parts = self.grid.threads.collect(lambda a, b: work(slice(a, b)), len(self.heights), self.grid.band)
-        return self.grid.reduction.sums(*np.sum(parts, axis=0))
+        return self.grid.reduction.sums(*np.sum(self.rows(work), axis=0))
+
+    def largest(self, work: Callable[[slice], np.ndarray]) -> float:
+        """The largest entry of what `work` returns for bands of rows.  Collective."""
+        return self.grid.reduction.max(self.rows(lambda s: work(s).max()))
+
+    def rows(self, work: Callable[[slice], object]) -> list:
+        """What `work` returns for each band of rows of this rank."""
+        grid = self.grid
+        return grid.threads.collect(lambda a, b: work(slice(a, b)), grid.local_shape[0], grid.band)
 
     def with_mean(self, action: ColumnAction, factor: float) -> ColumnAction:
         """The column action, which multiplies the mean by a factor of its own."""
@@ -177,13 +197,12 @@ class AdhesiveModel:
 
     def undeformed(self, mean: float) -> np.ndarray:
         """The gap of the undeformed solid, moved to that mean gap, where it overlaps cut off.  Collective."""
-        return self.to_mean(np.maximum(self.law.least, self.summit - self.heights), mean, (self.heights,))
+        gap = self.grid.new_field()
+        self.rows(lambda s: np.maximum(self.law.least, self.summit - self.rigid(s), out=gap[s]))
+        return self.to_mean(gap, mean)
 
-    def to_mean(self, gap: np.ndarray, mean: float, rigid: tuple[np.ndarray, ...] = ()) -> np.ndarray:
-        """Moves the open points of a gap, in place, to the mean gap; all are then still at least `least`.  Collective.
-
-        rigid: heights of which all points move, to begin with an undeformed solid.
-        """
+    def to_mean(self, gap: np.ndarray, mean: float) -> np.ndarray:
+        """Moves the open points of a gap, in place, to the mean gap, none to less than `least`.  Collective."""
         least = self.law.least
         for _ in range(60):
             total, opened = self.bands(lambda s: (float(gap[s].sum()), float(np.count_nonzero(gap[s] > least))))
@@ -198,7 +217,7 @@ class AdhesiveModel:
         """Sets the stress K(g + h) of a gap.  Collective."""
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            np.add(gap[first:stop], self.heights[first:stop], out=rows)
+            np.add(gap[first:stop], self.rigid(slice(first, stop)), out=rows)
 
         self.grid.convolve(fill, self.stiffness[np.float64], sink(stress))
         return stress
@@ -213,7 +232,7 @@ class AdhesiveModel:
 
         def sums(s: slice) -> tuple[float, ...]:
             own = gap[s]
-            work = float(np.vdot(own, stress[s]) + np.vdot(self.heights[s], stress[s]))
+            work = float(np.vdot(own, stress[s]) + np.vdot(self.rigid(s), stress[s]))
             return (
                 work, float(self.law.energy(own).sum()), float(own.sum()),
                 float(np.count_nonzero(own <= least)), float(np.count_nonzero(own < 1)),
@@ -265,10 +284,9 @@ class AdhesiveModel:
         """−W'' of gaps in single precision, or its negative part.  Collective."""
         out = self.grid.new_field(np.float32)
 
-        def fill(s: slice) -> tuple[float]:
+        def fill(s: slice) -> None:
             own = -self.law.curvature(gap[s])
             out[s] = own if all_of_it else np.minimum(own, 0.0)
-            return (0.0,)
 
-        self.bands(fill)
+        self.rows(fill)
         return out

@@ -41,7 +41,7 @@ MESH = 4.5  # meshes, means over blocks, and what is measured of every contact, 
 # grid (6): single precision where that serves.
 NEWTON = 55.0
 LAW = 24.0  # gaps of a law without closed form, its slopes, and temporary ones
-ADHESIVE = 100.0  # gaps and stresses of three states (48), five fields in single precision (20), temporary ones
+ADHESIVE = 40.0  # gap and stress, the next gap and the last (32), three fields in single precision: as measured
 DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest as measured
 GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 

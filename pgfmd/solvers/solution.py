@@ -93,7 +93,8 @@ class ContactSolution:
         Points that touch under tension have the least positive number, so that they are seen to touch.
         """
         if self.threshold == -math.inf:
-            return np.where(self.gap == 0, np.maximum(self.pressure, np.finfo(float).tiny), 0.0)
+            out = np.maximum(self.pressure, np.finfo(float).tiny)
+            return np.multiply(out, self.gap == 0, out=out)
         return np.where(self.pressure > self.threshold, self.pressure, 0.0) if self.threshold > 0 else self.pressure
 
 
