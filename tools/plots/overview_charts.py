@@ -65,7 +65,7 @@ def _plain(unit: object, load: Load) -> str:
         if re.search(rf"\b{name}\b", text) and not load.unit(name):
             return ""
         text = re.sub(rf"\b{name}\b", lambda _, name=name: load.unit(name), text)
-    return "" if text in ("1", "as asked") else text.replace("*", "·")
+    return "" if text in ("1", "as asked") else re.sub(r"\((\w+)\)", r"\1", text).replace("*", "·")
 
 
 def charts(loads: Sequence[Load], notes: list[str]) -> list[dict]:
@@ -148,7 +148,9 @@ def _columns(loads: Sequence[Load], title: str, names: dict[str, str]) -> dict:
         curves.append(_curve([load.mean_pressure for load in used], [load.number(column) for load in used], name,
                              colour=colour, dots=True, error=[bar if math.isfinite(bar) else 0.0 for bar in bars],
                              loads=[load.index for load in used]))  # fmt: skip
-    label = "mean pressure" + (f" / {unit}" if unit else "")
+    label, of_column = "mean pressure" + (f" / {unit}" if unit else ""), loads[0].results.units.get(next(iter(names)))
+    if of_column and (text := _plain(of_column, loads[0])):
+        title += f" / ({text})"
     return {"title": title, "xlabel": label, "xlog": True, "ylog": True, "curves": curves}
 
 
