@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import inspect
 import json
 import os
 import re
@@ -177,6 +178,16 @@ def test_formulas_are_part_of_their_sentences(site):
         assert not re.findall(r'</p>\s*<math[^>]*display="inline"', text), page
     theory = (site / "theory.html").read_text()
     assert theory.count('display="inline"') > 20 and theory.count('display="block"') > 5
+
+
+def test_the_site_says_what_counts_and_what_is_taken(site):
+    """Stiffness of slabs and layers as formulas, what is in contact under soft walls, and on the page of Python a table
+    with each parameter of `solve` and each field of a contact.
+    """
+    theory = (site / "theory.html").read_text()
+    assert "Exponential walls and" in theory.partition("What counts as contact</h2>")[2] and "E'_2 / E'_1" not in theory
+    rows = set(re.findall(r"<tr>\s*<td[^>]*><code>(\w+)</code>", (site / "api.html").read_text()))
+    assert set(inspect.signature(pgfmd.solve).parameters) | {"pressure", "gap", "certified_error"} <= rows
 
 
 def test_the_reference_is_that_of_the_source():

@@ -235,3 +235,17 @@ def test_own_files_are_known_though_damaged(tmp_path, name):
     path.write_bytes(path.read_bytes()[:-50])
     run(folder, 2.0, "overwrite")
     assert factor_in(folder) == 2.0
+
+
+@pytest.mark.parametrize("mode", ["overwrite", "restart"])
+def test_a_failure_is_not_that_of_the_next_run(tmp_path, mode):
+    """While another run goes on in the folder, and when it is complete, nothing says why the one before it failed."""
+    folder = tmp_path / "out"
+    said = []
+    with pytest.raises(OSError, match="full"):
+        run(folder, 1.0, "new", stop=OSError(28, "full"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Checkpoints, "remove", lambda self: said.append(Results(folder).provenance))
+        run(folder, 1.0, mode)
+    assert len(said) == 2 and not any("error" in each for each in (*said, Results(folder).provenance)), said
+    assert Results(folder).status == "complete"

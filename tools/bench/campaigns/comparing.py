@@ -9,7 +9,7 @@ from campaigns.random_case import REFUSED, UNCERTIFIED, UNJUDGED, WRONG, kind
 
 SAME = 1e-6  # relative distance of two pressures from which what follows from them is not compared
 CARRIED = 1e3  # times that distance: how far numbers of the same contact may be apart, besides ROUNDING
-ROUNDING = 1e-7
+ROUNDING = 1e-6  # fits end at the root of that of doubles
 MOVED = 4  # points that rounding may move to the next bin
 EFFORT = {"iterations", "transforms", "seconds", "labellings", "max_violation", "stick_violation", "newton_steps",
           "trials_refused", "inner_applications", "residual", "gap_bound", "bound", "least_curvature"}  # fmt: skip
