@@ -34,7 +34,8 @@ SPLINE = {1: (2, 1), 2: (16, 23, 8, 1), 4: (128, 235, 184, 121, 64, 27, 8, 1)}
 """The cubic B-spline at points 0, 1, … of which so many are one node apart, up to a factor; twice that beside 0."""
 COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay in cache
 MARGIN = 4  # nodes beyond half the points, where the mesh does not wrap
-SMALLEST = 256, 64  # root of the number of points below which full transforms are as cheap; the same of padded ones
+# Root of the number of points below which full transforms are as cheap; padded ones; and ones in double precision.
+SMALLEST = 256, 64, 128
 NARROWEST = 32  # points of the shorter side
 
 Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -44,9 +45,9 @@ Splines = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 class MeshResponse:
     """S A Sᵀ v, nearly: S restricts to a set, A is the solid's compliance or stiffness; stencil: the near part."""
 
-    def __init__(self, grid: SlabGrid, half_space: Symbol, response: Symbol, mean: float = 0.0) -> None:
-        """half_space(|q|): A for a half-space, used in the near part; response(|q|): A for the solid itself; mean: that
-        for the mean mode, on rank 0.
+    def __init__(self, grid: SlabGrid, half_space: Symbol | None, response: Symbol, mean: float = 0.0) -> None:
+        """half_space(|q|): A for a half-space, to which the near part is fitted; None: it is fitted to response(|q|), A
+        for the solid itself; mean: that for the mean mode, on rank 0.
         """
         self.grid, self._mean, self.factors = grid, mean, mesh_factors(grid.spacing) or (2, 2)
         (fx, fy), lengths = self.factors, grid.lengths
@@ -56,8 +57,8 @@ class MeshResponse:
             shape, scale, shift = (shape[0] + MARGIN, shape[1] + MARGIN), (1 / fx, 1 / fy), 1
             lengths = fx * shape[0] * grid.spacing[0], fy * shape[1] * grid.spacing[1]
         self.place = SubGrid(grid, shape, lengths, LEAST_MESH_ROWS)
-        factor, power = power_of(half_space)
-        kernel = factor * near_kernel(grid.spacing, power, self.factors)
+        factor, power = (1.0, 0) if half_space is None else power_of(half_space)
+        kernel = factor * near_kernel(grid.spacing, power or response, self.factors)
         self.stencil = Stencil(kernel)
         if self.place.grid is not None:
             self.influence = self._influence(self.place.grid, kernel, response)
@@ -135,8 +136,9 @@ class MeshResponse:
 
 
 @lru_cache(maxsize=16)
-def near_kernel(spacing: tuple[float, float], power: int, factors: tuple[int, int]) -> np.ndarray:
-    """Real-space values (7, 7) of the near part, zero beyond √10 pixels, for the operator A = |q|^power; to read.
+def near_kernel(spacing: tuple[float, float], power: int | Symbol, factors: tuple[int, int]) -> np.ndarray:
+    """Real-space values (7, 7) of the near part, zero beyond √10 pixels, for the operator A = |q|^power, or that of a
+    symbol; to read.
 
     Four waves of the grid are one wave on the mesh.  With their spline weights W, the near part N and the influence I,
     the response to them is diag(N) + I W Wᵀ.  The kernel minimises Σ D_ij²/A_i of its difference D from diag(A), over
@@ -145,7 +147,8 @@ def near_kernel(spacing: tuple[float, float], power: int, factors: tuple[int, in
     halves = (np.arange(FITTED) + 0.5) / FITTED * np.pi
     along = [np.concatenate([halves / f - 2 * np.pi / f * k for k in range(f)]) for f in factors]
     x, y = np.meshgrid(*(np.where(q < -np.pi, q + 2 * np.pi, q) for q in along), indexing="ij")
-    root = np.hypot(x / spacing[0], y / spacing[1]) ** (power / 2)
+    q = np.hypot(x / spacing[0], y / spacing[1])
+    root = np.sqrt(power(q)) if callable(power) else q ** (power / 2)
     values = (sum(c * np.cos(j * q) for j, c in enumerate(SPLINE[f])) for q, f in zip((x, y), factors, strict=True))
     weights = np.prod([value / sum(SPLINE[f]) for value, f in zip(values, factors, strict=True)], axis=0) ** 2
     answered = weights / root / np.sqrt(_over_aliases(weights / root**2, factors) * _over_aliases(weights, factors))
@@ -217,12 +220,20 @@ def inner_response(
     """A `MeshResponse` on large grids whose pixels are not too oblong, if the solid responds like a half-space to short
     waves; else a `FullResponse`: `action` multiplies modes by A.  Collective.
     """
-    large = grid.size >= SMALLEST[not grid.domain.wraps] ** 2 and min(grid.shape) >= NARROWEST
-    if large and mesh_factors(grid.spacing):
-        q = np.array(0.25 * np.pi / max(grid.spacing))
-        if abs(response(q) / half_space(q) - 1) < 1e-2:
-            return MeshResponse(grid, half_space, response, mean)
-    return FullResponse(action)
+    q = np.array(0.25 * np.pi / max(grid.spacing))
+    alike = abs(response(q) / half_space(q) - 1) < 1e-2
+    return (mesh_response(grid, response, half_space, mean) if alike else None) or FullResponse(action)
+
+
+def mesh_response(
+    grid: SlabGrid, response: Symbol, half_space: Symbol | None = None, mean: float = 0.0
+) -> MeshResponse | None:
+    """The `MeshResponse`, on large grids whose pixels are not too oblong; without a half-space in place of transforms in
+    double precision.  Collective.
+    """
+    least = SMALLEST[2 if half_space is None else not grid.domain.wraps]
+    large = grid.size >= least**2 and min(grid.shape) >= NARROWEST
+    return MeshResponse(grid, half_space, response, mean) if large and mesh_factors(grid.spacing) else None
 
 
 @jit

@@ -10,22 +10,29 @@ kind ended on all of 150 random slabs and layers, after 8 steps in the median.  
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
 from pgfmd.errors import SolverError
-from pgfmd.grid.transforms import source
+from pgfmd.grid.transforms import sink, source
 from pgfmd.physics.problem import Aim, ContactProblem
 from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
 from pgfmd.solvers.active_set.conjugate_gradients import NEUTRAL, Mean
 from pgfmd.solvers.active_set.feasible import scale_to_load
+from pgfmd.solvers.active_set.particle_mesh import mesh_response
 from pgfmd.solvers.active_set.sparse_stiffness import LARGEST, SparseStiffness
+from pgfmd.solvers.active_set.unknowns import SetVector, Unknowns
 
 SOFTEST = 5e-4  # `Solid.softest` below which all systems are solved to `FINE`: of a free slab of .023 of the cell
 CUT, FINE = 1e-4, 1e-5  # factor on the residual of a system
 LAST, LOOSEST = 0.1, 0.03  # part of the energy error still to go at which the last systems end; largest factor
 MOST_ITERATIONS = 400
+BY_MESH = 0.02  # least factor on a residual that the mesh answers at once: its response is off by about a per cent
+Respond = Callable[[np.ndarray, np.ndarray], None]
+"""respond(pressure, out): the response on the set, or on all points."""
 
 
 def is_thin(problem: ContactProblem) -> bool:
@@ -60,32 +67,67 @@ class ThinSystem:
         return float(self.reduction.dot(self.residual, self.z))
 
     def solve(self, state: State, wanted: float) -> None:
-        """Adds the solution to the state's pressure, and the response to its gap on all points.  Collective."""
-        grid, mask, mean = self.solver.grid, self.mask, self.mean
-        direction, product = np.zeros_like(self.residual), np.empty_like(self.residual)
-        goal, before = wanted**2 * self.square, math.inf
+        """Adds the solution to the state's pressure, and the response to its gap on all points.  With a mesh it answers
+        the residual first, which full transforms compute anew each time; if that fails, they do both.  Collective.
+        """
+        goal, given = wanted**2 * self.square, self.solver.mesh is not None
+        while self.square > goal:
+            before, residual, rest = self.square, self.residual.copy(), math.sqrt(goal / self.square)
+            part = rest if not given or rest > BY_MESH else max(math.sqrt(rest), BY_MESH)
+            change, product = self._iterate(state, part, self._by_mesh if given else self._by_transforms)
+            if given:
+                self._by_transforms(change, product)
+                self.residual = residual - self._on_set(product, self.reduction.sum(change))
+                self.square = self._precondition()
+            state.pressure += change
+            state.gap += product
+            if not given:
+                return
+            given = self.square < before / 4
 
-        def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            product[first:stop] = rows
-
+    def _iterate(self, state: State, part: float, respond: Respond) -> tuple[np.ndarray, np.ndarray]:
+        """Reduces the residual by the factor `part`; returns the change of the pressure and the response.  Collective.
+        """
+        direction, product, change, response = np.zeros((4, *self.residual.shape))
+        goal, before = part**2 * self.square, math.inf
         for _ in range(MOST_ITERATIONS):
             if self.square <= goal or not self.square > 0:
                 break
             direction *= self.square / before
             direction += self.z
             before = self.square
-            grid.convolve(source(direction), self.solver.compliance[np.float64], drain)
+            respond(direction, product)
             load, curvature = self.reduction.sums(direction.sum(), np.vdot(direction, product))
-            curvature += mean.compliance * load**2
+            curvature += self.mean.compliance * load**2
             if not curvature > 0:
                 break
             step = before / curvature
-            state.pressure += step * direction
-            state.gap += step * product
-            change = product[mask] + mean.compliance * load
-            self.residual[mask] -= step * change
+            change += step * direction
+            response += step * product
+            self.residual -= step * self._on_set(product, load)
             self.square = self._precondition()
             state.iterations += 1
+        return change, response
+
+    def _on_set(self, product: np.ndarray, load: float) -> np.ndarray:
+        """The response on the set, that of the mean mode included."""
+        return np.where(self.mask, product + self.mean.compliance * load, 0.0)
+
+    def _by_transforms(self, direction: np.ndarray, product: np.ndarray) -> None:
+        self.solver.grid.convolve(source(direction), self.solver.compliance[np.float64], sink(product))
+
+    def _by_mesh(self, direction: np.ndarray, product: np.ndarray) -> None:
+        values, out = SetVector(self.points), np.empty(self.points.count, np.float32)
+        values.own[:] = direction[self.mask]
+        assert self.solver.mesh is not None
+        self.solver.mesh.apply(values, out)
+        product[self.mask] = out
+
+    @cached_property
+    def points(self) -> Unknowns:
+        """The set, for the mesh.  Collective."""
+        fields = self.mask.astype(np.float32), np.ones(self.mask.shape, np.float32)
+        return Unknowns(self.solver.grid, fields, -math.inf)
 
 
 class ThinSteps(Relaxation):
@@ -98,9 +140,12 @@ class ThinSteps(Relaxation):
         self.soft = problem.solid.softest(problem.grid.lengths, problem.grid.spacing) < SOFTEST
         self.preconditioner = SparseStiffness(problem.grid, self.compliance[np.float64])
         self.mask: np.ndarray | None = None
+        self.mesh = mesh_response(problem.grid, problem.solid.compliance)
 
     def free(self) -> None:
-        """There is nothing to free."""
+        """Frees the transforms of the mesh.  Collective."""
+        if self.mesh is not None:
+            self.mesh.free()
 
     @classmethod
     def goal(cls, estimate: float, tolerance: float, worst: float = 0.0) -> float:
