@@ -102,7 +102,8 @@ class Network:
                 least, since = estimate, iteration
             stuck = iteration - since >= PATIENCE or not estimate > 0 or iteration > 0 and step is None
             if estimate <= ready * upper or stuck:
-                del z  # would be there at the peak of memory
+                del z  # it and the direction would be there at the peak of memory
+                step = None
                 r[:] = 0  # the updated residual drifts from that of u, to which the bounds belong
                 sources(level.graph, kind, r)
                 flux, square = level.fluxes(level.rest(r, u, r), with_flux)
@@ -110,7 +111,7 @@ class Network:
                 if square <= width * upper or stuck:
                     fluxes = self._on_faces(u, kind, flux) if with_flux else None
                     return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
-                z, step = level.cycle(r), None
+                z = level.cycle(r)
                 ready = 0.7 * width * estimate / square
             step = level.advance(u, r, z, step)
             del z
