@@ -61,9 +61,11 @@ class Leakage(Observable):
     }
 
     direction: str = key(choice("both", "x", "y"), "both", "of the mean gradient; fields are those of the first")
-    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative", unit="1")
+    width: float = key(number(above=0, below=1), 1e-3, "relative, asked of the bounds; rounding may widen it", unit="1")
     half_grid: bool = key(
-        flag(), False, "extrapolate from a grid with half the points each way; the change is the pixel's error"
+        flag(),
+        False,
+        "extrapolate from a grid with half the points each way, beyond this grid's bounds; the change is the error",
     )
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:

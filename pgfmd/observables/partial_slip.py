@@ -65,7 +65,7 @@ class PartialSlip(Observable):
         return Cost(transforms=16.0 if self.shift is None else 60.0, memory=90.0)
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
-        """Raises InputError without friction or Poisson's ratio, for other walls than a hard one, for no half-space."""
+        """Raises InputError without friction or Poisson's ratio, and unless wall is hard and solid a half-space."""
         if self.friction is None:
             raise InputError("output.partial_slip.friction is missing: the coefficient of friction")
         if law.kind != "hard":

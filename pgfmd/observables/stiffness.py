@@ -52,10 +52,12 @@ class Stiffness(Observable):
         },
     }
 
-    width: float = key(number(above=0, below=1), 1e-3, "of the bounds, relative", unit="1")
-    half_grid: bool = key(flag(), False, "also solve a grid with half the points each way, for the pixel's error")
+    width: float = key(number(above=0, below=1), 1e-3, "relative, asked of the bounds; rounding may widen it", unit="1")
+    half_grid: bool = key(
+        flag(), False, "also solve a grid with half the points each way; the change counts as error, the value stays"
+    )
     conductivities: tuple[float, float] | None = key(
-        pair(POSITIVE), about="of the two bodies, for the conductance", unit="conductivity"
+        pair(POSITIVE), about="[of one body, of the other], for the conductance", unit="conductivity"
     )
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:

@@ -42,7 +42,7 @@ class Subsurface(Observable):
     needs_period = "from the modes of the cell"
     layout = {
         TABLE: {
-            "von_mises_max": Dataset("{pressure}", "largest von Mises stress at the depths that are measured"),
+            "von_mises_max": Dataset("{pressure}", "largest von Mises stress, interpolated between depths"),
             "von_mises_depth": Dataset("{length}", "its depth; both from a parabola through three depths"),
         },
         "subsurface": {

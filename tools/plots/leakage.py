@@ -20,8 +20,8 @@ from pgfmd.errors import InputError
 
 CAPTION = """(a) Pressure flow factor, the conductivity of the gap over the cube of the mean gap, along x (full symbols)
 and along y (open). Bars: standard error over seeds; of one seed, the error that its run estimated. (b) Flux
-in the gap of the last load, on a logarithmic scale. Equal parts of it flow between neighbouring lines. Circle: the
-critical constriction. White: contact."""
+in the gap of the last load, on a logarithmic scale. About equal parts of it flow between neighbouring lines. Circle:
+the critical constriction. White: no flow, in contact or in gap that no path through the cell reaches."""
 NEEDS = ("load", "roughness", "leakage")
 LINES = 16  # streamlines
 COARSE = 256  # points each way of the flux that lines follow

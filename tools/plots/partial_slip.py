@@ -1,4 +1,4 @@
-"""Partial slip: how much of the contact sticks against load, and the traction of the last load.
+"""Partial slip: how much of the contact sticks at each load, and the traction of the last load.
 
     pgfmd plot partial_slip DIR…
 """

@@ -1,4 +1,4 @@
-"""Subsurface stress: von Mises' stress over depth, and in the layer where it is largest.
+"""Subsurface stress: von Mises' stress as a function of depth, and where it is largest.
 
     pgfmd plot subsurface DIR…
 """
@@ -13,14 +13,14 @@ from plotting import COLOURS, Sheet, limited
 from reading import Load
 from samples import ensembles
 
-CAPTION = """(a) Von Mises' stress over the mean pressure on the contact, against the depth over the shortest wavelength
-of the surface: the largest (full lines) and the rms value (dashed) at each depth. (b) The layer of the last load in
-which it is largest."""
+CAPTION = """(a) Von Mises' stress divided by the mean pressure on the contact, as a function of the depth divided by
+the shortest wavelength of the surface: the largest (full lines) and the rms value (dashed) at each depth. (b) The last
+load, at the depth where it is largest."""
 NEEDS = ("load", "area", "subsurface")
 
 
 def draw(loads: list[Load]) -> Sheet:
-    """The profiles of all loads; the layer of the last load that kept it."""
+    """The profiles of all loads; the field of the last load that kept it."""
     sheet = Sheet(1, 2)
     for colour, group in zip(COLOURS, limited(ensembles(loads), sheet), strict=False):
         load = group.loads[0]  # of several seeds the first

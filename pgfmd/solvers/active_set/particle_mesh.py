@@ -228,8 +228,8 @@ def inner_response(
 def mesh_response(
     grid: SlabGrid, response: Symbol, half_space: Symbol | None = None, mean: float = 0.0
 ) -> MeshResponse | None:
-    """The `MeshResponse`, on large grids whose pixels are not too oblong; without a half-space in place of transforms in
-    double precision.  Collective.
+    """The `MeshResponse`, on large grids whose pixels are not too oblong; without a half-space in place of transforms
+    in double precision.  Collective.
     """
     least = SMALLEST[2 if half_space is None else not grid.domain.wraps]
     large = grid.size >= least**2 and min(grid.shape) >= NARROWEST
