@@ -13,6 +13,7 @@ ROUNDING = 1e-6  # fits end at the root of that of doubles
 MOVED = 4  # points that rounding may move to the next bin
 EFFORT = {"iterations", "transforms", "seconds", "labellings", "max_violation", "stick_violation", "newton_steps",
           "trials_refused", "inner_applications", "residual", "gap_bound", "bound", "least_curvature"}  # fmt: skip
+LENGTHS = ("mean_gap", "displacement", "constriction_x", "constriction_y")  # small differences of heights
 PLACES = ("row", "column", "von_mises_depth")  # of extremes, which several points may share
 
 
@@ -49,13 +50,14 @@ def _different(one: Answer, many: Answer) -> str:
         return f"groups {sorted(set(one.groups) ^ set(many.groups))} on one side only"
     for name, (first, second) in groups.items():
         for key in first:
-            if wrong := _apart(key, first, second, room):
+            if wrong := _apart(key, first, second, (room, one.relief)):
                 return f"{name}: {key} {wrong}"
     return ""
 
 
-def _apart(key: str, first: dict, second: dict, room: float) -> str:
+def _apart(key: str, first: dict, second: dict, allowed: tuple[float, float]) -> str:
     """How one dataset of a group differs."""
+    room, relief = allowed
     if key in EFFORT or key.endswith((*PLACES, "_error")):
         return ""
     a, b = np.asarray(first[key]), np.asarray(second.get(key, np.nan))
@@ -75,6 +77,6 @@ def _apart(key: str, first: dict, second: dict, room: float) -> str:
     a, b = a[np.isfinite(a)], b[np.isfinite(b)]
     given = np.abs(np.asarray(first.get(f"{key}_error", 0.0)) + np.asarray(second.get(f"{key}_error", 0.0)))
     width = float(np.max(given, initial=0.0, where=np.isfinite(given)))
-    size = np.abs(a).max(initial=0.0)
+    size = max(np.abs(a).max(initial=0.0), relief * (key in LENGTHS))
     off = np.abs(a - b).max(initial=0.0)
     return "" if off <= room * size + 1.01 * width else f"differs by {off / size:.1e}: {a} and {b}"

@@ -37,6 +37,7 @@ class Answer:
     target: float | None = None
     groups: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # what observables measured
     columns: dict[str, float] = field(default_factory=dict)  # of the table of loads
+    relief: float = 0.0  # range of the heights, if they are known
 
 
 def control_of(job: dict) -> str:

@@ -166,14 +166,15 @@ def _read(folder: Path, job: str):
     control = control_of(job)
     names = ("mean_pressure", "contact_area", "mean_gap", "elastic_energy", "certified_error")
     fields = [name for name in ("pressure", "gap") if name in job["output"]["fields"]]
-    answers = []
+    heights = results.field("height") if "height" in job["output"]["fields"] else None
+    answers, relief = [], float(np.ptp(heights)) if heights is not None and heights.size else 0.0
     steps = len(results.loads["mean_pressure"])
     targets = job["load"][control]
     for index, target in enumerate(targets if steps == len(targets) and control in IMPOSED else [math.nan] * steps):
         row = {name: float(results.loads[name][index]) for name in names}
         arrays = {name: results.field(name, load=index) for name in fields} if len(fields) == 2 else {}
         found = {name: dict(results[index][name]) for name in results[index]}
-        answers.append(Answer(**row, **({"pressure": None, "gap": None} | arrays), target=target, groups=found,
-                              columns={name: column[index] for name, column in results.loads.items()}))  # fmt: skip
-    heights = results.field("height") if "height" in job["output"]["fields"] else None
+        columns = {name: column[index] for name, column in results.loads.items()}
+        arrays = {"pressure": None, "gap": None} | arrays
+        answers.append(Answer(**row, **arrays, target=target, groups=found, columns=columns, relief=relief))
     return job, heights, answers
