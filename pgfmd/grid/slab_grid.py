@@ -122,17 +122,15 @@ class SlabGrid:
     def transform(self, dtype: DTypeLike = np.float64) -> Transform | LibraryTransform:
         """The transform in that precision, planned on first use.  Collective on first use."""
         dtype = np.dtype(dtype)
-        if dtype in self._planned:
-            return self._planned[dtype]
-        if self._transform_name == "mpi4py-fft":
+        if dtype not in self._planned and self._strips is None and self._kind is not None:
+            self._take_spare()
+        if dtype not in self._planned and self._transform_name == "mpi4py-fft":
             self._planned[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
-            return self._planned[dtype]
-        if self._strips is None and self._kind is not None and self._take_spare():
-            return self.transform(dtype)
-        if self._strips is None:
-            place = self.shape[0], self.torus[1]
-            self._strips = make_strips(self.comm, place, self._transform_name != "exchanged")
-        self._planned[dtype] = Transform(self._strips, self.shape, self.torus, dtype, self.threads)
+        elif dtype not in self._planned:
+            if self._strips is None:
+                place = self.shape[0], self.torus[1]
+                self._strips = make_strips(self.comm, place, self._transform_name != "exchanged")
+            self._planned[dtype] = Transform(self._strips, self.shape, self.torus, dtype, self.threads)
         return self._planned[dtype]
 
     def new_field(self, dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -288,13 +286,12 @@ class SlabGrid:
             raise
         self.free()
 
-    def _take_spare(self) -> bool:
-        """Takes the transforms that a grid alike has freed; whether there are any."""
+    def _take_spare(self) -> None:
+        """Takes the transforms that a grid alike has freed, if there are any."""
         with _lock:
-            place = next((i for i, spare in enumerate(_spares) if spare[0] == self._kind), None)
-            if place is not None:
+            for place in (i for i, spare in enumerate(_spares) if spare[0] == self._kind):
                 _, self._strips, self._planned = _spares.pop(place)
-        return place is not None
+                return
 
     def free(self) -> None:
         """Free the memory of the transforms, or keep them for a grid alike; the next use takes or allocates them again.

@@ -22,7 +22,7 @@ from pgfmd.grid.transforms import scaling
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
 from pgfmd.solvers.active_set.stencil import Symbol
 
-FEWEST = 64  # larger blocks are used if there are at least so many per side of the torus
+FEWEST = 64  # larger blocks are used if there are at least so many, squared, on the torus
 FACTOR = 4  # side of a block in pixels, and of a larger block in blocks
 SOFTENING = 0.125  # compliance of the contact within a block, over the compliance to a wave of wave number 1/side
 
@@ -96,9 +96,8 @@ class Blocks:
             self.transformed, shape = self.transformed + work * math.prod(shape), larger(shape)
 
     def _enough(self, shape: tuple[int, int]) -> bool:
-        """Whether a grid of blocks of that shape is worth its larger blocks."""
-        nx, ny = self._torus(shape)
-        return nx * ny >= FEWEST**2 and min(nx, ny) >= FACTOR
+        torus = self._torus(shape)
+        return math.prod(torus) >= FEWEST**2 and min(torus) >= FACTOR
 
     def _torus(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Modes of a grid of blocks of that shape."""

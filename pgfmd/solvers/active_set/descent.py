@@ -1,11 +1,9 @@
 """The active-set step that lowers the energy each time, for contacts on which larger steps go round in circles.
 
-Steps that move all points at once between the sets may cycle on oblong pixels, or under a thin slab, which bends like a
-plate: points that are released together push each other back.  Here a step releases the points that their gap drives
-away from a bound, and solves for them and for those between the bounds.  Released points that the solution drives
-beyond their bound stay at it, and the rest is solved again.  In the direction of that solution the energy falls at
-least up to where the first point meets a bound.  So no set comes twice, and the iteration ends (Nocedal and Wright
-2006, section 16.5, with blocks of points for single ones).
+Points that are released together may push each other back.  Here a step releases the points that their gap drives away
+from a bound, and solves for them and for those between the bounds.  Released points that the solution drives beyond
+their bound stay at it, and the rest is solved again.  In that direction the energy falls at least up to where the first
+point meets a bound: no set comes twice (Nocedal and Wright 2006, section 16.5, with blocks of points for single ones).
 """
 
 from __future__ import annotations

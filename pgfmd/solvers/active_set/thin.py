@@ -1,10 +1,8 @@
 """The active-set step for solids that are soft to long waves, as a thin plate on a free base.
 
-There a displacement too small to show in the energy, or the load that clipping a pressure adds, exceeds the gaps at
-the edges of patches: sets that are chosen from loosely solved, clipped pressures cycle.  So here each step solves its
-system accurately, in double precision, and the next set comes from the solution as it is: points of the set with p > 0,
-and others with a gap below λ, by the gap that conjugate gradients carry along on all points.  Primal–dual sets of that
-kind ended on all of 150 random slabs and layers, after 8 steps in the median.  Only then pressures are clipped.
+There sets that are chosen from loosely solved, clipped pressures cycle.  So each step solves its system accurately, in
+double precision, and the next set comes from the solution as it is: points of the set with p > 0, and others with a gap
+below λ, by the gap that conjugate gradients carry along on all points.  Only then pressures are clipped.
 """
 
 from __future__ import annotations
@@ -31,8 +29,6 @@ CUT, FINE = 1e-4, 1e-5  # factor on the residual of a system
 LAST, LOOSEST = 0.1, 0.03  # part of the energy error still to go at which the last systems end; largest factor
 MOST_ITERATIONS = 400
 BY_MESH = 0.02  # least factor on a residual that the mesh answers at once: its response is off by about a per cent
-Respond = Callable[[np.ndarray, np.ndarray], None]
-"""respond(pressure, out): the response on the set, or on all points."""
 
 
 def is_thin(problem: ContactProblem) -> bool:
@@ -85,9 +81,8 @@ class ThinSystem:
                 return
             given = self.square < before / 4
 
-    def _iterate(self, state: State, part: float, respond: Respond) -> tuple[np.ndarray, np.ndarray]:
-        """Reduces the residual by the factor `part`; returns the change of the pressure and the response.  Collective.
-        """
+    def _iterate(self, state: State, part: float, respond: Callable) -> tuple[np.ndarray, np.ndarray]:
+        """Reduces the residual by a factor; returns the change of the pressure and its response.  Collective."""
         direction, product, change, response = np.zeros((4, *self.residual.shape))
         goal, before = part**2 * self.square, math.inf
         for _ in range(MOST_ITERATIONS):

@@ -60,13 +60,9 @@ class Unknowns:
         own = offsets[HALO : HALO + rows + 1]
         self.own, self.count = slice(own[0], own[-1]), int(own[-1] - own[0])
         self.lists: Points = columns[self.own], own - own[0]
-        self.repeated: list[tuple[slice, slice]] | None = None
-        if alone:
-            here = self.lists[1].item
-            self.repeated = [
-                (slice(here(first), here(stop)), slice(int(offsets[at]), int(offsets[at + stop - first])))
-                for first, stop, at in self.halo.copies
-            ]
+        self.repeated = None if not alone else [
+            (slice(*self.lists[1][[a, b]]), slice(*offsets[[at, at + b - a]])) for a, b, at in self.halo.copies
+        ]  # fmt: skip
 
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
