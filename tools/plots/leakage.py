@@ -44,11 +44,13 @@ def draw(loads: list[Load]) -> Sheet:
     if not sheet.panels[0].has_data():
         raise InputError("leakage: nothing to draw: no path through the gap percolates at any load")
     sheet.label(0, r"$\bar p\,/\,(E'\bar g)$", r"flow factor $K/\bar u^3$", scale="log", columns=2)
-    flowing = [load for load in loads if {"flux_x", "flux_y"} <= load.fields and load.number("flow_factor_x") > 0]
+    kept = [load for load in loads if {"flux_x", "flux_y"} <= load.fields]
+    flowing = [load for load in kept if load.number("flow_factor_x") > 0]
     if flowing:
         draw_stream(sheet, 1, flowing[-1])
     else:
-        sheet.notes.append('no panel (b): give output.fields "flux_x" and "flux_y"; they are those of a flow along x')
+        why = "nothing flows along x" if kept else 'give output.fields "flux_x" and "flux_y" of a flow along x'
+        sheet.notes.append(f"no panel (b): {why}")
         sheet.drop(1)
     return sheet
 
