@@ -284,6 +284,22 @@ def test_what_is_proved_holds_for_matrices(control):
     assert count >= 3
 
 
+def test_a_proof_needs_no_new_estimate_along_a_branch(monkeypatch):
+    """Weak adhesion: of loads one by one all are proved, the first after an estimate; a cold solution of the last has
+    the same energy within both bounds."""
+    calls, law = [], AdhesiveWall(work=0.3, range=2.0)
+    counted = lambda *a, **k: calls.append(1) or estimated(*a, **k)  # noqa: E731
+    monkeypatch.setattr("pgfmd.solvers.adhesive_branch.estimated", counted)
+    load = Load(mean_gap=(3.0, 2.9, 2.8))
+    run = branch(rough(64), law, load, 1e-9)
+    found, first = [run.solution(load.targets[0])], len(calls)
+    found += [run.solution(gap) for gap in load.targets[1:]]
+    assert [each.details["bound"] for each in found] == [3, 3, 3] and len(calls) == first > 0
+    cold = branch(rough(64), law, load, 1e-12).solution(2.8)
+    last, bounds = found[-1], [2 * each.elastic_energy * each.certified_error for each in (found[-1], cold)]
+    assert abs(last.details["energy"] - cold.details["energy"]) <= sum(bounds)
+
+
 @pytest.mark.parametrize(("low", "expected"), [(1e-3, True), (-1e-3, False)])
 def test_an_m_matrix_is_one_just_above_its_least_eigenvalue(low, expected):
     """K_M plus a constant: the least eigenvalue is that of the mean, the constant; below 0 nothing is proved.  The

@@ -104,6 +104,7 @@ def test_coarse_grids_of_a_node(ranks, of):
         ({}, 0.0032, {"method": "gfmd"}),
         ({}, 0.0032, {"transform": "mpi4py-fft"}),
         ({"kind": "exponential", "zeta": 0.25}, 0.0032, {}),
+        ({"kind": "adhesive", "work": 0.0002, "range": 0.05}, 0.0032, {}),
     ],
 )
 def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):

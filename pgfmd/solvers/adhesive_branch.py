@@ -36,6 +36,7 @@ PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 FAR = 0.05  # distance t from the minimum, in ranges, beyond which ν is not sought where inner iterations found it small
+LESS = 0.7  # a guess of ν, over that of the last contact
 SHARPER = 1e-4  # of the tolerance, where a state could not be certified
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
@@ -66,6 +67,7 @@ class Branch:
         self.stickiness = resolved(problem, problem.law)
         self.contact = AdhesiveContact(problem)
         self.last: tuple[float, AdhesiveState] | None = None
+        self.floor, self.proven = 0.0, False  # ν of the last contact, and whether .6 of it was proved
         self.change: tuple[float, np.ndarray] | None = None  # of targets and gaps to the last ones
 
     def hold(self, target: float) -> Hold:
@@ -243,14 +245,23 @@ class Branch:
         contact, law = self.contact, self.contact.law
         if not state.stress.size:
             state.stress = contact.evaluate(state.gap, contact.grid.new_field())
-        floor, bound, distance = estimated(contact, state, hold, FAR)
-        if floor <= 0 or bound > self.tolerance * state.scale / 2:  # within a smaller distance, ν may be larger
+        # What the last contact's ν says saves estimates: of proofs, and of bounds that will be too large.
+        floor, proof, wanted = self.floor, None, self.tolerance * state.scale / 2
+        near_enough = state.square <= 2 * (floor or 1.0) * wanted
+        if self.proven and near_enough:
+            proof = proved(contact, state, hold, floor)
+        if near_enough and not proof:
+            floor, bound, distance = estimated(contact, state, hold, FAR, LESS * floor or 1.0)
+            near_enough = floor > 0 and bound <= wanted
+        if not near_enough:  # within a smaller distance, ν may be larger
             part = min(floor / 2, 0.5) if floor > 0 else SHARPER
             state.stress = NONE
             state, _ = contact.lowered(state.gap, hold, self.tolerance * part, self._see)
             self.last = self.last and (self.last[0], state)
-            floor, bound, distance = estimated(contact, state, hold)
-        proof = proved(contact, state, hold, floor)
+            floor, bound, distance = estimated(contact, state, hold, guess=LESS * max(floor, self.floor) or 1.0)
+        self.floor = max(floor, 0.0)
+        proof = proof or proved(contact, state, hold, floor)
+        self.proven = proof is not None
         floor, bound, distance = proof or (floor, bound, distance)
         scale, size = contact.length * contact.pressure / contact.share, self.grid.size
         pressure = contact.grid.new_field()

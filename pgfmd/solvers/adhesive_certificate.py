@@ -23,7 +23,7 @@ from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 LANCZOS = 20  # steps: right to 10 % in 10 of 12 states
 TRIES = 4  # distances t for which a ν is sought
 PART = 0.6  # of the estimated ν, for which a proof is tried: .5 proves a tenth more, with bounds 1.2 times as large
-WORTH = 0.1  # least estimate of ν with which one is: K_M is too soft for smaller ones
+WORTH = 0.2  # least estimate of ν with which one is: K_M is too soft for smaller ones
 MOST_PROOF = 40  # conjugate gradients of a proof, for each of
 GOALS = 1e-3, 0.03  # what is left of the 1 that is asked, in the norm of P, of it at first and then of that
 LARGEST = 100.0  # of 1/G(0) that κ counts at most: more would give the same, by more iterations
@@ -32,17 +32,18 @@ Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 
 
 def estimated(
-    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, farthest: float = math.inf
+    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, farthest: float = math.inf, guess: float = 1.0
 ) -> tuple[float, float, float]:
     """(ν, bound on E − E* of the local minimum per point, distance t of its gaps), ν by Lanczos iterations; ν ≤ 0 where
-    none is known, as for a t beyond `farthest` if inner iterations found negative or small curvature.  Collective.
+    none is known, as for a t beyond `farthest` if inner iterations found negative or small curvature.  The first t is
+    that for the `guess` of ν.  Collective.
 
     P is the compliance between the points that are free or have κ < 1/G(0), and 1/κ on the others: K + κ ≥ P⁻¹, and
     ⟨r, Pr⟩ = ⟨r, Gr⟩.  ν is the least eigenvalue of P(K + κ − D̄), 1 without D̄: the least Ritz value less the norm of
     its residual, which is right if the start holds that eigenvector.
     """
     grid, square, local = contact.grid, state.square * contact.grid.size, local_compliance(contact, hold)
-    far, floor = 3 * math.sqrt(local * square) / min(max(state.curvature, 1e-3), 1.0), 0.0
+    far, floor = 2.4 * math.sqrt(local * square) / min(max(state.curvature, 1e-3), 0.8, guess), 0.0
     for _ in range(TRIES):
         if far > farthest and state.curvature < 1:
             break
