@@ -35,8 +35,9 @@ LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.8, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
 SOLUTIONS_WORK = 2.4
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
-TABLE_BYTES = 12.0  # per quarter of the torus' modes: their compliance in double and in single precision
-PADDED = 0.75  # part of padded strips that is in use while others are full: single precision takes half; as measured
+OPEN_AREA = 0.45  # with open boundaries where it is not known: between areas that need little memory and most
+TABLE_BYTES = 8.0  # per quarter of the torus' modes: their compliance
+PADDED = 1.1  # strips of patch and mesh in single precision, and what whole runs need besides, over padded strips
 SEARCH_BYTES = 5.0  # per point, where the load is not given: a mask, and the pressure that starts the next solution
 
 
@@ -164,7 +165,8 @@ def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
     single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
     effort = job.wall.newton_effort if method == "newton" else job.wall.effort
-    return [solver_cost(method, area, slabs, effort, scaled, single) for area in contact_areas(job)]
+    most = 1.0 if cell.domain.wraps else GAPS_FROM  # there pressures are the unknowns at any area
+    return [solver_cost(method, min(area, most), slabs, effort, scaled, single) for area in contact_areas(job)]
 
 
 def measuring_costs(job: Job) -> list[Cost]:
@@ -181,7 +183,7 @@ def contact_areas(job: Job) -> list[float]:
         return list(targets)
     full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
     if job.imposed.control != "pressure" or not full:  # it may underflow
-        return [GAPS_FROM]
+        return [GAPS_FROM if job.cell.domain.wraps else OPEN_AREA]
     areas = [math.erf(target / full) for target in targets]
     return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
 

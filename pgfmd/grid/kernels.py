@@ -83,10 +83,10 @@ def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
 @jit
 def scale_even(block: np.ndarray, table: np.ndarray, factor: float, divide: bool) -> None:
     """block *= factor · table, or factor / table if `divide`, for a table of kx = 0 … n // 2 of modes that are even in
-    kx; the last axis of `block` holds (real, imaginary).
+    kx, in double precision; the last axis of `block` holds (real, imaginary).
     """
     n = block.shape[1]
-    scale = np.empty(n, table.dtype)
+    scale = np.empty(n, block.dtype)
     for j in range(table.shape[0]):
         for i in range(table.shape[1]):
             scale[i] = factor / table[j, i] if divide else factor * table[j, i]

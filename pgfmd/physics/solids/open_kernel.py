@@ -175,18 +175,10 @@ def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndar
     """Column action that multiplies each mode by factor · table, or by factor/table except for the mean mode, which
     becomes 0.
     """
-    real = np.dtype(dtype)
-    unit, held = 1.0, table
-    if real != table.dtype:  # kept, as compliance and stiffness use it
-        name, unit = ("single", id(table)), math.ldexp(1.0, math.frexp(float(np.max(table, initial=0.0)))[1])
-        if name not in grid.tables:
-            grid.tables[name] = (table / unit).astype(real)  # single precision ends at 3e38, responses do not
-        held = grid.tables[name]
-    number = real.type(factor / unit if divide else factor * unit)
-    has_mean = divide and grid.columns.start == 0
+    real, has_mean = np.dtype(dtype), divide and grid.columns.start == 0
 
     def act(block: np.ndarray, first: int, stop: int) -> None:
-        scale_even(block.view(real).reshape(*block.shape, 2), held[first:stop], number, divide)
+        scale_even(block.view(real).reshape(*block.shape, 2), table[first:stop], factor, divide)
         if has_mean and first == 0:
             block[0, 0] = 0
 

@@ -138,8 +138,7 @@ def _on_rectangle(
     wide = grid.like(grid.comm, grid.shape, grid.lengths, Cropped(box=box))
     part = grid.like(grid.comm, shape, (shape[0] * ax, shape[1] * ay))
     solid.open_table(wide)
-    for name, table in wide.tables.items():
-        part.tables[name] = positive(part, cropped_table(wide, part, table))
+    part.tables.update({name: positive(part, cropped_table(wide, part, wide.tables[name])) for name in wide.tables})
     share, imposed = part.size / grid.size, problem.imposed
 
     def cut(field: np.ndarray) -> np.ndarray:
@@ -164,6 +163,7 @@ def _on_rectangle(
     part.tables.clear()
     del inside, begin
     pressure, most = put(found.pressure, np.zeros(grid.local_shape)), float(grid.reduction.max(found.pressure))
+    found = dataclasses.replace(found, pressure=pressure)  # that of the rectangle goes before the gap comes
     gap, height = np.empty(grid.local_shape), most * max(ax, ay) / solid.contact_modulus
     level = found.approach - grid.reduction.max(problem.heights)
 
