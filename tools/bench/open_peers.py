@@ -1,0 +1,256 @@
+"""Open patches by this program, ASPHER and ContactMechanics: equal pressures, areas, and processor time on one core.
+
+    python tools/bench/open_peers.py equal --n 512 1024  # pressures, with the peers' symbol (Love 1929) in ours
+    python tools/bench/open_peers.py area --n 512 1024 2048 4096  # area, approach and mean gap against finer grids
+    python tools/bench/open_peers.py speed --n 2048 --programs pgfmd ASPHER  # to a pressure error of 1e-4
+
+Rows are appended to jobs/benchmark/open.csv (--csv); one that is there is not measured again.  Surfaces: `rough:H:λ_s`
+with λ_s in units of 1/512 of the side, or (`rough:.8:=16`) in spacings; `tip:H:λ_s`, the same on a paraboloid, so that
+contact ends before the border; `sphere:a`, of contact radius a sides; `punch`.  The rms slope is .1, E' = 1; errors are
+relative 2-norms, against a certified solution of the same equations: ours with the symbol that the program has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import csv
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+SIDE, SLOPE, ENOUGH = 512.0, 0.1, 1e-4
+COLUMNS = "part n surface load program setting cpu work pressure_error area corrected_area approach mean_gap".split()
+
+
+def heights_of(surface: str, n: int) -> np.ndarray:
+    """Heights (n, n) of the side 512, points in the middle of pixels."""
+    import pgfmd
+
+    kind, *values = surface.split(":")
+    x = (np.arange(n) + 0.5) * SIDE / n - SIDE / 2
+    r2 = x[:, None] ** 2 + x**2
+    if kind == "sphere":
+        return -r2 / (8 * SIDE)
+    if kind == "punch":
+        return np.where(r2 <= (0.3 * SIDE) ** 2, 0.0, -SIDE)
+    hurst, length = values
+    lambda_s = float(length[1:]) * SIDE / n if length[0] == "=" else float(length)
+    table = {"kind": "self-affine", "hurst": float(hurst), "lambda_s": lambda_s, "rms_slope": SLOPE, "seed": 3}
+    count = n if length[0] == "=" else 512
+    rough = pgfmd.surface({"grid": {"n": count, "length": SIDE}, "surface": table, "solid": {"contact_modulus": 1.0}})
+    rough = rough if count == n else _finer(rough, n)
+    return rough - r2 / (2 * SIDE) if kind == "tip" else rough
+
+
+def _finer(field: np.ndarray, n: int) -> np.ndarray:
+    """A band-limited periodic field (m, m) in the middle of n × n pixels, where it was in that of m × m."""
+    m, half = len(field), len(field) // 2
+    phase = np.exp(-1j * math.pi * (1 - m / n) * np.fft.fftfreq(m))
+    modes, finer = np.fft.rfft2(field) * phase[:, None] * phase[: half + 1], np.zeros((n, n // 2 + 1), complex)
+    finer[:half, : half + 1], finer[-half:, : half + 1] = modes[:half], modes[half:]
+    return np.fft.irfft2(finer, s=(n, n)) * (n / m) ** 2
+
+
+def load_of(surface: str, area: float) -> float:
+    """The mean pressure for about that contact area."""
+    from scipy.special import erfinv
+
+    kind, *values = surface.split(":")
+    if kind == "sphere":
+        return 4 * (float(values[0]) * SIDE) ** 3 / (3 * 4 * SIDE) / SIDE**2
+    return 0.01 if kind == "punch" else float(erfinv(area)) * SLOPE / math.sqrt(2) / 1.3
+
+
+@contextlib.contextmanager
+def love() -> Iterator[None]:
+    """In the block our symbol is that of pixels under uniform pressure (Love 1929), which the peers have."""
+    from pgfmd.physics.solids import open_kernel
+
+    def kernel(x, y):
+        corners = [(x + i, y + j, 4 * i * j) for i in (-0.5, 0.5) for j in (-0.5, 0.5)]
+        return sum(s * (a * np.arcsinh(b / np.abs(a)) + b * np.arcsinh(a / np.abs(b))) for a, b, s in corners)
+
+    def table(grid):  # coarse grids have larger spacings
+        unit = grid.spacing[0]
+        return open_kernel.cosine_transform(grid, lambda x, y: kernel(x / unit, y / unit) / unit)
+
+    usual, open_kernel.half_space_table = open_kernel.half_space_table, table
+    try:
+        yield
+    finally:
+        open_kernel.half_space_table = usual
+
+
+def ours(heights: np.ndarray, load: float, tolerance: float):
+    """Our solution of one load."""
+    import pgfmd
+
+    spacing = SIDE / len(heights)
+    return pgfmd.solve(heights, load, spacing=spacing, boundary="open", contact_modulus=1.0, tolerance=tolerance,
+                       threads=1)  # fmt: skip
+
+
+def aspher(heights: np.ndarray, load: float, tolerance: float, setting: str):
+    """(pressure, iterations on all grids weighted by their size) by ASPHER's nested solver."""
+    import aspher as peer
+
+    n, (backend, engine, precision) = len(heights), setting.split()
+    found = peer.solve_nested(
+        n, -heights.ravel(), load, domain_size=SIDE, E_star=1.0, backend=backend, precision=precision,
+        precond_engine=engine, tol=tolerance, light_result=True,
+    )  # fmt: skip
+    sides = [(s["name"].partition(":")[2], s["iterations"]) for s in found.stage_stats]
+    work = sum(count * ((int(side) if side.isdigit() else n) / n) ** 2 for side, count in sides)
+    return np.asarray(found.pressure).reshape(n, n), work
+
+
+class Enough(Exception):  # noqa: N818 (it is none)
+    """The pressure is good enough, or the time is over."""
+
+
+def contact_mechanics(heights: np.ndarray, load: float, tolerance: float, watch=lambda pressure: None):
+    """(pressure, iterations) by ContactMechanics' conjugate gradients; watch(pressure) may raise `Enough`."""
+    from ContactMechanics import FreeFFTElasticHalfSpace
+    from ContactMechanics.Optimization import constrained_conjugate_gradients
+
+    n, taken = len(heights), [0, heights]
+    area = (SIDE / n) ** 2
+
+    def note(iteration, forces, _):
+        taken[:] = iteration, -np.asarray(forces)[:n, :n] / area
+        watch(taken[1])
+
+    substrate = FreeFFTElasticHalfSpace((n, n), 1.0, (SIDE, SIDE))
+    limits = {"pentol": tolerance, "forcetol": tolerance, "thermotol": tolerance / 10, "maxiter": 20_000}
+    with contextlib.suppress(Enough):
+        found = constrained_conjugate_gradients(
+            substrate, heights, external_force=load * SIDE**2, callback=note, **limits
+        )
+        return np.asarray(found.jac)[:n, :n] / area, found.nit
+    return taken[1], taken[0]
+
+
+def error_of(pressure: np.ndarray, reference: np.ndarray) -> float:
+    return float(np.linalg.norm(pressure - reference) / np.linalg.norm(reference))
+
+
+def gaps_of(heights: np.ndarray, pressure: np.ndarray, symbol=contextlib.nullcontext) -> dict:
+    """Area, approach and mean gap that belong to a pressure under a symbol."""
+    import pgfmd
+
+    with symbol():
+        found = pgfmd.certify(heights, pressure, spacing=SIDE / len(heights), contact_modulus=1.0, boundary="open")
+    return {"area": float(np.mean(pressure > 0)), "approach": found.displacement, "mean_gap": found.mean_gap}
+
+
+def equal(case: dict, heights: np.ndarray, program: str) -> dict:
+    """How far a peer's pressure is from ours with its symbol."""
+    with love():
+        known = ours(heights, case["load"], 1e-16).pressure
+    if program == "ASPHER":
+        found, _ = aspher(heights, case["load"], 1e-11, "fft auto double")
+    else:
+        found, _ = contact_mechanics(heights, case["load"], 1e-11)
+    return {"pressure_error": error_of(found, known), "area": float(np.mean(found > 0))}
+
+
+def area(case: dict, heights: np.ndarray, program: str) -> dict:
+    """Raw and corrected area, approach and mean gap, with our symbol or (program "Love") that of the peers."""
+    with love() if program == "Love" else contextlib.nullcontext():
+        found = ours(heights, case["load"], 1e-10)
+        row = {"area": found.contact_area, "approach": found.displacement, "mean_gap": found.mean_gap}
+        return row | ({} if program == "Love" else {"corrected_area": found.contact_area_corrected})
+
+
+def speed(case: dict, heights: np.ndarray, program: str, setting: str, budget: float) -> dict:
+    """Processor time until the error of the pressure is `ENOUGH`."""
+    with contextlib.nullcontext() if program == "pgfmd" else love():
+        known = ours(heights, case["load"], 1e-14).pressure
+    row: dict = {}
+    if program == "ContactMechanics":
+        spent = [0.0]
+
+        def watch(pressure) -> None:
+            now = time.process_time()
+            row["pressure_error"] = error_of(pressure, known)
+            spent[0] += time.process_time() - now
+            if row["pressure_error"] <= ENOUGH or now - began - spent[0] > budget:
+                raise Enough
+
+        began = time.process_time()
+        _, row["work"] = contact_mechanics(heights, case["load"], 1e-14, watch)
+        return row | {"cpu": time.process_time() - began - spent[0]}
+    for tolerance in (10.0 ** (-0.5 * k) for k in range(4 if program == "pgfmd" else 10, 24)):
+        began = time.process_time()
+        if program == "pgfmd":
+            solution = ours(heights, case["load"], tolerance)
+            pressure, work = solution.pressure, solution.transforms
+        else:
+            pressure, work = aspher(heights, case["load"], tolerance, setting)
+        row = {"cpu": time.process_time() - began, "work": work, "pressure_error": error_of(pressure, known)}
+        if row["pressure_error"] <= ENOUGH or row["cpu"] > budget:
+            break
+    return row
+
+
+PARTS = {"equal": equal, "area": area, "speed": speed}
+PROGRAMS = {"equal": ["ASPHER", "ContactMechanics"], "area": ["pgfmd", "Love"]}
+PROGRAMS["speed"] = ["pgfmd", *PROGRAMS["equal"]]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("--n", type=int, nargs="+", default=[512])
+    parser.add_argument("--surfaces", nargs="+", default=["rough:.8:=16"])
+    parser.add_argument("--area", type=float, nargs="+", default=[0.02], help="contact areas of rough surfaces, about")
+    parser.add_argument("--programs", nargs="+", help="of pgfmd, ASPHER, ContactMechanics, Love; all by default")
+    parser.add_argument("--settings", nargs="+", default=["fft auto float"], help="of ASPHER: backend engine precision")
+    parser.add_argument("--budget", type=float, default=600.0, help="seconds of processor time of one solution")
+    parser.add_argument("--csv", type=Path, default=Path(__file__).parents[2] / "jobs" / "benchmark" / "open.csv")
+    options = parser.parse_args()
+    keys, old = COLUMNS[:6], []
+    if options.csv.exists():
+        old = [tuple(row[key] for key in keys) for row in csv.DictReader(options.csv.open(newline=""))]
+    for surface in options.surfaces:
+        for wanted in options.area if surface.split(":")[0] in ("rough", "tip") else [0.0]:
+            for n in options.n:
+                heights = None
+                for program in options.programs or PROGRAMS[options.part]:
+                    for setting in options.settings if (options.part, program) == ("speed", "ASPHER") else [""]:
+                        case = {"part": options.part, "n": n, "surface": surface, "load": load_of(surface, wanted)}
+                        case |= {"program": program, "setting": setting}
+                        if tuple(_shown(case[key]) for key in keys) in old:
+                            continue
+                        heights = heights_of(surface, n) if heights is None else heights
+                        if options.part == "speed":
+                            small = heights_of(surface, 128)
+                            speed(case, small, program, setting, 60.0)  # loads libraries and compiled loops
+                            row = speed(case, heights, program, setting, options.budget)
+                        else:
+                            row = PARTS[options.part](case, heights, program)
+                        _append(options.csv, case | row)
+    return 0
+
+
+def _shown(value) -> str:
+    return f"{value:.7g}" if isinstance(value, float) else str(value)
+
+
+def _append(path: Path, row: dict) -> None:
+    fresh = not path.exists()
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="")
+        if fresh:
+            writer.writeheader()
+        writer.writerow({name: _shown(value) for name, value in row.items()})
+    print(*(f"{name}={_shown(value)}" for name, value in row.items()), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
