@@ -33,10 +33,10 @@ from pgfmd.solvers.fixed_contact import increment
 Row = tuple[str, str, float]
 
 
-def rough(n: int, shortest: float, hurst: float, seed: int = 1) -> np.ndarray:
-    """Self-affine heights (n, n) of rms slope 1, waves from n/2 down to `shortest` points."""
+def rough(n: int, shortest: float, hurst: float, seed: int = 1, least: float = 2.0) -> np.ndarray:
+    """Self-affine heights (n, n) of rms slope 1, waves from n/least down to `shortest` points."""
     q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
-    size = np.where((q >= 2 / n) & (q <= 1 / shortest), np.maximum(q, 1 / n) ** (-1 - hurst), 0)
+    size = np.where((q >= least / n) & (q <= 1 / shortest), np.maximum(q, 1 / n) ** (-1 - hurst), 0)
     heights = np.fft.irfft2(size * np.exp(2j * np.pi * np.random.default_rng(seed).random(q.shape)), s=(n, n))
     return heights / np.std(np.diff(heights, axis=0))
 
@@ -100,7 +100,9 @@ def enclosed() -> Iterator[Row]:
 
 
 def percolation() -> Iterator[Row]:
-    """Labellings of the exact constriction; area at which the gap closes along both axes."""
+    """Labellings of the exact constriction; area at which the gap closes along both axes, by the longest wave: along x
+    alone it is .008 to .013 less.
+    """
     for n in (512, 1024, 2048, 4096):
         heights = rough(n, 16.0, 0.8) if n < 4096 else None
         # at 4096² a surface stands for the gap: what counts is the number of values
@@ -110,19 +112,21 @@ def percolation() -> Iterator[Row]:
         found = bottlenecks(SlabGrid(world(), (n, n)), gap, mask)
         yield f"n={n}", "labellings, both axes", found[0].labellings
         yield f"n={n}", "seconds", time.process_time() - began
-    areas = []
-    for seed in range(16):
-        heights, low, high = rough(512, 8.0, 0.8, 100 + seed), 0.1, 0.6
-        for _ in range(9):
-            load = (low + high) / 2
-            contact = pgfmd.solve(heights, load)
-            found = contact.observables("percolation")["loads"]
-            is_open = found["gap_percolates_x"] or found["gap_percolates_y"]
-            low, high = (load, high) if is_open else (low, load)
-        areas.append((contact.contact_area, contact.contact_area_corrected))
-    for name, values in zip(("raw", "corrected"), np.array(areas).T, strict=True):
-        yield "512², lambda_s=8, 16 surfaces", f"closing area, {name}", values.mean()
-        yield "512², lambda_s=8, 16 surfaces", f"its spread, {name}", values.std(ddof=1)
+    for least in (2.0, 8.0):
+        areas = []
+        for seed in range(16):
+            heights, low, high = rough(512, 8.0, 0.8, 100 + seed, least), 0.1, 0.6
+            for _ in range(9):
+                load = (low + high) / 2
+                contact = pgfmd.solve(heights, load)
+                found = contact.observables("percolation")["loads"]
+                is_open = found["gap_percolates_x"] or found["gap_percolates_y"]
+                low, high = (load, high) if is_open else (low, load)
+            areas.append((contact.contact_area, contact.contact_area_corrected))
+        for name, values in zip(("raw", "corrected"), np.array(areas).T, strict=True):
+            case = f"512², lambda_s=8, longest wave L/{least:g}, 16 surfaces"
+            yield case, f"closing area, {name}", values.mean()
+            yield case, f"its spread, {name}", values.std(ddof=1)
 
 
 def leakage() -> Iterator[Row]:
