@@ -419,6 +419,30 @@ def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_pat
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("work", [0.15, 1.2])
+def test_tamaas_finds_the_same_adhesive_contact(work):
+    """Both start from the undeformed solid; pressures to 1e-4 (both solved to some 1e-5), energy to 1e-8."""
+    tamaas = pytest.importorskip("tamaas")
+    tamaas.set_log_level(tamaas.LogLevel.error)
+    n, law = 64, AdhesiveWall(work=work, range=2.0)
+    heights = rough(n)
+    gap = 0.6 * (heights.max() - heights.mean())
+    run = branch(heights, law, Load(mean_gap=(gap,)))
+    found = run.solution(gap)
+    model = tamaas.Model(tamaas.model_type.basic_2d, [float(n)] * 2, [n, n])
+    model.E, model.nu, kind = 1.0, 0.0, tamaas.PolonskyKeerRey.gap
+    solver = tamaas.PolonskyKeerRey(model, heights, 1e-9, kind, kind)
+    term = tamaas.ExponentialAdhesionFunctional(heights)
+    term.parameters = {"rho": law.range, "surface_energy": work}
+    solver.addFunctionalTerm(term)
+    solver.solve(gap)
+    theirs = np.array(model.traction).reshape(n, n)
+    assert np.linalg.norm(theirs - found.pressure) <= 1e-4 * np.linalg.norm(found.pressure)
+    run.contact.allocate()
+    other = run.contact.state(np.maximum(np.array(model.displacement).reshape(n, n) - heights, 0) / law.range)
+    assert other.energy * work == pytest.approx(found.details["energy"], rel=1e-8)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("domain", [PERIODIC, OPEN], ids=str)
 def test_roughness_of_known_surfaces(comm, domain):
