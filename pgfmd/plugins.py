@@ -79,7 +79,7 @@ def register(*given: type[Any] | str | os.PathLike) -> None:
     ... class Foam(Solid):
     ...     kind = "foam"
     ...     def factor(self, q):
-    ...         return 1 / (1 + q**2)
+    ...         return 1 / (1 + 1 / q**2)
     >>> pgfmd.register(Foam)
     """
     for each in given:
@@ -98,7 +98,12 @@ def register(*given: type[Any] | str | os.PathLike) -> None:
 
 
 def _refuse_taken(other: type[Section] | None, new: type[Section], name: str) -> None:
-    """Raise InputError if a class of the package, or no name at all, stands in the way."""
+    """Raise InputError if a class of the package stands in the way, or if the class has no name or is not whole."""
+    keys = [name for name, kind in vars(new).get("__annotations__", {}).items() if "ClassVar" not in str(kind)]
+    if keys and "__dataclass_fields__" not in vars(new):
+        raise InputError(f"{new.__name__}: has keys ({keys[0]}): put @dataclass(frozen=True, kw_only=True) above it")
+    if issubclass(new, ContactLaw) and not new.methods:
+        raise InputError(f'{new.__name__}: needs the solvers that take it, such as methods = ("gfmd",)')
     if not name:
         raise InputError(f"{new.__name__}: needs a kind (an observable: a name)")
     if other is not None and other is not new and other.__module__.startswith("pgfmd."):

@@ -18,6 +18,7 @@ from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.parallel.collectives import from_root
+from pgfmd.physics.laws.law import ContactLaw
 
 PLUGIN = '''
 from dataclasses import dataclass
@@ -208,3 +209,18 @@ def test_plugins_must_be_names(job):
     job.write_text(JOB.replace('["mine.py"]', "[1]"))
     with pytest.raises(InputError, match=r"plugins = \[1\]: must be a text"):
         load(job)
+
+
+def test_a_class_that_is_not_whole_is_named():
+    """Keys without a dataclass, and a law without a solver, are refused with the remedy when they are registered."""
+
+    class Bare(ContactLaw):
+        kind = "bare"
+        strength: float = 1.0
+
+    class Idle(ContactLaw):
+        kind = "idle"
+
+    for wrong, remedy in ((Bare, "@dataclass"), (Idle, "methods")):
+        with pytest.raises(InputError, match=remedy):
+            pgfmd.register(wrong)
