@@ -419,6 +419,15 @@ def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_pat
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.mpi
+def test_a_flat_surface_at_a_mean_gap(comm):
+    """Where no point is open, all move: the gap is uniform, the pressure that of the law."""
+    law, rows = LAWS["adhesive"], SlabGrid(comm, (12, 12)).rows
+    found = branch(np.zeros((12, 12))[rows], law, Load(mean_gap=(2.0,)), comm=comm).solution(2.0)
+    np.testing.assert_allclose(found.gap, 2.0, rtol=1e-12)
+    assert found.mean_pressure == pytest.approx(-0.6 / 1.5 * math.exp(-2 / 1.5), rel=1e-12)
+
+
 @pytest.mark.parametrize("work", [0.15, 1.2])
 def test_tamaas_finds_the_same_adhesive_contact(work):
     """Both start from the undeformed solid; pressures to 1e-4 (both solved to some 1e-5), energy to 1e-8."""

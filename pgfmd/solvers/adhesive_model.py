@@ -206,10 +206,10 @@ class AdhesiveModel:
         least = self.law.least
         for _ in range(60):
             total, opened = self.bands(lambda s: (float(gap[s].sum()), float(np.count_nonzero(gap[s] > least))))
-            shift = (mean - total / self.grid.size) * self.grid.size / max(opened, 1.0)
-            if opened == 0 or abs(shift) <= 1e-15 * abs(mean):
+            shift = (mean - total / self.grid.size) * self.grid.size / (opened or self.grid.size)
+            if abs(shift) <= 1e-15 * abs(mean):
                 break
-            np.add(gap, shift, out=gap, where=gap > least)
+            np.add(gap, shift, out=gap, where=gap > least if opened else True)
             np.maximum(gap, least, out=gap)
         return gap
 
