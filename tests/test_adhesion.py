@@ -419,6 +419,13 @@ def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_pat
     assert "\n" not in str(caught.value)
 
 
+def test_a_pressed_patch_is_not_attracted_from_beyond():
+    """A flat patch under a potential that is cut where it still attracts bears the pressure that is asked."""
+    law = Potential(pressure="0.7 * (exp(-15.8 * gap) - exp(-7.9 * gap))", gaps=(-0.084, 1.16), unresolved=True)
+    found = branch(np.zeros((8, 8)), law, Load(pressure=(2.5e-4,)), 1e-12, domain=OPEN).solution(2.5e-4)
+    assert found.mean_pressure == pytest.approx(2.5e-4, rel=1e-3)
+
+
 @pytest.mark.mpi
 def test_a_flat_surface_at_a_mean_gap(comm):
     """Where no point is open, all move: the gap is uniform, the pressure that of the law."""

@@ -41,8 +41,9 @@ class AdhesiveContact(AdhesiveModel):
         if self.grid is self.patch:
             return gap
         inside = np.isfinite(self._padded(gap, math.nan))
-        found = np.where(inside, self._padded(gap, 0.0), self.law.farthest - self.rigid(slice(None)))
-        found -= np.where(inside, 0.0, self.grid.reduction.max(np.where(inside, -np.inf, found)) - self.law.farthest)
+        found = np.where(inside, self._padded(gap, 0.0), 2 * self.law.farthest - self.rigid(slice(None)))
+        top = self.grid.reduction.max(np.where(inside, -np.inf, found))
+        found -= np.where(inside, 0.0, top - 2 * self.law.farthest)
         hold, none = Hold("displacement", self.summit, spring=self.spring), self.grid.new_field(np.float32)
         none[...] = 0
         for _ in range(3):  # as conjugate gradients are in single precision

@@ -119,7 +119,7 @@ class AdhesiveModel:
         if not patch.domain.wraps:
             below = self.rigid(slice(None))
             self.grid = SlabGrid(patch.comm, patch.torus, patch.period, patch.asked_threads)
-            self.below = self._padded(below, 2 * reduce.min(below) - self.law.farthest)
+            self.below = self._padded(below, 2 * (reduce.min(below) - self.law.farthest))
             modes = solid.modes(patch)  # collective
             self.spring = 1 / reduce.min(modes[0, 0] if patch.columns.start == 0 else math.inf)
         grid, self.share = self.grid, patch.size / self.grid.size
