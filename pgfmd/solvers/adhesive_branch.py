@@ -298,7 +298,7 @@ class Branch:
             gap=gap * contact.length,  # `gap` is that of the state, from which the next target starts
             mean_pressure=float(mean),
             mean_gap=float(total) * contact.length,
-            elastic_energy=state.elastic * scale,
+            elastic_energy=max(state.elastic, 0.0) * scale,  # of a flat solid it is rounding
             certificate=certificate,
             max_violation=0.0,
             iterations=state.iterations,
