@@ -64,7 +64,7 @@ class ThinSystem:
 
     def solve(self, state: State, wanted: float) -> None:
         """Adds the solution to the state's pressure, and the response to its gap on all points.  With a mesh it answers
-        the residual first, which full transforms compute anew each time; if that fails, they do both.  Collective.
+        the residual first, which full transforms compute anew each time; if that fails, they do it alone.  Collective.
         """
         goal, given = wanted**2 * self.square, self.solver.mesh is not None
         while self.square > goal:
@@ -75,11 +75,14 @@ class ThinSystem:
                 self._by_transforms(change, product)
                 self.residual = residual - self._on_set(product, self.reduction.sum(change))
                 self.square = self._precondition()
+                if not self.square < before / 4:
+                    self.residual, given = residual, False
+                    self.square = self._precondition()
+                    continue
             state.pressure += change
             state.gap += product
             if not given:
                 return
-            given = self.square < before / 4
 
     def _iterate(self, state: State, part: float, respond: Callable) -> tuple[np.ndarray, np.ndarray]:
         """Reduces the residual by a factor; returns the change of the pressure and its response.  Collective."""
