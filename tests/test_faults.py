@@ -241,3 +241,20 @@ def test_read_only(tmp_path, what):
         if what == "file":
             assert all(path.read_bytes() == content for path, content in before.items())
             assert Results(disk / "out").status == "complete"
+
+
+def test_an_interrupt_of_one_rank_does_not_wait_for_the_others(tmp_path):
+    """A KeyboardInterrupt on one rank belongs to it alone: a file that both write must not be closed together."""
+    fault = """
+from pgfmd.application import hdf5_slabs
+def failing(self, rows):
+    raise KeyboardInterrupt("the last straw")
+if MPI.COMM_WORLD.rank == 1:
+    hdf5_slabs.Field.block = failing
+"""
+    script = tmp_path / "faulty.py"
+    script.write_text(FAULTY.format(fault=fault))
+    job = launching.write_job(tmp_path / "job.toml", 64, lambda_s=8, pressures=LOADS[:1])
+    run = launching.start(2, "run", job, "--output", tmp_path / "out", script=(script,))
+    code, stderr = launching.wait(run, 60)  # fails if it hangs
+    assert code == 130 and "Traceback" not in stderr, stderr

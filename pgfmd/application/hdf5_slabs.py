@@ -179,9 +179,12 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
                     block = field.block(part)
                 with raise_together(comm), dataset.collective:
                     dataset[rows.start + part.start : rows.start + part.stop] = block
-    finally:
+    except Exception:  # of all ranks; what one rank alone raises must not wait for the others in a collective close
         with raise_together(comm):
             file.close()
+        raise
+    with raise_together(comm):
+        file.close()
 
 
 def _write_in_place(ranks: Ranks, path: Path, fields: dict[str, Field], offsets: dict[str, int]) -> None:
