@@ -25,6 +25,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.transforms import sink, source
+from pgfmd.parallel.collectives import shared
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
@@ -187,6 +188,10 @@ def increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> In
         raise InputError(f"stiffness: walls of kind {problem.law.kind} have none; kinds: hard, hardness, exponential")
     contact = FixedContact(problem, pressure, width)
     try:
-        return contact.solve()
-    finally:
-        contact.free()
+        found = contact.solve()
+    except BaseException as error:
+        if shared(problem.grid.comm, error):  # else the ranks that have no error would not come
+            contact.free()
+        raise
+    contact.free()
+    return found
