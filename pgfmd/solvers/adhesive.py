@@ -6,9 +6,9 @@ f = K(g + h) + W'(g) opens them; there r = f − μ is to vanish, where μ = −
 
 Each step solves (K + W'')δ = −r on the free points by conjugate gradients, preconditioned by the compliance between
 them.  Where these meet a direction of negative curvature, the step follows it downhill, to the trust radius.  A step is
-taken only if the energy falls along the whole way, so that the contact stays on its branch: it is convex there, or its
-slope is negative at four points.  If no fraction of a step is, the step without W'' replaces it (convex–concave
-procedure; Yuille and Rangarajan 2003, doi:10.1162/08997660360581958): W is concave, so that the energy falls all along.
+taken if the energy decreases along it: it is convex there, or its slope is negative at four points.  This keeps the
+contact from crossing barriers of energy.  If no fraction of a step is taken, the step with the convex part of W only
+replaces it (convex–concave procedure; Yuille and Rangarajan 2003, doi:10.1162/08997660360581958).
 
 Gaps count in the range ρ of the law, pressures in σ₀ = w/ρ.
 """
@@ -84,7 +84,8 @@ class AdhesiveContact(AdhesiveModel):
     ) -> AdhesiveState:
         """The minimum of the energy down from a gap, which becomes that of the minimum.  Collective.
 
-        Ends when ⟨r, Gr⟩/2ν, ν estimated, is at most the tolerance times 2 E_el, or only rounding is left of it.
+        Ends when ⟨r, Gr⟩/2ν, ν estimated, is at most the tolerance times 2 E_el.  Where no step lowers the energy any
+        more, an error of up to 1000 times the tolerance is accepted, and written as `certified_error`.
         Raises SolverError after `MOST_STEPS`.
         """
         state, ended = self.lowered(gap, hold, tolerance, see)

@@ -1,8 +1,8 @@
 """How far a state is from the minimum of the energy next to it: an estimate by Lanczos iterations, and a proof.
 
-E(g) − E(g*) ≤ ⟨r, Gr⟩/2ν and |g − g*| ≤ t at each point if K + κ − D̄ ≥ νK and t ≥ 2√(G(0)⟨r, Gr⟩)/ν: the energy is
-convex where gaps change by at most t, and at its rim exceeds that of g.  D̄ is the largest −W'' within t of a free gap;
-κ = 2b/t − D̄ where the points touch, pressed by b more than the law's tension.
+E(g) − E(g*) ≤ ⟨r, Gr⟩/2ν and |g − g*| ≤ t at each point if K + s ≥ νK and t ≥ 2√(G(0)⟨r, Gr⟩)/ν: the energy is
+convex where gaps change by at most t, and at its rim exceeds that of g.  With D̄, the largest −W'' at gaps within t,
+s = −D̄ at free points, and s = κ = 2b/t − D̄ at points that touch, pressed by b more than the law's tension.
 """
 
 from __future__ import annotations
