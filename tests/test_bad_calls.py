@@ -69,7 +69,8 @@ def test_odd_values_are_refused_in_one_line(comm, name):
 @pytest.mark.parametrize(
     "heights",
     ["x", None, [[1, 2], [3]], HEIGHTS * 1j, HEIGHTS > 0, HEIGHTS.astype("U8"), HEIGHTS * np.nan,
-     np.array([[object()] * 5] * 6), np.ma.masked_greater(HEIGHTS, 0), np.ones(3), np.ones((2, 3, 4))],
+     np.array([[object()] * 5] * 6), np.ma.masked_greater(HEIGHTS, 0), np.ones(3), np.ones((2, 3, 4, 5)),
+     np.ones((0, 3, 4))],
     ids=lambda value: str(type(value).__name__) + str(np.shape(value) if isinstance(value, np.ndarray) else ""),
 )  # fmt: skip
 def test_odd_heights_are_refused_in_one_line(comm, heights):
