@@ -166,9 +166,9 @@ def solve(
     >>> [round(contact.mean_gap, 3) for contact in pgfmd.solve(heights, [0.01, 0.02, 0.04])]
     [0.287, 0.132, 0.028]
     """
-    if getattr(heights, "ndim", 2) == 3 and not is_topography(heights):
-        return _batch(heights, {name: value for name, value in locals().items() if name != "heights"})
     comm = ALONE if comm is None else comm
+    if _is_batch(comm, heights):
+        return _batch(heights, {name: value for name, value in locals().items() if name != "heights"})
     imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
     imposed |= {"displacement": displacement, "force": force, "percolation": percolation}
     with raise_together(comm):
@@ -216,11 +216,18 @@ def solve(
         contacts.close()
 
 
+def _is_batch(comm: MPI.Comm, heights: Any) -> bool:
+    """Whether heights are several surfaces.  Raises InputError unless all ranks have as many.  Collective."""
+    several = getattr(heights, "ndim", 2) == 3 and not is_topography(heights)
+    counts = set(comm.allgather(len(heights) if several else None))
+    if len(counts) > 1:
+        raise InputError("heights: the ranks hold different numbers of surfaces")
+    return several
+
+
 def _batch(surfaces: np.ndarray, options: dict[str, Any]) -> list[Contact]:
     """The contacts of surfaces (B, nx_local, ny).  Collective."""
-    comm = ALONE if options["comm"] is None else options["comm"]
-    _agree(comm, (len(surfaces),))
-    with raise_together(comm):
+    with raise_together(options["comm"]):
         if not len(surfaces) or options["start"] is not None or any(np.ndim(options[name]) for name in IMPOSED):
             raise InputError("heights (B, nx, ny): B ≥ 1 surfaces take one load, as a number, and no start")
     return [solve(heights, **options) for heights in surfaces]

@@ -7,6 +7,7 @@ A plugin is a Python file with classes as `pgfmd/README.md` describes them.  A j
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 import sys
 import types
@@ -99,7 +100,7 @@ def register(*given: type[Any] | str | os.PathLike) -> None:
 
 def _refuse_taken(other: type[Section] | None, new: type[Section], name: str) -> None:
     """Raise InputError if a class of the package stands in the way, or if the class has no name or is not whole."""
-    keys = [name for name, kind in vars(new).get("__annotations__", {}).items() if "ClassVar" not in str(kind)]
+    keys = [name for name, kind in inspect.get_annotations(new).items() if "ClassVar" not in str(kind)]
     if keys and "__dataclass_fields__" not in vars(new):
         raise InputError(f"{new.__name__}: has keys ({keys[0]}): put @dataclass(frozen=True, kw_only=True) above it")
     if issubclass(new, ContactLaw) and not new.methods:

@@ -101,7 +101,7 @@ def draw_surface(sheet: Sheet, panel: int, load: Load):
     unit = unit_text(load, "pressure")
     show_field(sheet, panel, load, contact, "pressure" + (f" / {unit}" if unit else ""), cmap=colours, vmin=0, vmax=top)
     if math.isfinite(load.area):
-        sheet.panels[panel].set_title(f"contact on {100 * load.area:.2g} % of the surface", loc="right")
+        sheet.panels[panel].set_title(f"contact: {100 * load.area:.2g} %", loc="right")
 
 
 def draw_gap(sheet: Sheet, panel: int, load: Load):
