@@ -403,6 +403,7 @@ WRONG = {
     "pixel": ({"wall": {"kind": "adhesive", "work": 9.0, "range": 1.0}}, r"process zone .* grid.n = \d+"),
     "observable": ({"output": {"observables": ["lowpass"]}}, "lowpass is not measured with wall.kind"),
     "closed": ({"load": {"mean_gap": -1.0}}, "all points touch"),
+    "load": ({"load": {"pressure": [0.1, 1e300]}}, r"load.pressure = 1e\+300: more than 1e\+60 of the wall's largest"),
     "formula": ({"wall": {"kind": "potential", "pressure": "1/gap", "gaps": [1.0, 2.0]}}, "attracts nowhere"),
 }
 
@@ -417,6 +418,55 @@ def test_what_adhesion_cannot_do_is_refused_by_one_line(change, message, tmp_pat
     with pytest.raises(pgfmd.InputError, match=message) as caught:
         pgfmd.run(job | change, tmp_path / "out")
     assert "\n" not in str(caught.value)
+
+
+def test_points_about_to_close_do_not_stop_a_step(tmp_path):
+    """A cycle whose last start has a gap of 1e-8 that the load closes: all its contacts are in equilibrium."""
+    job = {
+        "grid": {"n": [16, 5], "spacing": [2.3815138053740943, 2.3815138053740943]},
+        "surface": {"kind": "self-affine", "hurst": 0.5120284349599051, "lambda_s": 2.0,
+                    "rms_slope": 3.161013558889099},
+        "solid": {"contact_modulus": 0.11258216629739322, "poisson": -0.38360713686662754,
+                  "thickness": 113.77300478454659, "base": "bonded"},
+        "wall": {"kind": "dugdale", "range": 2.3703077503913352, "work": 0.028380574782177445},
+        "load": {"displacement": [12.330010726373656, 5.901469644907089], "cycle": True},
+    }  # fmt: skip
+    found = pgfmd.run(job, tmp_path / "out").loads
+    assert len(found["residual"]) == 3 and (found["residual"] < 1e-4 * 0.012).all()
+
+
+def test_separated_surfaces_have_no_energy():
+    """At any mean gap, by the solver after contact: the gap is the undeformed one, and nothing is borne."""
+    run = branch(rough(), LAWS["adhesive"], Load(mean_gap=(1.0, 80.0, 1e33)))
+    run.solution(1.0)
+    for target in (80.0, 1e33):
+        found = run.solution(target)
+        np.testing.assert_allclose(found.gap, target - rough() + rough().mean(), rtol=1e-12)
+        assert found.mean_gap == pytest.approx(target, rel=1e-15)
+        assert abs(found.elastic_energy) < 1e-20 and abs(found.mean_pressure) < 1e-20
+
+
+def test_a_load_beside_which_roughness_is_lost():
+    """Of 1e15 E' the last digit is the full-contact pressure: all points touch."""
+    found = branch(rough(), LAWS["adhesive"], Load(pressure=(1e15,))).solution(1e15)
+    assert found.gap.max() == 0 and found.mean_pressure == pytest.approx(1e15)
+
+
+@pytest.mark.parametrize("name", ["adhesive", "morse"])
+@pytest.mark.parametrize(("length", "pressure"), [(1e-110, 1e47), (1e120, 1e-90), (1e-90, 1e-190)])
+def test_units_may_be_any(name, length, pressure):
+    """The same contact in other units, of which powers would be beyond double precision."""
+    law, unit, heights, found = LAWS[name], f"{length!r}", rough(), []
+    for scale, stress in ((1.0, 1.0), (length, pressure)):
+        other = AdhesiveWall(work=0.6 * scale * stress, range=1.5 * scale) if name == "adhesive" else law
+        if name == "morse" and scale != 1:
+            written = MORSE.replace("gap", f"gap / {unit}").replace("0.2", f"{0.2 * stress!r}")
+            other = Potential(pressure=written, gaps=(-scale, 12 * scale))
+        grid = SlabGrid(ALONE, heights.shape, tuple(scale * n for n in heights.shape))
+        problem = ContactProblem(grid, heights * scale, Homogeneous(contact_modulus=stress), other)
+        run = Branch(Load(mean_gap=(1.5 * scale,)), problem, 1e-8)
+        found.append((run.solution(1.5 * scale).mean_pressure / stress, run.stickiness))
+    assert found[1] == pytest.approx(found[0], rel=1e-7)
 
 
 def test_a_pressed_patch_is_not_attracted_from_beyond():

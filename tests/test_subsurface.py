@@ -17,7 +17,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.observables.subsurface import Subsurface
+from pgfmd.observables.subsurface import Subsurface, _summit
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
@@ -56,6 +56,12 @@ def test_wave(comm, along, count):
         assert largest == pytest.approx(mises.max(), rel=1e-10)
     rms = found["von_mises_rms"][-1]
     assert rms == pytest.approx(math.sqrt(np.mean(mises**2)), rel=1e-10)
+
+
+@pytest.mark.filterwarnings("error")
+def test_depths_a_rounding_apart():
+    """The default depths on a grid of two points: no parabola through them."""
+    assert _summit(np.array([0.5, 0.5, 0.5]), np.array([1.0, 2.0, 1.0])) == (0.5, 2.0)
 
 
 def test_hertz():

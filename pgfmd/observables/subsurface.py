@@ -131,9 +131,11 @@ class Subsurface(Observable):
 
 
 def _summit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Place and value of the largest y: of the parabola through it and its neighbours, unless it is at an end."""
+    """Place and value of the largest y: of the parabola through it and its neighbours, unless it is at an end, or the
+    range of x is a rounding wide.
+    """
     k = int(np.argmax(y))
-    if not 0 < k < len(x) - 1 or not y[k] > 0:
+    if not 0 < k < len(x) - 1 or not y[k] > 0 or not x[k - 1] < x[k] < x[k + 1]:
         return float(x[k]), float(y[k])
     width, height = x[k + 1] - x[k - 1], y[k]  # units in which squares of any lengths and pressures are numbers
     a, b, c = np.polyfit((x[k - 1 : k + 2] - x[k]) / width, y[k - 1 : k + 2] / height, 2)

@@ -57,8 +57,10 @@ class AdhesiveContact(AdhesiveModel):
     def direction(
         self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool
     ) -> tuple[np.ndarray, bool]:
-        """Newton's direction, and whether `search` is one of negative curvature.  careful: without W''.  Collective."""
-        start = self.residual(state, hold)
+        """Newton's direction, and whether `search` is one of negative curvature.  careful: without W'', and points
+        about to close do so with the others' step, which else stops at the first of them.  Collective.
+        """
+        start = self.residual(state, hold, self.local if careful else 0.0)
         weight = self.weight(state.gap, not careful)
         scale = state.residual**2 / (min(state.curvature, 1.0) * state.scale)
 
@@ -73,6 +75,8 @@ class AdhesiveContact(AdhesiveModel):
             state.curvature = 1e-3 if bent_down else max(least_ritz(steps)[0], 1e-3)
         state.negative |= bent_down
         found *= np.float32(state.residual)
+        if careful:
+            np.subtract(self.law.least, state.gap, out=found, where=~self.free, casting="same_kind")
         return found, bent_down and self.largest(lambda s: np.abs(self.search[s])) > 0  # else it underflows
 
     def minimise(
@@ -108,11 +112,13 @@ class AdhesiveContact(AdhesiveModel):
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
             if see is not None:
                 see(state)
-            if (state.error <= tolerance and not down) or state.residual == 0:
+            if not careful and ((state.error <= tolerance and not down) or state.residual == 0):
                 return state, True
             fell, radius = self.step(state, hold, (found, down), radius)
             del found
             if not fell and careful:
+                self.direction(state, hold, tolerance, False)
+                state.error = state.square / (min(state.curvature, 1.0) * state.scale)
                 return state, state.error <= max(1e3 * tolerance, 1e-9)  # rounding
             careful = max(careful - 1, 0) if fell else 2
         return state, False

@@ -6,6 +6,7 @@ and the area leapt, the branch has ended between two targets: the place is bisec
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import math
@@ -14,7 +15,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from pgfmd.errors import InputError
+from pgfmd.errors import InputError, SolverError
 from pgfmd.options.text import show
 from pgfmd.physics.laws.adhesive_laws import AttractiveWall, Dugdale, RangedWall
 from pgfmd.physics.laws.hard import HardWall
@@ -38,6 +39,7 @@ ROUGH = 1e-5  # certified error of the contact under a hard wall with which a se
 FAR = 0.05  # distance t from the minimum, in ranges, beyond which ν is not sought where inner iterations found it small
 LESS = 0.7  # a guess of ν, over that of the last contact
 SHARPER = 1e-4  # of the tolerance, where a state could not be certified
+MOST = 1e60  # load over the largest attraction
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
 log = logging.getLogger("pgfmd")
@@ -75,10 +77,11 @@ class Branch:
         contact = self.contact
         if self.name == "pressure":
             return Hold(self.name, load=target / contact.pressure * contact.share, spring=0.0)
-        if self.name == "mean_gap":
-            return Hold(self.name, target / contact.length)
-        gap = contact.summit - target / contact.length
-        return Hold(self.name, gap, spring=contact.spring or math.inf)
+        gap, spring = target / contact.length, math.inf
+        if self.name == "displacement":
+            gap, spring = contact.summit - gap, contact.spring or math.inf
+        beyond = max(0.0, gap - contact.apart)
+        return Hold(self.name, contact.apart if beyond else gap, spring=spring, beyond=beyond)
 
     def check_targets(self, targets: Iterable[float]) -> None:
         """Raises InputError for a target at which the whole surface touches, and for mean gaps of a patch."""
@@ -88,6 +91,8 @@ class Branch:
             hold = self.hold(target)
             if hold.fixed and not hold.gap > self.contact.law.least:
                 raise InputError(f"load.{self.name} = {target:g}: all points touch there, at any load")
+            if not abs(hold.force(0.0)) < MOST:
+                raise InputError(f"load.{self.name} = {target:g}: more than {MOST:g} of the wall's largest attraction")
 
     def displacement(self, found: ContactSolution) -> float:
         """Approach of the far side from where the undeformed solid touches the highest point."""
@@ -97,7 +102,8 @@ class Branch:
     def resume(self, gap: np.ndarray | None, target: float = math.nan) -> None:
         """The next target continues from this gap (nx_local, ny), that of an earlier target.  Collective."""
         if gap is not None:
-            self.last = target, self.contact.state(self.contact.around(gap / self.contact.length))
+            gap = gap / self.contact.length - self.hold(target).beyond
+            self.last = target, self.contact.state(self.contact.around(gap))
             self.last[1].stress = NONE
 
     def solution(self, target: float) -> ContactSolution:
@@ -151,7 +157,8 @@ class Branch:
         start = contact.undeformed(max(gap, contact.law.least + 1e-3))
         if self.name == "pressure" and hold.load > 0:  # else the approach would take many steps of some ranges
             wall = self.problem.with_law(HardWall()).at(hold.load * contact.pressure / contact.share)
-            start = contact.around(solve_hard_wall(wall, ROUGH).gap / contact.length + contact.law.least)
+            with contextlib.suppress(SolverError):  # roughness that is lost beside the load
+                start = contact.around(solve_hard_wall(wall, ROUGH).gap / contact.length + contact.law.least)
         law, factors = self.problem.law, PROBE if self.load.branch == "probe" else (1.0,)
         for factor in factors:
             if factor == 1.0:
@@ -295,9 +302,10 @@ class Branch:
         moved = 0.0 if self.grid.domain.wraps else -state.pull / contact.spring  # of the mean of the torus
         return ContactSolution(
             pressure=pressure,
-            gap=gap * contact.length,  # `gap` is that of the state, from which the next target starts
+            # `gap` is that of the state, from which the next target starts
+            gap=(gap + hold.beyond if hold.beyond else gap) * contact.length,
             mean_pressure=float(mean),
-            mean_gap=float(total) * contact.length,
+            mean_gap=(float(total) + hold.beyond) * contact.length,
             elastic_energy=max(state.elastic, 0.0) * scale,  # of a flat solid it is rounding
             certificate=certificate,
             max_violation=0.0,
@@ -305,7 +313,7 @@ class Branch:
             transforms=contact.grid.transforms - begun[1],
             seconds=time.perf_counter() - begun[0],
             threshold=-math.inf if law.least == 0 else 0.0,
-            approach=(contact.summit - state.mean + moved) * contact.length,
+            approach=(contact.summit - state.mean - hold.beyond + moved) * contact.length,
             details=known,
         )
 
@@ -320,16 +328,17 @@ def roughness(problem: ContactProblem) -> tuple[float, float]:
     """Rms of |∇h| and of ∇²h by differences between neighbours, the border left out.  Collective."""
     grid, own = problem.grid, problem.heights
     last = min(grid.rows.stop + 2, grid.shape[0]) if len(own) else grid.rows.stop
-    after, (dx, dy) = grid.fetch(own, grid.rows.stop, last), grid.spacing
+    after, pixel = grid.fetch(own, grid.rows.stop, last), max(grid.spacing)
+    dx, dy = (a / pixel for a in grid.spacing)
 
     def sums_of(first: int, stop: int) -> list[float]:
-        rows = np.concatenate([own[first : stop + 2], after[: max(0, stop + 2 - len(own))]])
-        x, y = np.diff(rows, axis=0)[: stop - first] / dx, np.diff(own[first:stop], axis=1) / dy
+        rows = np.concatenate([own[first : stop + 2], after[: max(0, stop + 2 - len(own))]]) / pixel
+        x, y = np.diff(rows, axis=0)[: stop - first] / dx, np.diff(rows[: stop - first], axis=1) / dy
         bend = np.diff(rows, 2, axis=0)[:, 1:-1] / dx**2 + np.diff(rows[1:-1], 2, axis=1) / dy**2
         return [float(v) for each in (x, y, bend) for v in (np.vdot(each, each), each.size)]
 
     sums = grid.reduction.sums(*np.sum(grid.threads.collect(sums_of, len(own), grid.band), axis=0))
-    return math.hypot(*np.sqrt(sums[0:3:2] / np.maximum(sums[1:4:2], 1))), math.sqrt(sums[4] / max(sums[5], 1))
+    return math.hypot(*np.sqrt(sums[0:3:2] / np.maximum(sums[1:4:2], 1))), math.sqrt(sums[4] / max(sums[5], 1)) / pixel
 
 
 def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
@@ -339,8 +348,8 @@ def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
     """
     modulus, pixel, (reach, stress) = problem.solid.contact_modulus, max(problem.grid.spacing), law.units
     zone, alone = law.process_zone(modulus), problem.grid.comm.rank == 0
-    points = math.ceil(2 * max(problem.grid.shape) * pixel / zone)
-    text = f"wall: the process zone ρ²E'/w = {zone:.3g} is {zone / pixel:.2g} pixels; 2 need grid.n = {points}"
+    points = np.ceil(WARNED * max(problem.grid.shape) / (zone / pixel)) if zone else math.inf
+    text = f"wall: the process zone ρ²E'/w = {zone:.3g} is {zone / pixel:.2g} pixels; 2 need grid.n = {points:.9g}"
     if zone < REFUSED * pixel and not law.unresolved:
         raise InputError(f"{text}; below {REFUSED:g} the grid pins contact edges (wall.unresolved = true: solve)")
     if zone < WARNED * pixel and alone:
@@ -349,14 +358,14 @@ def resolved(problem: ContactProblem, law: AttractiveWall) -> float:
     if not slope or not bend:
         return math.nan
     radius = 2 / bend  # of a paraboloid, and a typical one of summits
-    mu, near = adhesion.transition(reach * stress, reach, radius, modulus), math.sqrt(2 * radius * reach)
+    mu, near = adhesion.transition(stress / modulus, 1.0, radius / reach, 1.0), reach * math.sqrt(2 * radius / reach)
     if mu <= 1 and near < NEAR_PIXELS * pixel and alone:
         log.warning(
             "wall: with μ_T = %.2g, summits attract within √(2Rρ) = %.3g, %.2g pixels; %g need grid.n = %d: "
             "pull-off forces err by 6 %% at 2 pixels, by 8 to 40 %% at 1",
-            mu, near, near / pixel, NEAR_PIXELS, math.ceil(NEAR_PIXELS * max(problem.grid.shape) * pixel / near),
+            mu, near, near / pixel, NEAR_PIXELS, math.ceil(NEAR_PIXELS * max(problem.grid.shape) / (near / pixel)),
         )  # fmt: skip
-    found = adhesion.stickiness(reach * stress, reach, slope, bend, modulus)
+    found = adhesion.stickiness(stress / modulus, 1.0, slope, bend * reach, 1.0)
     if alone:
         log.info("wall: stickiness criterion of Pastewka and Robbins %.3g; rough surfaces stick below 1", found)
     return found

@@ -78,7 +78,7 @@ def local_compliance(contact: AdhesiveContact, hold: Hold) -> float:
 def stiffening(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float) -> Stiffening:
     """−D̄ of the free points, κ = 2b/t − D̄ of others, D̄ the largest −W'' within t.  Collective."""
     contact.residual(state, hold)  # chooses the free points
-    free, factor = contact.free.copy(), 2 / max(far, 1e-300)
+    free, factor = contact.free.copy(), 2 / max(far, 1e-100)
 
     def added(s: slice) -> np.ndarray:
         out = contact.slope(state, s)

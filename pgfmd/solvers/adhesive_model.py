@@ -20,17 +20,22 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.nondimensional import mean_compliance
 
 FLOOR = 1e-3  # part of the law's energy that counts as elastic where there is less of that
+APART = 100.0  # mean gap beyond which nothing sticks, over the sum of heights, reach of the law, and of the solid
 NOTHING = 1e-10  # energy per point, over w, that is none
 
 
 @dataclass(frozen=True)
 class Hold:
-    """What is held: the mean gap (spring inf), or the force of a spring on it, load + spring · (mean gap − gap)."""
+    """What is held: the mean gap (spring inf), or the force of a spring on it, load + spring · (mean gap − gap).
+
+    beyond: how much larger the gap is in truth, where the surfaces are apart in any case: digits would be lost
+    """
 
     name: str
     gap: float = 0.0
     load: float = 0.0
     spring: float = math.inf
+    beyond: float = 0.0
 
     @property
     def fixed(self) -> bool:
@@ -130,6 +135,8 @@ class AdhesiveModel:
         self.local = mean_compliance(patch, solid)  # of one point
         self.softest = float(solid.compliance(np.array(2 * math.pi / max(grid.lengths))))  # to the longest wave
         self.allocate()
+        solid_reach = self.softest + (1 / self.spring if self.spring else 0.0)  # of the largest tension, 1
+        self.apart = APART * (self.largest(lambda s: np.abs(self.rigid(s))) + self.law.farthest + solid_reach)
         self.coupling = 0.0  # see `adhesive_certificate.least_coupling`
 
     def allocate(self, wanted: bool = True) -> None:
@@ -234,19 +241,20 @@ class AdhesiveModel:
             own = gap[s]
             work = float(np.vdot(own, stress[s]) + np.vdot(self.rigid(s), stress[s]))
             return (
-                work, float(self.law.energy(own).sum()), float(own.sum()),
+                work, float(stress[s].sum()), float(self.law.energy(own).sum()), float(own.sum()),
                 float(np.count_nonzero(own <= least)), float(np.count_nonzero(own < 1)),
             )  # fmt: skip
 
-        work, law, total, contact, near = self.bands(sums)
+        work, rest, law, total, contact, near = self.bands(sums)
         size = self.grid.size
-        state.elastic, state.law, state.mean = work / 2 / size, law / size, total / size
+        state.mean, state.law = total / size, law / size
+        state.elastic = (work - rest * state.mean) / 2 / size  # the rest is rounding
         state.contact, state.near = int(contact), int(near)
         return state
 
-    def residual(self, state: AdhesiveState, hold: Hold) -> np.ndarray:
+    def residual(self, state: AdhesiveState, hold: Hold, shut: float = 0.0) -> np.ndarray:
         """−r on the free points, which it chooses, in single precision and over its rms, `state.residual`; sets μ.
-        Collective.
+        shut: points that a compliance of that size would close are not free.  Collective.
         """
         gap, stress, least, grid = state.gap, state.stress, self.law.least, self.grid
         force = grid.new_field()
@@ -260,7 +268,7 @@ class AdhesiveModel:
         pull = -hold.force(state.mean) if not hold.fixed else total / max(count, 1.0)
 
         def choose(s: slice) -> tuple[float, ...]:
-            self.free[s] = (gap[s] > least) | (force[s] < pull)
+            self.free[s] = (gap[s] > least + shut * np.maximum(force[s] - pull, 0.0)) | (force[s] < pull)
             inside = self.free[s]
             return float(np.sum(force[s], where=inside)), float(np.count_nonzero(inside))
 

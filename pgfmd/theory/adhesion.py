@@ -29,7 +29,7 @@ class Curve(NamedTuple):
 
 def transition(work: float, reach: float, radius: float, contact_modulus: float) -> float:
     """μ_T = (R w²/(E'² ρ³))^(1/3) with ρ the reach of the attraction: JKR for large values, DMT for small ones."""
-    return float(np.cbrt(radius * work**2 / (contact_modulus**2 * reach**3)))
+    return float(np.cbrt(radius / reach) * np.cbrt(work / contact_modulus / reach) ** 2)
 
 
 def pull_off(mu: float) -> float:
@@ -77,5 +77,5 @@ def stickiness(work: float, reach: float, slope: float, curvature: float, contac
     slope, curvature: rms of |∇h| and of ∇²h.  With l_a = w/E', d = 4 slope/curvature, κ = 2 and Δr = reach it is
     (slope Δr/κ l_a)(slope d/4Δr)^(2/3) / (π (3/16)^(2/3)).
     """
-    ratio = slope * reach * contact_modulus / (2 * work) * (slope**2 / (curvature * reach)) ** (2 / 3)
+    ratio = slope / (2 * (work / contact_modulus / reach)) * (slope * (slope / (curvature * reach))) ** (2 / 3)
     return ratio / (math.pi * (3 / 16) ** (2 / 3))

@@ -51,7 +51,7 @@ class AttractiveWall(ContactLaw):
 
     def process_zone(self, contact_modulus: float) -> float:
         """ℓ = ρ E'/σ₀ = ρ²E'/w, the length along the surface over which the attraction falls at an edge of contact."""
-        return self.units[0] * contact_modulus / self.units[1]
+        return self.units[0] * (contact_modulus / self.units[1])
 
     def energy(self, gap: np.ndarray) -> np.ndarray:
         """W/w at gaps over ρ."""
@@ -172,14 +172,13 @@ class Potential(AttractiveWall):
             found = _spline(self.pressure, self.gaps)
         except ValueError as error:
             raise wrong(self, "pressure", str(error)) from None
-        if not found[2] < 0:
+        if not found[2] > 0:
             raise wrong(self, "pressure", 'attracts nowhere between the gaps; without attraction: kind = "formula"')
 
     @property
     def units(self) -> tuple[float, float]:
         """Depth of the energy over the largest tension, and that tension."""
-        _, depth, lowest = _spline(self.pressure, self.gaps)
-        return depth / -lowest, -lowest
+        return _spline(self.pressure, self.gaps)[1:]
 
     @property
     def least(self) -> float:  # type: ignore[override]
@@ -194,16 +193,14 @@ class Potential(AttractiveWall):
     @property
     def steep(self) -> float:  # type: ignore[override]
         """Where the pressure rises most."""
-        nodes = np.linspace(*self.gaps, NODES)
-        return float(nodes[np.argmax(_spline(self.pressure, self.gaps)[0](nodes, 1))]) / self.units[0]
+        nodes = np.linspace(self.least, self.farthest, NODES)
+        return float(nodes[np.argmax(_spline(self.pressure, self.gaps)[0](nodes, 1))])
 
     def _at(self, gap: np.ndarray, derivative: int) -> np.ndarray:
-        spline, (length, pressure) = _spline(self.pressure, self.gaps)[0], self.units
-        physical = np.minimum(gap * length, self.gaps[1])
-        value = spline(physical, derivative) if derivative >= 0 else spline.antiderivative()(physical)
-        end = spline.antiderivative()(self.gaps[1]) if derivative < 0 else 0.0
-        inside = gap * length < self.gaps[1]
-        return np.where(inside, -(value - end), 0.0) / (pressure * length ** -derivative)
+        spline, last = _spline(self.pressure, self.gaps)[0], self.farthest
+        spline = spline.antiderivative() if derivative < 0 else spline
+        end = spline(last) if derivative < 0 else 0.0
+        return np.where(gap < last, end - spline(np.minimum(gap, last), max(derivative, 0)), 0.0)
 
     def energy(self, gap: np.ndarray) -> np.ndarray:
         """−∫ p from the last gap, so that it is 0 there."""
@@ -220,13 +217,17 @@ class Potential(AttractiveWall):
 
 @cache
 def _spline(written: str, gaps: tuple[float, float]) -> tuple[PPoly, float, float]:
-    """The cubic spline through the formula, the depth of its energy, and its least pressure; raises ValueError."""
+    """The cubic spline through the formula, in units of the law, and these; raises ValueError."""
     from scipy.interpolate import CubicSpline
 
     of, nodes = formula.function(written, "gap"), np.linspace(*gaps, NODES)
     values = np.array([formula.value(of, at) for at in nodes])
     if not np.isfinite(values).all():
         raise ValueError(f"is not finite at gap = {nodes[~np.isfinite(values)][0]:g}")
-    spline = CubicSpline(nodes, values)
-    energy = spline.antiderivative()(nodes)
-    return spline, float(np.max(energy - energy[-1])), float(values.min())
+    lowest, width = float(values.min()), gaps[1] - gaps[0]
+    if not lowest < 0:
+        return CubicSpline(nodes, values), 0.0, 0.0
+    values, places = values / -lowest, (nodes - gaps[0]) / width
+    energy = CubicSpline(places, values).antiderivative()(places)
+    length = float(np.max(energy - energy[-1])) * width
+    return CubicSpline(nodes / length, values), length, -lowest

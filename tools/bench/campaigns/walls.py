@@ -9,6 +9,7 @@ import reference
 from scipy.special import erf, erfc
 
 ATTRACTIVE = ("adhesive", "dugdale", "potential")
+ROUNDING = 2.3e-16  # of one
 DIGITS = 1e-9  # relative: what splines, single precision inside, and sums may leave
 NAMES = {name: getattr(np, name) for name in ("exp", "expm1", "log", "sqrt", "cosh", "sinh", "tanh")} | {
     "erf": erf, "erfc": erfc, "max": np.maximum, "min": np.minimum, "abs": np.abs, "pi": np.pi}  # fmt: skip
@@ -36,7 +37,9 @@ def traction(wall: dict, gap: np.ndarray) -> np.ndarray:
 def tension(wall: dict) -> float:
     """The largest attraction."""
     if wall["kind"] == "potential":
-        return float(-formula(wall, np.linspace(*wall["gaps"], 20001)).min())
+        nodes, (first, last) = np.linspace(*wall["gaps"], 20001), wall["gaps"]
+        lowest, step = nodes[np.argmin(formula(wall, nodes))], (last - first) / 20000
+        return float(-formula(wall, np.clip(lowest + step * np.linspace(-1, 1, 20001), first, last)).min())
     return wall["work"] / wall["range"]
 
 
@@ -69,11 +72,13 @@ def wrong_attraction(contact: reference.Contact, job: dict, control: str, answer
     displacement -= displacement.mean()
     stress = contact.stiffness @ displacement / contact.pixel
     force = (p - stress).astype(float)
-    residual, rounding = float(np.std(force)), DIGITS * (size + float(np.abs(stress).max()))
+    digit = ROUNDING * (np.abs(gap).max() + np.ptp(contact.heights))  # of a gap, and the stress of such
+    spread = digit * float(np.abs(contact.stiffness).sum(axis=1).max() / contact.pixel)
+    residual, rounding = float(np.std(force)), DIGITS * (size + float(np.abs(stress).max())) + spread
     if residual > 1.01 * answer.columns["residual"] + rounding:
         return f"residual {residual:.3g}, reported {answer.columns['residual']:.3g}"
     energy = float(displacement @ stress) / 2 / contact.count
-    digits = 1e-15 * (np.abs(gap).max() + np.ptp(contact.heights)) * np.abs(stress).max()  # of gaps far above u
+    digits = digit * (4 * np.abs(stress).max() + spread)
     if abs(answer.elastic_energy - energy) > DIGITS * energy + rounding * np.abs(displacement).max() + digits:
         return f"elastic energy {answer.elastic_energy:.12g}, of the gaps {energy:.12g}"
     room = 1.01 * answer.columns["residual"] + rounding
