@@ -219,14 +219,15 @@ def _solver(chance, wall: dict) -> dict:
     return table
 
 
-EXTENSIONS = ("open", "layered", "table", "attracts", "formula", "second", "refined", "closes", "follows", "seeds")
+EXTENSIONS = ("open", "layered", "table", "attracts", "formula", "second", "refined", "closes", "follows", "seeds",
+              "shape")  # fmt: skip
 
 
 def _extend(chance, document: dict, size: float, modulus: float, spacing, extension: str) -> np.ndarray | None:
-    """Change a job in place: a kind that few jobs have, and often what follows from its contact.  Returns q and F(q) of
-    a table.
+    """Change a job in place: a kind that few jobs have, and often what follows from its contact.  Returns the table of
+    a file: q and F(q) of a solid, or C(q) of a surface.
     """
-    way = extension or str(chance.choice(EXTENSIONS, p=[0.15, 0.1, 0.1, 0.15, 0.15, 0.05, 0.05, 0.05, 0.15, 0.05]))
+    way = extension or str(chance.choice(EXTENSIONS, p=[0.15, 0.1, 0.1, 0.15, 0.15, 0.05, 0.05, 0.05, 0.1, 0.05, 0.05]))
     step, factor = float(min(spacing)), None
     if way == "open":
         document["grid"]["boundary"] = "open"
@@ -256,13 +257,68 @@ def _extend(chance, document: dict, size: float, modulus: float, spacing, extens
             document["load"]["percolation_accuracy"] = 10.0 ** float(chance.uniform(-4, -0.5))
     elif way == "seeds" and document["surface"]["kind"] == "self-affine":
         document["surface"]["seed"] = [int(seed) for seed in chance.integers(0, 1000, 2)]
+    elif way == "shape":
+        document["surface"] = _shape(chance, size, step)
+        if document["surface"]["kind"] == "spectrum":
+            most = (size * step) * (size * step)
+            factor = np.array([[0.1 / step, most], [6 / step, most * chance.uniform(0, 1)]])
     if way == "follows" or chance.random() < 0.3:
-        document["output"]["observables"] = [str(name) for name in chance.permutation(FOLLOWS)[: chance.integers(1, 5)]]
-        if "partial_slip" in document["output"]["observables"]:
-            document["output"]["partial_slip"] = {"friction": 10 ** float(chance.uniform(-2, 1))}
-        if document["solid"].get("kind") != "layered":
+        wall = document.get("wall", {}).get("kind", "hard")
+        unfit = {
+            "adhesion": wall not in ("adhesive", "dugdale", "potential"),
+            "closing_load": "percolation" not in document["load"],
+            "partial_slip": wall != "hard",
+            "subsurface": bool({"thickness", "kind"} & set(document["solid"])),
+        }
+        fit = [name for name in FOLLOWS if not unfit.get(name) or chance.random() < 0.1]
+        document["output"]["observables"] = [str(name) for name in chance.permutation(fit)[: chance.integers(1, 5)]]
+        _options(chance, document, size, step)
+        if not {"kind", "lame_mu"} & set(document["solid"]):
             document["solid"].setdefault("poisson", 0.25)
     return factor
+
+
+def _shape(chance, size: float, step: float) -> dict:
+    """The table of a cone, a punch, or a surface of which the spectrum is a file."""
+    kind, radius = str(chance.choice(["cone", "punch", "spectrum"])), step * 10 ** float(chance.uniform(-1, 1))
+    if kind == "cone":
+        return {"kind": kind, "slope": size / step}
+    if kind == "spectrum":
+        return {"kind": kind, "path": "factor.npy", "seed": int(chance.integers(0, 1000))}
+    table = {"kind": kind, "radius": radius, "depth": size, "shape": str(chance.choice(["round", "square"]))}
+    if chance.random() < 0.5:
+        table["edge"] = radius * 10 ** float(chance.uniform(-2, 2))
+    if chance.random() < 0.5:
+        table["tilt"] = [float(size / step * value) for value in chance.normal(0, 0.1, 2)]
+    return table
+
+
+def _options(chance, document: dict, size: float, step: float) -> None:
+    """Of the observables that a job asks for, and the fields that they write; at times of a file and of transforms."""
+    output, half = document["output"], {"half_grid": bool(chance.random() < 0.5)}
+    share = {"load_share": float(chance.uniform(0, 1))} if chance.random() < 0.5 else {"shift": size}
+    options = {
+        "partial_slip": {"friction": 10 ** float(chance.uniform(-2, 1))} | share,
+        "stiffness": {"width": 10 ** float(chance.uniform(-9, -0.5)), "conductivities": [1.0, 30.0]} | half,
+        "leakage": {"width": 10 ** float(chance.uniform(-9, -0.5)), "direction": str(chance.choice(["both", "x", "y"]))}
+        | half,
+        "subsurface": {"depths": [step * 10 ** float(chance.uniform(-2, 2))] * int(chance.random() < 0.8)},
+        "gap_spectrum": {"bins": int(chance.integers(1, 60)), "all_modes": bool(chance.random() < 0.5)},
+    }
+    fields = {"partial_slip": ["traction"], "leakage": ["flux_x", "flux_y"], "stiffness": ["current_density"],
+              "subsurface": ["von_mises"]}  # fmt: skip
+    for name in sorted(set(options) & set(output["observables"])):
+        if name == "partial_slip" or chance.random() < 0.7:
+            output[name] = options[name]
+        if chance.random() < 0.3:
+            output["fields"] = output["fields"] + fields.get(name, [])
+    if document["surface"]["kind"] == "file" and chance.random() < 0.3:
+        more = ({"first_axis": "y"}, {"periodic": "mirror"}, {"detrend": "quadratic"})[chance.integers(3)]
+        document["surface"] |= more
+        if "detrend" not in more:
+            document["grid"].pop("n")  # which is that of the file, or twice that
+    if chance.random() < 0.1:
+        document["solver"]["transform"] = "mpi4py-fft"
 
 
 def _layer(chance, modulus: float, step: float) -> dict:
@@ -307,7 +363,7 @@ def _formula(chance, size: float, stress: float) -> dict:
 
 
 FOLLOWS = ("stiffness", "percolation", "leakage", "partial_slip", "subsurface", "discretisation", "gap_spectrum",
-           "gap_slope", "pressure_skewness")  # fmt: skip
+           "gap_slope", "pressure_skewness", "adhesion", "closing_load")  # fmt: skip
 OBSERVABLES = ("histogram", "spectra", "acf", "patches", "bearing", "lowpass")
 
 
