@@ -217,6 +217,10 @@ FOUND_BY_CAMPAIGNS = {
         "solid": {"contact_modulus": 3.602393312973145e86, "poisson": -0.55}, "surface": rough(0.92, 0.0523, 6),
         "load": {"contact_area": 0.24975}, "output": SOUND["output"] | {"observables": ["discretisation"]},
     },
+    "a small energy far above": {
+        "grid": {"n": [3, 3]}, "surface": {"kind": "paraboloid", "radius": 392.0}, "solid": HALF | {"poisson": 0.25},
+        "wall": {"kind": "dugdale", "range": 4.389e-4, "work": 6.548e-8}, "load": {"pressure": [0.00158, 4.1e-27]},
+    },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
         "load": {"displacement": 1e23},

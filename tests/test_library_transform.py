@@ -15,7 +15,7 @@ from pgfmd.grid.transforms import sink, source
 
 pytest.importorskip("mpi4py_fft")
 
-SHAPES = [(24, 20), (17, 13), (9, 64)]
+SHAPES = [(24, 20), (17, 13), (9, 64), (6, 2), (5, 1)]
 SEED = 20
 
 
