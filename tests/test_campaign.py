@@ -16,7 +16,7 @@ if np.finfo(np.longdouble).eps > 1e-18:
 sys.path.insert(0, str(ROOT / "tools" / "bench"))
 
 from campaigns import random_case as cases  # noqa: E402
-from campaigns import running  # noqa: E402
+from campaigns import running, walls  # noqa: E402
 from campaigns.drawing import draw  # noqa: E402
 from campaigns.shrinking import shrink  # noqa: E402
 
@@ -104,6 +104,11 @@ WALLS = {
     "potential": {"kind": "potential", "pressure": "0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))",
                   "gaps": [0.3, 10.0]},
 }  # fmt: skip
+
+
+def test_the_judge_finds_the_largest_tension():
+    """That of Morse's potential is a quarter of its prefactor."""
+    assert walls.tension(WALLS["potential"]) == pytest.approx(0.05, rel=1e-14)
 
 
 @pytest.mark.parametrize("kind", WALLS)
@@ -220,6 +225,25 @@ FOUND_BY_CAMPAIGNS = {
     "a small energy far above": {
         "grid": {"n": [3, 3]}, "surface": {"kind": "paraboloid", "radius": 392.0}, "solid": HALF | {"poisson": 0.25},
         "wall": {"kind": "dugdale", "range": 4.389e-4, "work": 6.548e-8}, "load": {"pressure": [0.00158, 4.1e-27]},
+    },
+    "a wall that is stiffer than its digits show": {
+        "grid": {"n": 9, "length": [2199688959185.3877, 13165463683312.625]},
+        "solid": {"young": 28995938612.492085, "poisson": -0.8301761418682192},
+        "surface": {"kind": "sinusoid", "amplitude": 10388741087.728472},
+        "wall": {"kind": "formula", "pressure": "84729429316.31598 * max(1 - (gap / 14050595925.956856), 0)",
+                 "gaps": [0.0, 27071200612.245667]},
+        "load": {"pressure": 6.439006421469625e-09},
+    },
+    "a far distance over the tiniest": {
+        "grid": {"n": [8, 19], "spacing": [1.3404498261980936e-05, 1.3404498261980936e-05]},
+        "solid": {"lame_lambda": 0.750538003313868, "lame_mu": 0.3256487553726511},
+        "surface": {"kind": "paraboloid", "radius": 0.002207948136557974},
+        "wall": {
+            "kind": "potential", "gaps": [5.841398328794074e-08, 2.920699164397037e-06],
+            "pressure": "0.003025145097957382 * (exp(-2 * (gap / 1.9471327762646914e-07 - 1))"
+            " - exp(-(gap / 1.9471327762646914e-07 - 1)))",
+        },
+        "load": {"pressure": [1.040298839022228e-53, 2761675248223919.0, 0.0009117643579223804]},
     },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,

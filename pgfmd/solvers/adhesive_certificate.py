@@ -82,7 +82,8 @@ def stiffening(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: 
 
     def added(s: slice) -> np.ndarray:
         out = contact.slope(state, s)
-        out *= factor * ~free[s]
+        with np.errstate(over="ignore"):  # at most `LARGEST` below
+            out *= factor * ~free[s]
         out -= contact.law.steepest(state.gap[s], far)
         return np.minimum(out, LARGEST / contact.local, out=out)
 

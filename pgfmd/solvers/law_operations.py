@@ -137,7 +137,7 @@ class LawOperations:
             if abs(total - count) <= enough:
                 break
             low, high = (level, high) if total < count else (low, level)
-            if slope > 0:  # Newton for Σ p̂, which is nearly linear in c, or for its logarithm: the shorter step
+            if slope > 0 < total:  # Newton for Σ p̂, which is nearly linear in c, or for its logarithm: the shorter step
                 steps = (count - total) / slope, math.log(count / total) * total / slope
                 trial = level + min(steps, key=abs)
             elif total > 0:  # all at their bounds

@@ -17,7 +17,7 @@ from pgfmd.options.rules import choice, number, text
 from pgfmd.options.section import key, path_key, wrong
 from pgfmd.options.text import printable
 from pgfmd.parallel.collectives import from_root, raise_together, slab
-from pgfmd.parallel.mpi import MPI
+from pgfmd.parallel.mpi import MPI, datatype
 from pgfmd.surfaces.measurement import UNITS, Measurement, holes_in_words, named, usual_name
 from pgfmd.surfaces.readers import is_array, opened
 from pgfmd.surfaces.rigid_surface import Extent, Surface
@@ -63,15 +63,15 @@ def read_heights(
             first = wanted.min()
             block = found.rows(first, wanted.max() + 1)
             return block if copies == 1 else block[np.ix_(wanted - first, folds[1])], found.described()
-    message, words = None, ""
+    message, words, line = None, "", datatype(np.float64, grid.shape[1])  # points may be more than 2³¹
     with raise_together(grid.comm):
         if grid.comm.rank == 0:
             with opened(*source) as found:
                 found = fitting(found)
                 heights, words = found.rows(0, found.shape[0])[np.ix_(*folds)], found.described()
-            message = [heights, np.diff(grid.starts) * grid.shape[1], grid.starts[:-1] * grid.shape[1], MPI.DOUBLE]
+            message = [heights, np.diff(grid.starts), grid.starts[:-1], line]
     mine = np.empty(grid.local_shape)
-    grid.comm.Scatterv(message, mine)
+    grid.comm.Scatterv(message, [mine, len(mine), line])
     return mine, grid.comm.bcast(words)
 
 

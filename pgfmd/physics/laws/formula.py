@@ -152,14 +152,14 @@ def _correct(target: np.ndarray, line: Line, bracket: np.ndarray, found: np.ndar
         new = g - step
         if rate < 0 and abs(step) <= CLOSE * width[i]:
             gap[i] = new
-            pressure[i] = (t + b * new) / a if -a * d > b or b == 0 else p - d * step
+            pressure[i] = max((t + b * new) / a if -a * d > b or b == 0 else p - d * step, 0.0)
             continue
         if not x < new < y:
             new = (x + y) / 2
         gap[i] = new
         more[i] = x < new < y
         if not more[i]:  # a jump
-            pressure[i], slope[i] = (t + b * new) / a, -np.inf
+            pressure[i], slope[i] = max((t + b * new) / a, 0.0), -np.inf
     return more
 
 

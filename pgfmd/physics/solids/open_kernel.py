@@ -27,6 +27,7 @@ from pgfmd.grid.kernels import scale_even
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import ColumnAction
 from pgfmd.parallel.collectives import slab_starts
+from pgfmd.parallel.mpi import MPI, datatype
 
 CLOSE = 6.0  # α r from which erf is 1 in double precision
 THIN = 0.04  # thickness over half a side of the torus up to which images of a slab on a rigid base are below 1e-12
@@ -153,9 +154,12 @@ def _cosines(grid: SlabGrid, rows: np.ndarray, count: int) -> np.ndarray:
 
     rows = dct(rows, type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
     starts = slab_starts(count, grid.comm.size)
-    if grid.comm.size > 1:
-        parts = [rows[:, first:stop] for first, stop in zip(starts[:-1], starts[1:], strict=True)]
-        rows = np.concatenate(grid.comm.alltoall(parts))
+    if (comm := grid.comm).size > 1:  # counted in numbers: bytes may be more than 2³¹
+        parts = [rows[:, first:stop].copy() for first, stop in zip(starts[:-1], starts[1:], strict=True)]
+        pieces, item = [np.empty((n, parts[comm.rank].shape[1])) for n in comm.allgather(len(rows))], datatype(float)
+        requests = [comm.Irecv([piece, item], rank) for rank, piece in enumerate(pieces)]
+        MPI.Request.Waitall(requests + [comm.Isend([part, item], rank) for rank, part in enumerate(parts)])
+        rows = np.concatenate(pieces)
     turned = np.ascontiguousarray(rows[:, : starts[grid.comm.rank + 1] - starts[grid.comm.rank]].T)
     return dct(turned, type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
 
