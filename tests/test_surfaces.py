@@ -22,6 +22,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
+from pgfmd.surfaces.file import read_heights
 from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import SelfAffine, self_affine
 from pgfmd.theory import exact
@@ -260,3 +261,23 @@ def test_a_wavelength_lost_in_rounding_is_no_cut_off(comm, lambda_s):
     grid = SlabGrid(comm, (8, 8), (5e-10, 5e-10))
     made = [SelfAffine(hurst=0.8, lambda_s=value, rms_slope=0.1, seed=1).heights(grid) for value in (lambda_s, 1.0)]
     np.testing.assert_array_equal(*made)
+
+
+def test_heights_of_a_text_travel_in_rows(comm, shared_tmp_path, monkeypatch):
+    """From 46341² on, points are more than the 2³¹ that MPI counts to: messages are counted in rows."""
+    grid, heights, sent = SlabGrid(comm, (6, 5)), np.random.default_rng(1).standard_normal((6, 5)), []
+
+    class Watched:
+        def __getattr__(self, name):
+            return getattr(comm, name)
+
+        def Scatterv(self, message, mine):
+            sent.extend([message, mine])
+            comm.Scatterv(message, mine)
+
+    if comm.rank == 0:
+        np.savetxt(shared_tmp_path / "heights.txt", heights)
+    monkeypatch.setattr(grid, "comm", Watched())
+    found, _ = read_heights(grid, (str(shared_tmp_path / "heights.txt"), None), False, 1, None)
+    np.testing.assert_allclose(found, heights[grid.rows], rtol=1e-15)
+    assert sent[1][1] == len(found) and (comm.rank or list(sent[0][1]) == list(np.diff(grid.starts)))
