@@ -34,8 +34,8 @@ MODERATE = 1e6  # largest rms height, and inverse of the smallest, that is solve
 SINGLE_TO = 1.2e-13  # tolerance over points per side down to which rounding in single precision is unseen
 # Per unknown of the active set, which is the pressure of a point in contact or, where these are the majority, the gap
 # of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
-# for pressures the residual without means of blocks, columns near the contact and the change there, with halos (18).
-PER_PRESSURE, PER_GAP = 46.0, 28.0
+# for pressures instead of a column before the columns near the contact and the pressures there (10), as measured.
+PER_PRESSURE, PER_GAP = 34.0, 28.0
 MESH = 4.5  # meshes, means over blocks, and what is measured of every contact, as measured
 # Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse
 # grid (6): single precision where that serves.

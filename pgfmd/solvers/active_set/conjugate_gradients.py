@@ -58,16 +58,15 @@ class ConjugateGradients:
 
     def solve(self, wanted: float) -> tuple[np.ndarray, int]:
         """Iterates until √`square` is at most `wanted` times its first value, `MOST_ITERATIONS` times at most.  Returns
-        x (count,) and the number of iterations; each applies A once.  Collective.
+        x (count,) and the number of iterations; each applies A once.  Once only: the residual is lost.  Collective.
         """
         residual, z, direction = self.residual.own, self.z, SetVector(self.points)
         real, d = residual.dtype.type, direction.own
         x, product = np.zeros_like(residual), np.empty_like(residual)
         d[:] = 0
         before, goal, most = math.inf, wanted**2 * self.square, DIVERGED * self.square
-        for iteration in range(MOST_ITERATIONS):
-            if self.square <= goal or not 0 < self.square < most:
-                return x, iteration
+        steps = 0
+        while max(goal, 0) < self.square < most and steps < MOST_ITERATIONS:
             turn = real(self.square / before), real(self.mean)
             self.threads.deal(partial(next_direction, d, z, turn), len(d), ENTRIES)
             before = self.square
@@ -76,11 +75,12 @@ class ConjugateGradients:
             shift = total * self.inverse_count - self.compliance * load
             curvature += self.compliance * load * load
             if not curvature > 0:
-                return x, iteration
+                break
             step = real(before / curvature), real(shift)
             self.threads.deal(partial(advance, x, residual, (d, product), step), len(d), ENTRIES)
-            self.square = self._precondition()
-        return x, MOST_ITERATIONS
+            self.square, steps = self._precondition(), steps + 1
+        del self.residual, self.z  # the next system is made while this one still has its name
+        return x, steps
 
     def _precondition(self) -> float:
         """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""

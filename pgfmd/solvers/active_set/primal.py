@@ -104,6 +104,8 @@ class PressureSteps(Relaxation):
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)
             return
+        if self.exact and not self.grid.domain.wraps:
+            self.grid.free()  # padded strips, an eighth of the memory at the peak, for 2 % of the time
         part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
         goal, failures = part * system.square, 0
         while failures < 2:
@@ -113,11 +115,11 @@ class PressureSteps(Relaxation):
             self._solve(state, system, wanted)
             if goal > SURE * square and wanted**2 * square < 1.1 * goal:
                 return
-            change = SetVector(near)
+            change, response = SetVector(near), np.empty(near.count, np.float32)
             change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
-            response = np.empty(near.count, np.float32)
             self.inner.apply(change, response)
             near.add(state.gap, response)
+            del near, before, change, response  # a tenth of the memory at the peak
             system = self._system(state)
             if system.square < 1.1 * goal:
                 return
