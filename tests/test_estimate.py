@@ -15,6 +15,7 @@ from job_texts import rough_job
 from pgfmd.application import estimate, job
 from pgfmd.grid.grid_cost import holders, largest_shares
 from pgfmd.options.text import readable
+from pgfmd.solvers.active_set import cropping
 
 
 def text_of(n: int, pressure: float, wall: dict, **solver) -> str:
@@ -65,6 +66,40 @@ def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
     text = text_of(n, 0.0032, {})
     expected = estimate.estimate(job.parse(text), ranks).memory
     assert measured(mpirun, tmp_path, text, ranks) == pytest.approx(expected, rel=WITHIN)
+
+
+def sphere_text(n: int, radius: float) -> str:
+    """A sphere on an open patch, of that contact radius over the side."""
+    surface = {"kind": "paraboloid", "radius": 4.0 * n}
+    load = {"pressure": [radius**3 / 3]}
+    tables = {"grid": {"n": n, "boundary": "open"}, "surface": surface, "load": load, "solid": {"contact_modulus": 1.0}}
+    return job.tables_as_toml(tables | {"output": {"fields": ["pressure"]}})
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.2, 0.4])
+def test_contacts_of_bodies_are_explored(radius):
+    """A sphere on an open patch: the area is πa²/L², the rectangle holds what lies above the approach, √2 a around the
+    middle; contact of more than half of the patch counts as all of it.
+    """
+    asked = job.parse(sphere_text(512, radius))
+    assert estimate.contact_areas(asked) == [estimate.OPEN_AREA]
+    before = estimate.bytes_per_point(asked)
+    estimate.explore(asked)
+    (found,) = estimate.reached(asked)
+    assert found.area == pytest.approx(np.pi * radius**2, rel=0.15)
+    assert found.part == pytest.approx(min((2 * np.sqrt(2 * cropping.MARGIN) * radius) ** 2, 1), rel=0.15)
+    assert (estimate.bytes_per_point(asked) < 0.9 * before) == (found.part < 0.5) and estimate.WORTH == cropping.WORTH
+
+
+@pytest.mark.breadth
+@LINUX
+@pytest.mark.parametrize(("n", "radius"), [(1024, 0.2), (2048, 0.05), (2048, 0.2)])
+def test_memory_of_open_bodies(mpirun, tmp_path, n, radius):
+    """So it is for contacts that are solved on a rectangle."""
+    asked = job.parse(sphere_text(n, radius))
+    estimate.explore(asked)
+    expected = estimate.estimate(asked, 1).memory
+    assert measured(mpirun, tmp_path, sphere_text(n, radius), 1) == pytest.approx(expected, rel=WITHIN)
 
 
 def test_nodes_hold_what_their_ranks_hold():

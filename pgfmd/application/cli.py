@@ -176,6 +176,7 @@ def _check(options: argparse.Namespace) -> str:
         each = f", of each of {surfaces} surfaces" * (surfaces > 1)
         raise InputError(f"--ranks {options.ranks}: more ranks than the {nx} rows of the grid{each}")
     here = largest_memory()
+    estimate.explore(job)
     size = estimate.estimate(job, options.ranks, here / options.ranks, options.ranks_per_node).node
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
     report = estimate.report(job, options.ranks, options.ranks_per_node)  # opens the files that the job names

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import logging
 import math
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from pgfmd.application.job import Job
 from pgfmd.application.results import size_in_words
+from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.grid_cost import Cost, largest_shares
 from pgfmd.options.section import in_words
@@ -37,6 +43,12 @@ SOLUTIONS_WORK = 2.4
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 OPEN_AREA = 0.45  # with open boundaries where it is not known: between areas that need little memory and most
 TABLE_BYTES = 8.0  # per quarter of the torus' modes: their compliance
+COARSE, MOST_LOADS, MOST_POINTS = 128, 16, 2**24  # of contacts that tell how far one reaches: side, number; of a file
+# A contact that is solved on a rectangle: bytes per point of the patch, of the rectangle; transforms for the rest.
+WHOLE_BYTES, RECTANGLE_BYTES, OUTSIDE = 27.0, (55.0, 16.0), 2.0
+RETURNED = 2**25  # bytes of an array from which its memory is returned to the system, not kept for the next (glibc)
+MEASURING_BYTES = 38.0  # per point, before a contact is solved: heights, their slopes, strips
+WORTH = 0.5  # largest part of the patch that is solved in its place (`solvers.active_set.cropping`)
 PADDED = 1.1  # strips of patch and mesh in single precision, and what whole runs need besides, over padded strips
 SEARCH_BYTES = 5.0  # per point, where the load is not given: a mask, and the pressure that starts the next solution
 
@@ -150,6 +162,11 @@ def bytes_per_point(job: Job, slabs: int = 1) -> float:
     searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
     kept = FIELD_BYTES + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
     torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
+    if reaches := [each for each in reached(job) if each.part <= WORTH]:
+        most = max(reaches, key=lambda each: each.part)
+        kept = RECTANGLE_BYTES[int(8 * most.part * math.prod(job.cell.n) >= RETURNED)]
+        measuring = MEASURING_BYTES + max((cost.memory for cost in measuring_costs(job)), default=0.0)
+        return max(measuring, WHOLE_BYTES + most.torus + kept * most.part)
     workspace = WORKSPACE[job.solver.transform] * torus[1] / job.cell.n[1]
     if not job.cell.domain.wraps:
         workspace = PADDED * workspace + TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
@@ -166,7 +183,12 @@ def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
     effort = job.wall.newton_effort if method == "newton" else job.wall.effort
     most = 1.0 if cell.domain.wraps else GAPS_FROM  # there pressures are the unknowns at any area
-    return [solver_cost(method, min(area, most), slabs, effort, scaled, single) for area in contact_areas(job)]
+    costs = [solver_cost(method, min(area, most), slabs, effort, scaled, single) for area in contact_areas(job)]
+    for number, each in enumerate(reached(job)):
+        if each.part <= WORTH:
+            work = solver_cost(method, min(each.area / each.part, most), slabs).transforms
+            costs[number] = Cost(each.part * work + OUTSIDE, costs[number].memory)
+    return costs
 
 
 def measuring_costs(job: Job) -> list[Cost]:
@@ -174,11 +196,73 @@ def measuring_costs(job: Job) -> list[Cost]:
     return [observable.cost(job.cell, job.surface.whole.cutoff(job.grid)) for observable in job.output.asked]
 
 
+class Reach(NamedTuple):
+    """The relative area of a contact, the part of the patch on which it is solved, and bytes per point for the torus of
+    the gap outside.
+    """
+
+    area: float
+    part: float
+    torus: float
+
+
+def reached(job: Job) -> list[Reach]:
+    """How far contacts reach, if `explore` has found it."""
+    return vars(job).get("reached", [])
+
+
+def explore(job: Job) -> None:
+    """Finds how far contacts reach on an open patch whose surface does not tell its slope, by the same loads, or some
+    of them, on few points.  The estimates of this job know it from then on; otherwise they take `OPEN_AREA`.
+    """
+    hard = job.wall.kind == "hard" and job.solid.only_inwards and job.imposed.control == "pressure"
+    if job.cell.domain.wraps or job.surface.whole.known_slope() is not None or not hard:
+        return
+    logging.disable()  # what heights are warned of, the run says
+    with suppress(InputError, SolverError):
+        vars(job)["reached"] = _reached(job)
+    logging.disable(logging.NOTSET)
+
+
+def _reached(job: Job) -> list[Reach]:
+    """Raises InputError or SolverError if that is not known."""
+    from pgfmd.grid.slab_grid import SlabGrid  # compiles loops
+    from pgfmd.parallel.mpi import MPI
+    from pgfmd.physics.problem import ContactProblem
+    from pgfmd.solvers.active_set.cropping import LOOSE, MARGIN, solve_hard_wall
+
+    cell, whole, unit = job.cell, job.surface.whole, job.output.length_unit
+    every = -(-max(cell.n) // COARSE)
+    shape = -(-cell.n[0] // every), -(-cell.n[1] // every)
+    grid = SlabGrid(MPI.COMM_SELF, shape, (*np.multiply(shape, cell.spacings) * every,), 1, domain=cell.domain)
+    try:
+        heights = whole.heights(grid, unit)
+    except InputError:  # a file
+        if math.prod(job.grid.n) > MOST_POINTS or job.grid.refine > 1:
+            raise
+        fine = SlabGrid(MPI.COMM_SELF, cell.n, cell.lengths, 1, domain=cell.domain)
+        heights = whole.heights(fine, unit)[::every, ::every].copy()
+    found = []
+    for target in job.imposed.targets[:: -(-len(job.imposed.targets) // MOST_LOADS)]:
+        if target <= 0:
+            raise InputError("no contact")
+        contact = solve_hard_wall(ContactProblem(grid, heights, job.solid, job.wall, target), LOOSE)
+        inside = np.argwhere(heights >= heights.max() - MARGIN * contact.approach)
+        first, stop = inside.min(0), inside.max(0) + 1
+        part = math.prod((stop - first) / shape)
+        wide = np.maximum(stop, shape - first) / shape
+        area = float(np.mean(contact.pressure > 0))
+        found.append(Reach(area, part, TABLE_BYTES * math.prod(wide) + WORKSPACE["blocked"] * wide[1]))
+    return found
+
+
 def contact_areas(job: Job) -> list[float]:
     """The relative contact area of each load: the prescribed one; else that of Persson's theory times 1 + `AREA_EXCESS`
     (1 − area); where neither is known, the area that costs most.
     """
     targets = job.imposed.targets
+    if reaches := reached(job):
+        return [each.area for each in reaches]
     if job.imposed.control == "contact_area":
         return list(targets)
     full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
@@ -194,12 +278,13 @@ def report(job: Job, ranks: int, per_node: int | None = None) -> str:
     understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface.whole, job.solid)}
     total, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
     loads = len(job.load.targets)
+    unknown = not job.cell.domain.wraps and contact_areas(job) == [OPEN_AREA]
     lines = {
         "grid": size_in_words(job.cell.shape, job.cell.lengths, unit, vars(job.grid)),
         "surface": ": ".join(filter(None, [job.surface.whole.kind, understood["surface"]])),
         "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
         "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
-        "loads": f"{loads} by {job.load.control}",
+        "loads": f"{loads} by {job.load.control}" + f"; contact area not known, {OPEN_AREA} taken" * unknown,
         "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "
         f"rank, of which {readable(LIBRARY_BYTES)} are shared, and {bytes_per_point(job):.0f} bytes per grid point)",
         "of a rank": f"up to {readable(total.memory)}, where what ranks of a node share counts for each" * (ranks > 1),
