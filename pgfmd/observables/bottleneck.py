@@ -94,7 +94,7 @@ def _closing(grid: SlabGrid, value: np.ndarray, labels: Labels, bracket: np.ndar
     around = grid.neighbours([node, shift])
     node, shift = (np.concatenate([rows[:1], own, rows[1:]]) for own, rows in zip((node, shift), around, strict=True))
     i, j = np.nonzero(bracket)
-    edges = [np.empty((0, 5))]
+    edges = [np.empty((0, 4), np.int64)]
     for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         row, column = i + di, j + dj
         across, aside = (row + grid.rows.start) // nx, column // ny  # cells by which the neighbour lies beyond
@@ -102,30 +102,30 @@ def _closing(grid: SlabGrid, value: np.ndarray, labels: Labels, bracket: np.ndar
         y = (moved + SHIFTS // 2) % SHIFTS - SHIFTS // 2
         inside = other > 0
         across, aside = across - np.where(inside, (moved - y) // SHIFTS, 0), aside - np.where(inside, y, 0)
-        edge = np.stack([value[i, j], -2 - numbers[i, j], other, across, aside], axis=1)
-        edges.append(edge[other != CLOSED])
-    gathered = comm.gather(np.concatenate(edges))
-    found = _first_winding(np.concatenate(gathered), axis) if gathered is not None else None
+        edge = np.stack([-2 - numbers[i, j], other, across, aside], axis=1)
+        edges.append(edge[(inside | (di + dj > 0)) & (other != CLOSED)])  # two points of the bracket: once
+    gathered = comm.gather((-2 - numbers[i, j], value[i, j], np.concatenate(edges)))
+    found = None
+    if gathered is not None:
+        points, values, joined = (np.concatenate(each) for each in zip(*gathered, strict=True))
+        found = _first_winding(points, values, joined, axis)
     value_and_number = comm.bcast(found)
     assert value_and_number is not None
     return Bottleneck(value_and_number[0], divmod(value_and_number[1], ny), 0)
 
 
-def _first_winding(edges: np.ndarray, axis: int) -> tuple[float, int]:
-    """Value and number of the point whose edges first close a path that winds along the axis; edges: (value of the
-    point, its node, the other's node, cells along x and along y by which the other is moved to touch the point).
+def _first_winding(points: np.ndarray, values: np.ndarray, edges: np.ndarray, axis: int) -> tuple[float, int]:
+    """Value and number of the point whose edges first close a path that winds along the axis.
+
+    points: nodes of the bracket, of these values; edges: (a node of the bracket, another node, cells along x and along
+    y by which this is moved to touch the first).
     """
-    own_value = dict(zip(edges[:, 1].tolist(), edges[:, 0].tolist(), strict=True))
-    other = np.array([own_value.get(node, math.inf) for node in edges[:, 2].tolist()])
-    edges = edges[np.argsort(-np.minimum(edges[:, 0], other), kind="stable")]
-    nodes, places = np.unique(edges[:, 1:3], return_inverse=True)
+    nodes, places = np.unique(edges[:, :2], return_inverse=True)
     a, b = places.reshape(-1, 2).T.copy()
-    moved = edges[:, 3:].astype(np.int32)
-    few, enough = 0, len(edges)
-    while enough - few > 1:
-        half = (few + enough) // 2
-        sets = PeriodicSets(len(nodes))
-        sets.unite(a[:half], b[:half], moved[:half])
-        few, enough = (few, half) if sets.winds[:, axis].any() else (half, enough)
-    ends = [(own_value[node], int(-2 - node)) for node in edges[enough - 1, 1:3].tolist() if node in own_value]
-    return min(ends)
+    own = np.full(len(nodes), math.inf)  # of clusters, which are above the bracket
+    joined = np.isin(points, nodes)
+    own[np.searchsorted(nodes, points[joined])] = values[joined]
+    order = np.argsort(-np.minimum(own[a], own[b]), kind="stable")
+    first = PeriodicSets(len(nodes)).unite(a[order], b[order], edges[order, 2:].astype(np.int32))[axis]
+    value, node = min((own[k], -2 - nodes[k]) for k in (a[order[first]], b[order[first]]))
+    return float(value), int(node)

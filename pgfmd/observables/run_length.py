@@ -162,13 +162,15 @@ class PeriodicSets:
         self.shift = np.zeros((count, 2), np.int32)
         self.winds = np.zeros((count, 2), np.bool_)
 
-    def unite(self, a: np.ndarray, b: np.ndarray, shift: np.ndarray) -> None:
-        """Join pieces a[e] and b[e]: b, moved by shift[e] cells ((edges, 2) integers), touches or overlaps a.
+    def unite(self, a: np.ndarray, b: np.ndarray, shift: np.ndarray) -> tuple[int, int]:
+        """Join pieces a[e] and b[e]: b, moved by shift[e] cells ((edges, 2) integers), touches or overlaps a.  Returns
+        the first e that closes a path around the cell along x, and along y; their number if none does.
 
         Afterwards every piece points to its root, the lowest number of its set.
         """
-        _unite(self.parent, self.shift, self.winds, a, b, shift)
+        closing = _unite(self.parent, self.shift, self.winds, a, b, shift)
         _flatten(self.parent, self.shift)
+        return closing
 
 
 @compiled()
@@ -189,7 +191,8 @@ def _place(parent: np.ndarray, shift: np.ndarray, k: int) -> tuple[int, int, int
 @compiled()
 def _unite(
     parent: np.ndarray, shift: np.ndarray, winds: np.ndarray, a: np.ndarray, b: np.ndarray, moved: np.ndarray
-) -> None:
+) -> tuple[int, int]:
+    along_x = along_y = len(a)
     for e in range(len(a)):
         low, ax, ay = _place(parent, shift, a[e])
         high, bx, by = _place(parent, shift, b[e])
@@ -197,6 +200,7 @@ def _unite(
         if low == high:
             winds[low, 0] |= x != 0
             winds[low, 1] |= y != 0
+            along_x, along_y = min(along_x, e if x else len(a)), min(along_y, e if y else len(a))
             continue
         if low > high:
             low, high, x, y = high, low, -x, -y
@@ -204,6 +208,7 @@ def _unite(
         shift[high, 0], shift[high, 1] = x, y
         winds[low, 0] |= winds[high, 0]
         winds[low, 1] |= winds[high, 1]
+    return along_x, along_y
 
 
 @compiled()
