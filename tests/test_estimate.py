@@ -151,6 +151,19 @@ def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
 
 @pytest.mark.breadth
 @LINUX
+@pytest.mark.parametrize("name", ["stiffness", "percolation", "leakage", "partial_slip", "subsurface"])
+def test_memory_of_observables(mpirun, tmp_path, name):
+    """So it is with what follows from a contact, at a tenth of the area and a gap that percolates."""
+    options = {"partial_slip": {"friction": 0.3}}
+    surface, output = {"lambda_s": 8.0, "rms_slope": 0.1}, {"observables": [name], name: options.get(name, {})}
+    solid = {"contact_modulus": 1.0, "poisson": 0.3}
+    text = rough_job(1024, surface, solid=solid, load={"pressure": [0.006]}, output=output)
+    expected = estimate.estimate(job.parse(text), 1).memory
+    assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
+
+
+@pytest.mark.breadth
+@LINUX
 @pytest.mark.parametrize("area", [0.05, 0.5])
 def test_memory_of_searches(mpirun, tmp_path, area):
     """So it is where an area is searched: of the last solution only what may start the next is kept."""

@@ -60,6 +60,11 @@ class Observable(Section):
         raise NotImplementedError
 
 
+def is_rough(cell: Cell, cutoff: float | None) -> bool:
+    """Whether the shortest wave of a surface is below six points, or not known: linear systems then take longer."""
+    return cutoff is None or cutoff * max(cell.spacings) > 1
+
+
 OBSERVABLES: dict[str, type[Observable]] = {}
 """Every observable by name, in the order in which they are measured; `observable_kinds` fills it."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
-from pgfmd.observables.observable import Observable
+from pgfmd.observables.observable import Observable, is_rough
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 from pgfmd.options.rules import POSITIVE, number
 from pgfmd.options.section import key
@@ -61,8 +61,11 @@ class PartialSlip(Observable):
     shift: float | None = key(POSITIVE, about="tangential displacement, instead of load_share", unit="length")
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A second contact, its stiffness, and two convolutions; or some contacts until a shift is met."""
-        return Cost(transforms=16.0 if self.shift is None else 60.0, memory=90.0)
+        """A second contact, its stiffness, and two convolutions, as measured at 1024²; or some contacts until a shift
+        is met.
+        """
+        once = 55.0 if is_rough(cell, cutoff) else 36.0
+        return Cost(transforms=once if self.shift is None else 4 * once, memory=62.0)
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError without friction or Poisson's ratio, and unless wall is hard and solid a half-space."""

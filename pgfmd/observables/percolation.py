@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -48,8 +49,9 @@ class Percolation(Observable):
     }
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """Some ten labellings, measured at 1024²; fields of labels and shifts."""
-        return Cost(transforms=30.0, memory=90.0)
+        """Some labellings, fields of labels and shifts, and what is gathered, as measured at 512² … 2048²."""
+        gathered = min(1.0, 1e5 / math.prod(cell.n))
+        return Cost(transforms=17.0 + 100 * gathered, memory=70.0 + 400 * gathered)
 
     def measure(self, contact: Contact) -> Groups:
         """Labels the contact and the gap.  Collective."""

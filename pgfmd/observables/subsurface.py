@@ -63,8 +63,10 @@ class Subsurface(Observable):
     )
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """Five components at each depth; the spectrum, the sum of squares and a slice."""
-        return Cost(transforms=0.5 + 2.5 * (len(self.depths) or DEPTHS), memory=32.0)
+        """Five components at each depth, half a transform each, as long again for their factors; the spectrum, the sum
+        of squares and a slice.
+        """
+        return Cost(transforms=0.5 + 5.5 * (len(self.depths) or DEPTHS), memory=32.0)
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError without Poisson's ratio, and for what is no half-space."""
