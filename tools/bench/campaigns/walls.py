@@ -94,7 +94,9 @@ def graph(wall: dict, line: tuple[float, float], targets: np.ndarray) -> np.ndar
         middle = (low + high) / 2
         more = line[0] * formula(wall, middle) - line[1] * middle > targets
         low, high = np.where(more, middle, low), np.where(more, high, middle)
-    return high
+    first, last = wall["gaps"]
+    near = 1e-13 * (last - first)  # digits of the ends
+    return np.where(high - first <= near, first, np.where(last - low <= near, last, high))
 
 
 def polished(contact: reference.Contact, wall: dict, p: np.ndarray, level: float):
@@ -107,9 +109,11 @@ def polished(contact: reference.Contact, wall: dict, p: np.ndarray, level: float
     for _ in range(60):
         target = c * p - (A @ p - heights + level)
         gap = graph(wall, (c, 1.0), target)
-        answer = np.maximum((target + gap) / c, 0.0)  # also at the ends, where the graph is vertical
         step = 1e-6 * (last - first)
         slope = (formula(wall, np.minimum(gap + step, last)) - formula(wall, gap)) / step
+        answer = np.maximum((target + gap) / c, 0.0)  # also at the ends, where the graph is vertical
+        soft = (gap > first) & (gap < last) & (-c * slope < 1)  # digits of the gap would count more
+        answer[soft] = formula(wall, gap[soft])
         rate = np.where((gap <= first) | (gap >= last), 1 / c, slope / (c * slope - 1))
         rate[answer == 0] = 0.0
         matrix = np.zeros((count + 1, count + 1))
