@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import textwrap
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.parallel.collectives import from_root
+from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.law import ContactLaw
 
 PLUGIN = '''
@@ -224,3 +226,44 @@ def test_a_class_that_is_not_whole_is_named():
     for wrong, remedy in ((Bare, "@dataclass"), (Idle, "methods")):
         with pytest.raises(InputError, match=remedy):
             pgfmd.register(wrong)
+
+
+def _wrong(**changed):
+    """An exponential wall of which some methods are replaced."""
+    own = {"kind": "wrong", "in_units": _in_units} | changed
+    pgfmd.register(dataclass(frozen=True, kw_only=True)(type("Wrong", (ExponentialWall,), own)))
+    return {"kind": "wrong", "zeta": 0.3}
+
+
+def _in_units(self, units, factor=1.0):
+    return type(self)(zeta=factor * self.zeta / units.height, sigma_ref=1.0)
+
+
+def _half_the_excess(self, pressure, gap, residual, compliance, level):
+    return ExponentialWall.excess(self, pressure, gap, residual, compliance, level) / 2
+
+
+def _no_residual(self, pressure, gap, residual, compliance, level):
+    excess = ExponentialWall.excess(self, pressure, gap, residual, compliance, level)
+    residual[...] = 0
+    return excess
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({}, ""),
+        ({"in_units": lambda self, units: _in_units(self, units, 2.0)}, "respond"),
+        ({"excess": _half_the_excess}, "excess: .* less"),
+        ({"excess": _no_residual}, "excess: the residual"),
+        ({"releases": True}, "releases: True is for laws of reach 0"),
+    ],
+)  # fmt: skip
+def test_a_law_that_contradicts_itself_is_refused(changed, words):
+    """Units, answers, excess and contact lines of a user's law are compared with its gaps."""
+    heights, law = np.diag([0.1, 0.0, 0.0, 0.0]), _wrong(**changed)
+    if not words:
+        assert pgfmd.solve(heights, 0.01, wall=law, method="gfmd").certified_error < 1e-8
+        return
+    with pytest.raises(InputError, match=f'wall.kind = "wrong": {words}'):
+        pgfmd.solve(heights, 0.01, wall=law)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgfmd.errors import InputError, Uncertifiable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.law import Units
+from pgfmd.physics.laws.law import ContactLaw, Units
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.solvers.options import MODERATE
@@ -70,6 +70,8 @@ class Dimensionless:
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0,
             physical.imposed and physical.imposed.in_units(made.unit, mean, made.top),
         )  # fmt: skip
+        if not type(law).__module__.startswith("pgfmd."):
+            verify(law, self.problem.law, self.units, solid)
         self.rms = 1.0 if made.depth < math.inf else made.rms / made.unit
         if elastic_energy_is_lost(self.problem, self.rms):
             raise Uncertifiable(f"mean pressure = {mean:g}: the elastic energy is lost in the pressure's last digits")
@@ -172,6 +174,34 @@ class Dimensionless:
         parts = grid.threads.collect(lower, len(gap), grid.band)
         lowered, work = (grid.reduction.sum(part) / grid.size for part in zip(*parts, strict=True))
         return lowered, work
+
+
+def verify(law: ContactLaw, scaled: ContactLaw, units: Units, solid: Solid) -> None:
+    """Raises InputError if a user's law in units does not answer as its own `gap` says, or certifies too little."""
+
+    def gaps(pressures: np.ndarray) -> np.ndarray:
+        physical = [law.gap(float(p) * units.pressure, solid) for p in pressures.flat]
+        return (np.array(physical).reshape(pressures.shape) - units.offset) / units.height
+
+    answers = np.array([[0.5, 1.0, min(2.0, 0.5 + 0.5 * units.highest / units.pressure)]])
+    pressures, found = np.ascontiguousarray(answers[:, ::-1]), np.empty_like(answers)
+    residual, nodes = np.empty(answers.shape, np.float32), np.polynomial.legendre.leggauss(20)
+    with np.errstate(all="ignore"):
+        scaled.respond(answers - gaps(answers), found, 1.0, 0.0)
+        excess = scaled.excess(pressures, pressures - answers + gaps(answers), residual, 1.0, 0.0)
+        between = answers + (pressures - answers) * (nodes[0][:, None] + 1) / 2
+        least = float(np.sum((gaps(answers) - gaps(between)) * (pressures - answers) * nodes[1][:, None] / 2))
+    wrong = ""
+    if law.releases and law.reach > 0:
+        wrong = "releases: True is for laws of reach 0, of which contacts have an edge"
+    elif not np.allclose(found, answers, rtol=1e-6):
+        wrong = "respond: the pressures are not those at which compliance * p - gap(p) is the target"
+    elif not np.allclose(residual, pressures - answers, atol=1e-5):
+        wrong = "excess: the residual is not compliance * (p - p+)"
+    elif not excess >= 0.8 * least - 1e-6:  # nodes may miss where gaps jump
+        wrong = f"excess: {excess:.6g} is less than what gaps make it, {least:.6g}"
+    if wrong:
+        raise InputError(f'wall.kind = "{law.kind}": {wrong} (in the units of in_units)')
 
 
 def elastic_energy_is_lost(problem: ContactProblem, rms: float) -> bool:
