@@ -3,8 +3,8 @@
 
     .venv/bin/python tools/bench/consequences.py OUTPUT.csv [PART …]
 
-Parts: stiffness, enclosed, percolation, closing, leakage, exact; all if none is named; peer, which needs reynoldsflow.
-One line per number: part, case, name, value.  Run on one thread; times are CPU time.
+Parts: stiffness, enclosed, percolation, closing, exponent, leakage, exact; all if none is named; peer, which
+needs reynoldsflow.  One line per number: part, case, name, value.  Run on one thread; times are CPU time.
 """
 
 from __future__ import annotations
@@ -140,6 +140,43 @@ def closing() -> Iterator[Row]:
                 yield case, f"its spread, {name}", values.std(ddof=1)
 
 
+NEAR = np.geomspace(0.2, 0.02, 6)  # 1 − p̄/p̄_c of the fit, fixed before the first run; p̄_c to 1e-4 of itself
+
+
+def exponent() -> Iterator[Row]:
+    """d ln(flow)/d ln(1 − p̄/p̄_c) near closure, along the axis that closes last: fits over `NEAR` of 8 surfaces (H = .8,
+    longest wave L/2), λ_s = 32a at 512² and, for the error by the grid, the same with half the points.
+
+    Result: the mean at 512²; its error: the spread over √8, and the change of the mean from 256² to 512², added.
+    """
+    means = []
+    for n in (256, 512):
+        slopes = []
+        for seed in range(8):
+            q = np.r_[0:128, -128:0]
+            modes = np.fft.fft2(rough(256, 16.0, 0.8, 200 + seed)) * (n / 256) ** 2
+            whole = np.zeros((n, n), complex)
+            whole[np.ix_(q, q)] = modes
+            heights = np.fft.ifft2(whole).real
+            closed = pgfmd.solve(heights, percolation="gap", percolation_accuracy=1e-4, spacing=256 / n)
+            critical = sum(closed.details[f"closing_pressure_{end}"] for end in ("lower", "upper")) / 2
+            flows = []
+            for share in NEAR:
+                contact = pgfmd.solve(heights, (1 - share) * critical, spacing=256 / n, tolerance=1e-11)
+                found = contact.observables(leakage={"width": 1e-4})["loads"]
+                flows.append([float(found[f"leakage_{axis}"]) for axis in "xy"])
+            logs = np.log([flow[int(np.argmax(flows[-1]))] for flow in flows])
+            slopes.append([np.polyfit(np.log(NEAR), logs, 1)[0], *np.diff(logs) / np.diff(np.log(NEAR))])
+            yield f"{n}², seed={200 + seed}", "exponent", slopes[-1][0]
+        means.append(np.mean(slopes, axis=0))
+        for share, local in zip(np.sqrt(NEAR[1:] * NEAR[:-1]), means[-1][1:], strict=True):
+            yield f"{n}², 1 - p/p_c = {share:.3f}", "local exponent, mean", local
+        yield f"{n}²", "exponent, mean", means[-1][0]
+        yield f"{n}²", "its spread", np.std([each[0] for each in slopes], ddof=1)
+    error = np.std([each[0] for each in slopes], ddof=1) / 8**0.5 + abs(means[1][0] - means[0][0])
+    yield "512²", "its error", error
+
+
 def leakage() -> Iterator[Row]:
     """Iterations to a width, and time and memory over those of the contact."""
     grids = {n: SlabGrid(world(), (n, n)) for n in (512, 1024, 2048)}
@@ -206,7 +243,7 @@ def exact() -> Iterator[Row]:
     yield "sphere, nu=.3", "its depth over a", found["von_mises_depth"] / a
 
 
-PARTS = {part.__name__: part for part in (stiffness, enclosed, percolation, closing, leakage, exact, peer)}
+PARTS = {part.__name__: part for part in (stiffness, enclosed, percolation, closing, exponent, leakage, exact, peer)}
 
 
 def main() -> None:
