@@ -214,6 +214,17 @@ def test_pull_off_of_a_sphere(transition, expected):
     assert b - (a - c) ** 2 / (8 * (a - 2 * b + c)) == pytest.approx(expected, rel=0.006)
 
 
+def sure(contact, state, hold):
+    """The estimate, with smaller guesses of ν until the distance t is large enough."""
+    guess = 1.0
+    for _ in range(6):
+        floor, bound, far = estimated(contact, state, hold, guess)
+        if bound < math.inf:
+            break
+        guess = min(floor or guess / 4, guess)
+    return floor, bound, far
+
+
 def test_the_bound_holds_on_dense_problems():
     """The distance of loosely solved states from their minimum is at most the bound, ν estimated by Lanczos."""
     for seed in range(12):
@@ -221,7 +232,7 @@ def test_the_bound_holds_on_dense_problems():
         contact = AdhesiveContact(branch(heights, AdhesiveWall(work=0.6, range=1.2), Load(mean_gap=(1.0,))).problem)
         hold = Hold("mean_gap", 1.0 + seed / 12)
         loose = contact.minimise(contact.undeformed(hold.gap), hold, 1e-3)
-        _, bound, _ = estimated(contact, loose, hold)
+        _, bound, _ = sure(contact, loose, hold)
         tight = contact.minimise(loose.gap.copy(), hold, 1e-14)
         assert loose.energy - tight.energy <= bound * (1 + 1e-6) + 1e-14
 
@@ -236,8 +247,8 @@ def test_the_estimate_counts_points_that_may_open():
         contact = AdhesiveContact(branch(heights, law, Load(mean_gap=(1.0,))).problem)
         hold = Hold("pressure", load=1.0, spring=0.0)
         state = contact.minimise(contact.undeformed(0.5), hold, 1e-3)
-        floor, _, far = estimated(contact, state, hold)
-        if floor <= 0:
+        floor, bound, far = sure(contact, state, hold)
+        if math.isinf(bound):
             continue
         soft = contact.free.ravel().copy()
         contact.residual(state, hold)
@@ -256,8 +267,9 @@ def test_the_estimate_counts_points_that_may_open():
 @pytest.mark.parametrize("control", ["mean_gap", "pressure"])
 def test_what_is_proved_holds_for_matrices(control):
     """Of 24 surfaces some are proved, and none falsely: with K and D̄ as matrices, K + κ − D̄ ≥ νK for the ν of the
-    proof (at a load, in the norm with the mean mode), and the loose state's energy error is within its bound."""
-    n, count = 8, 0
+    proof (at a load, in the norm with the mean mode), and the loose state's energy error is within its bound, which in
+    the median is at most 1.5 times it."""
+    n, ratios = 8, []
     stiffness = dense_stiffness(n, 1 / 0.6 * 1.2**2)  # E' in units of σ₀/ρ
     for seed in range(24):
         heights = np.random.default_rng(seed).normal(size=(n, n)) * 0.7
@@ -265,10 +277,9 @@ def test_what_is_proved_holds_for_matrices(control):
         contact = AdhesiveContact(branch(heights, law, Load(mean_gap=(1.0,))).problem)
         hold = Hold("mean_gap", 0.5 + seed / 24) if control == "mean_gap" else Hold("pressure", load=0.3, spring=0.0)
         state = contact.minimise(contact.undeformed(hold.gap or 1.0), hold, 1e-5)
-        found = proved(contact, state, hold, estimated(contact, state, hold)[0])
+        found = proved(contact, state, hold, sure(contact, state, hold)[0])
         if found is None:
             continue
-        count += 1
         floor, bound, far = found
         contact.residual(state, hold)
         gap, free = state.gap.ravel(), contact.free.ravel()
@@ -281,7 +292,8 @@ def test_what_is_proved_holds_for_matrices(control):
         error = state.energy + hold.energy(state.mean) - tight.energy - hold.energy(tight.mean)
         assert error <= bound * (1 + 1e-6) + 1e-14
         assert np.abs(state.gap - tight.gap).max() <= far + 1e-9
-    assert count >= 3
+        ratios.append(bound / error)
+    assert len(ratios) >= 3 and np.median(ratios) < 1.5
 
 
 def test_a_proof_needs_no_new_estimate_along_a_branch(monkeypatch):

@@ -22,7 +22,7 @@ import numpy as np
 
 from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.transforms import sink
-from pgfmd.solvers.adhesive_inner import conjugate_gradients, least_ritz
+from pgfmd.solvers.adhesive_inner import conjugate_gradients, decrement, least_ritz
 from pgfmd.solvers.adhesive_model import AdhesiveModel, AdhesiveState, Hold
 
 RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
@@ -73,6 +73,7 @@ class AdhesiveContact(AdhesiveModel):
         state.inner += 2 * len(steps) + 1 + bent_down
         if not careful and steps:
             state.curvature = 1e-3 if bent_down else max(least_ritz(steps)[0], 1e-3)
+        state.error = decrement(square, steps, min(state.curvature, 1.0)) * state.residual**2 / state.scale
         state.negative |= bent_down
         found *= np.float32(state.residual)
         if careful:
@@ -92,8 +93,8 @@ class AdhesiveContact(AdhesiveModel):
         more, an error of up to 1000 times the tolerance is accepted, and written as `certified_error`.
         Raises SolverError after `MOST_STEPS`.
         """
-        state, ended = self.lowered(gap, hold, tolerance, see)
-        if not ended:
+        state = self.state(gap)
+        if not self.lowered(state, hold, tolerance, see):
             raise SolverError(
                 f"adhesive contact: the energy error stays at {state.error:.1e}, above the tolerance {tolerance:.1e}; "
                 "allow a larger tolerance, or a finer grid where the process zone is short"
@@ -101,27 +102,25 @@ class AdhesiveContact(AdhesiveModel):
         return state
 
     def lowered(
-        self, gap: np.ndarray, hold: Hold, tolerance: float, see: Callable[[AdhesiveState], None] | None
-    ) -> tuple[AdhesiveState, bool]:
-        """The same, and whether it ended.  Collective."""
-        state, radius, careful = self.state(gap), RADIUS, 0
+        self, state: AdhesiveState, hold: Hold, tolerance: float, see: Callable[[AdhesiveState], None] | None
+    ) -> bool:
+        """The same from a state, which changes; whether it ended.  Collective."""
+        radius, careful = RADIUS, 0
         while state.iterations < MOST_STEPS:
             found, down = self.direction(state, hold, tolerance, careful > 0)
-            state.error = state.square / (min(state.curvature, 1.0) * state.scale)
             if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
             if see is not None:
                 see(state)
             if not careful and ((state.error <= tolerance and not down) or state.residual == 0):
-                return state, True
+                return True
             fell, radius = self.step(state, hold, (found, down), radius)
             del found
             if not fell and careful:
                 self.direction(state, hold, tolerance, False)
-                state.error = state.square / (min(state.curvature, 1.0) * state.scale)
-                return state, state.error <= max(1e3 * tolerance, 1e-9)  # rounding
+                return state.error <= max(1e3 * tolerance, 1e-9)  # rounding
             careful = max(careful - 1, 0) if fell else 2
-        return state, False
+        return False
 
     def step(
         self, state: AdhesiveState, hold: Hold, ways: tuple[np.ndarray, bool], radius: float

@@ -22,7 +22,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.adhesive import AdhesiveContact
-from pgfmd.solvers.adhesive_certificate import estimated, proved
+from pgfmd.solvers.adhesive_certificate import distance, estimated, proved
 from pgfmd.solvers.adhesive_model import AdhesiveState, Hold
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
@@ -36,9 +36,9 @@ NEAR_PIXELS = 4.0  # for μ_T ≤ 1
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
-FAR = 0.05  # distance t from the minimum, in ranges, beyond which ν is not sought where inner iterations found it small
+FAR = 0.2  # largest distance t from the minimum, in ranges and over ν: more makes ν smaller
 LESS = 0.7  # a guess of ν, over that of the last contact
-SHARPER = 1e-4  # of the tolerance, where a state could not be certified
+LESSER, TRIES = 4.0, 3  # where a guess of ν was too large: the next one, and how often
 MOST = 1e60  # load over the largest attraction
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
@@ -245,6 +245,28 @@ class Branch:
                 self._pressure(low[1]), self._pressure(high[1]),
             )  # fmt: skip
 
+    def _certified(self, state: AdhesiveState, hold: Hold) -> tuple[float, float, float, bool]:
+        """ν, the bound of the energy error per point, the distance t, and whether they are proved.  Lowers the state
+        to where its distance from the minimum hardly changes ν.  Collective.
+        """
+        contact, wanted = self.contact, self.tolerance * state.scale / 2
+        guess, most, proof = min(max(state.curvature, 1e-3), 0.8, LESS * self.floor or 1.0), state.error, None
+        for _ in range(TRIES):
+            near = FAR * guess / (distance(contact, hold, guess, state.error * state.scale / 2) or 1e-300)
+            goal = min(state.error * min(near * near, 1.0), most)
+            if goal < state.error:
+                contact.lowered(state, hold, goal, self._see)
+            if self.proven and (proof := proved(contact, state, hold, self.floor)):
+                return *proof, True
+            floor, bound, far = estimated(contact, state, hold, guess)
+            if bound <= wanted:
+                break
+            guess = min(floor or guess / LESSER, guess)
+            most = state.error if math.isinf(bound) else state.error * wanted / bound / 2
+        self.floor, proof = floor, proved(contact, state, hold, floor)
+        self.proven = proof is not None
+        return *(proof or (floor, bound, far)), self.proven
+
     def _solution(
         self, state: AdhesiveState, hold: Hold, details: dict[str, float], begun: tuple[float, float]
     ) -> ContactSolution:
@@ -252,24 +274,7 @@ class Branch:
         contact, law = self.contact, self.contact.law
         if not state.stress.size:
             state.stress = contact.evaluate(state.gap, contact.grid.new_field())
-        # What the last contact's ν says saves estimates: of proofs, and of bounds that will be too large.
-        floor, proof, wanted = self.floor, None, self.tolerance * state.scale / 2
-        near_enough = state.square <= 2 * (floor or 1.0) * wanted
-        if self.proven and near_enough:
-            proof = proved(contact, state, hold, floor)
-        if near_enough and not proof:
-            floor, bound, distance = estimated(contact, state, hold, FAR, LESS * floor or 1.0)
-            near_enough = floor > 0 and bound <= wanted
-        if not near_enough:  # within a smaller distance, ν may be larger
-            part = min(floor / 2, 0.5) if floor > 0 else SHARPER
-            state.stress = NONE
-            state, _ = contact.lowered(state.gap, hold, self.tolerance * part, self._see)
-            self.last = self.last and (self.last[0], state)
-            floor, bound, distance = estimated(contact, state, hold, guess=LESS * max(floor, self.floor) or 1.0)
-        self.floor = max(floor, 0.0)
-        proof = proof or proved(contact, state, hold, floor)
-        self.proven = proof is not None
-        floor, bound, distance = proof or (floor, bound, distance)
+        floor, bound, far, proof = self._certified(state, hold)
         scale, size = contact.length * contact.pressure / contact.share, self.grid.size
         pressure = contact.grid.new_field()
 
@@ -295,7 +300,7 @@ class Branch:
         ) / size  # fmt: skip
         known = details | {
             "energy": state.energy * scale, "residual": state.residual * contact.pressure, "least_curvature": floor,
-            "gap_bound": distance * contact.length if floor > 0 else math.inf, "tensile_pressure": tension,
+            "gap_bound": far * contact.length if floor > 0 else math.inf, "tensile_pressure": tension,
             "tensile_area": pulled, "stickiness": self.stickiness,
             "bound": float(0 if floor <= 0 else 2 if kind == "global" else 3 if proof else 1),
         }  # fmt: skip

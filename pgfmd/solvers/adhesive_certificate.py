@@ -1,8 +1,10 @@
 """How far a state is from the minimum of the energy next to it: an estimate by Lanczos iterations, and a proof.
 
-E(g) − E(g*) ≤ ⟨r, Gr⟩/2ν and |g − g*| ≤ t at each point if K + s ≥ νK and t ≥ 2√(G(0)⟨r, Gr⟩)/ν: the energy is
-convex where gaps change by at most t, and at its rim exceeds that of g.  With D̄, the largest −W'' at gaps within t,
-s = −D̄ at free points, and s = κ = 2b/t − D̄ at points that touch, pressed by b more than the law's tension.
+With A = K + s, E(g) − E(g*) ≤ e = ⟨r, A⁻¹r⟩/2 and |g − g*| ≤ t at each point if A ≥ νP⁻¹ and t ≥ 2√(2G(0)e/ν): the
+energy is at least that of the quadratic form within t of the gaps, and at the rim exceeds that of g.  With D̄, the
+largest −W'' at gaps within t, s = −D̄ at free points, and s = κ = 2b/t − D̄ at points that touch, pressed by b more than
+the law's tension.  P is the compliance between the points where s < 1/G(0), and 1/s on the others: K + max(s, 0) ≥ P⁻¹.
+Conjugate gradients give e, with what they leave, ⟨r', Pr'⟩/2ν, added.
 """
 
 from __future__ import annotations
@@ -17,56 +19,69 @@ from pgfmd.grid.transforms import ColumnAction
 from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact
-from pgfmd.solvers.adhesive_inner import conjugate_gradients, least_ritz
+from pgfmd.solvers.adhesive_inner import conjugate_gradients, decrement, least_ritz
 from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 
 LANCZOS = 20  # steps: right to 10 % in 10 of 12 states
-TRIES = 4  # distances t for which a ν is sought
-PART = 0.6  # of the estimated ν, for which a proof is tried: .5 proves a tenth more, with bounds 1.2 times as large
+RITZ = 0.9  # of a Ritz value less its residual, which counts
+PART = 0.45  # of the estimated ν, for which a proof is tried: less proves few more, in a larger distance t
 WORTH = 0.2  # least estimate of ν with which one is: K_M is too soft for smaller ones
 MOST_PROOF = 40  # conjugate gradients of a proof, for each of
 GOALS = 1e-3, 0.03  # what is left of the 1 that is asked, in the norm of P, of it at first and then of that
 LARGEST = 100.0  # of 1/G(0) that κ counts at most: more would give the same, by more iterations
+LITTLE = 0.05  # distance t over ν that hardly changes ν
+LEFT = 0.6  # of ⟨r, Pr⟩/ν, the root of what is left as the energy error is computed
+ROUNDED = 1.001  # what single precision may leave
 POSITIVE = 1e-3  # least value of Mv, of which 1 was asked, that rounding in double precision cannot make of one ≤ 0
 Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 
 
 def estimated(
-    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, farthest: float = math.inf, guess: float = 1.0
+    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, guess: float = 1.0
 ) -> tuple[float, float, float]:
-    """(ν, bound on E − E* of the local minimum per point, distance t of its gaps), ν by Lanczos iterations; ν ≤ 0 where
-    none is known, as for a t beyond `farthest` if inner iterations found negative or small curvature.  The first t is
-    that for the `guess` of ν.  Collective.
+    """(ν, bound on E − E* of the local minimum per point, distance t of its gaps), ν by Lanczos iterations, 0 where no
+    larger one is found; t is that for the `guess` of ν.  The bound is inf where it asks for a larger t; `state.error`
+    is then that of the bound.  Collective.
 
-    P is the compliance between the points that are free or have κ < 1/G(0), and 1/κ on the others: K + κ ≥ P⁻¹, and
-    ⟨r, Pr⟩ = ⟨r, Gr⟩.  ν is the least eigenvalue of P(K + κ − D̄), 1 without D̄: the least Ritz value less the norm of
-    its residual, which is right if the start holds that eigenvector.
+    ν is `RITZ` of the least eigenvalue of PA, 1 without D̄: the least Ritz value less the norm of its residual, which is
+    right if the start holds that eigenvector.
     """
-    grid, square, local = contact.grid, state.square * contact.grid.size, local_compliance(contact, hold)
-    far, floor = 2.4 * math.sqrt(local * square) / min(max(state.curvature, 1e-3), 0.8, guess), 0.0
-    for _ in range(TRIES):
-        if far > farthest and state.curvature < 1:
-            break
-        weight = softened(contact, stiffening(contact, state, hold, far))
-        contact.count, actions = grid.size, contact.actions(hold)._replace(firm=True)
-        noise = grid.new_field(np.float32)
-        seed = np.random.default_rng(7)
-        seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
-        for row, free in zip(noise, contact.free, strict=True):
-            row[...] = (seed.random(row.shape) - 0.5) * free
-        if hold.fixed:
-            noise -= np.float32(grid.reduction.sum(noise) / grid.size)
-        _, negative, _, steps = conjugate_gradients(contact, noise, weight, actions, lambda _: 1e-6, LANCZOS)
-        del noise, weight  # their memory
-        if negative:
-            return 0.0, math.inf, far
-        floor, error = least_ritz(steps)
-        floor -= error
-        needed = 2 * math.sqrt(local * square) / floor if floor > 0 else math.inf
-        if far >= needed:
-            return floor, square / (2 * floor) / grid.size, far
-        far = min(1.2 * needed, 4 * far)
-    return 0.0, math.inf, far
+    grid, far = contact.grid, max(1.2 * distance(contact, hold, guess, state.error * state.scale / 2), LITTLE * guess)
+    added = stiffening(contact, state, hold, far)
+    weight = softened(contact, added)
+    contact.count, actions = grid.size, contact.actions(hold)._replace(firm=True)
+    noise = grid.new_field(np.float32)
+    seed = np.random.default_rng(7)
+    seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
+    for row, free in zip(noise, contact.free, strict=True):
+        row[...] = (seed.random(row.shape) - 0.5) * free
+    if hold.fixed:
+        noise -= np.float32(grid.reduction.sum(noise) / grid.size)
+    _, negative, _, steps = conjugate_gradients(contact, noise, weight, actions, lambda _: 1e-6, LANCZOS)
+    del noise, weight  # their memory
+    floor, error = (0.0, 0.0) if negative else least_ritz(steps)
+    floor = max(RITZ * (floor - error), 0.0)
+    bound = energy_error(contact, state, hold, added, floor) if floor else math.inf
+    if floor and far < distance(contact, hold, floor, bound):
+        state.error, bound = max(state.error, 2 * bound / state.scale), math.inf
+    return floor, bound, far
+
+
+def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -> float:
+    """The least t for ν = floor and that bound of the energy error per point."""
+    return 2 * math.sqrt(2 * local_compliance(contact, hold) * bound * contact.grid.size / floor)
+
+
+def energy_error(
+    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, added: Stiffening, floor: float
+) -> float:
+    """The bound e of the energy error per point, for s = `added` and ν = floor.  Collective."""
+    start = contact.residual(state, hold)
+    weight, contact.count, goal = softened(contact, added), contact.grid.size, LEFT * math.sqrt(floor)
+    actions = contact.actions(hold)._replace(firm=True)
+    _, negative, first, steps = conjugate_gradients(contact, start, weight, actions, lambda _: goal)
+    bound = ROUNDED * state.residual**2 * decrement(first, steps, floor) / 2
+    return math.inf if negative else bound
 
 
 def local_compliance(contact: AdhesiveContact, hold: Hold) -> float:
@@ -108,10 +123,10 @@ def proved(
     """The same with a ν that is proved, at most the estimate `floor`; None if the proof fails.  Collective.
 
     With K_M, whose symbol is ½E'√(4 sin²(q_x a/2) + 4 sin²(q_y b/2)) in units of the spacings, K ≥ K_M and K_M has no
-    positive entry off its diagonal, as the root of a discrete Laplacian.  So M = (1 − ν)K_M + κ − D̄ is positive
-    definite if Mv > 0 for some v > 0 (Berman and Plemmons 1994, doi:10.1137/1.9781611971262, chapter 6), and then
-    K + κ − D̄ ≥ νK.  M may stiffen the mean as far as its entries allow: at a mean gap by anything, at a load by the
-    spring less ν times the stiffness of the mean with which ⟨r, Gr⟩ was computed.
+    positive entry off its diagonal, as the root of a discrete Laplacian.  So M = (1 − ν)K_M + s, with (1 − ν)s where
+    that is above 1/G(0), is positive definite if Mv > 0 for some v > 0 (Berman and Plemmons 1994,
+    doi:10.1137/1.9781611971262, chapter 6), and then A ≥ νP⁻¹.  M may stiffen the mean as far as its entries allow: at
+    a mean gap by anything, at a load by the spring less ν times the stiffness of the mean in P⁻¹.
     For periodic half-spaces and the exponential attraction, whose D̄ is that of the smallest gap.
     """
     problem, grid = contact.problem, contact.grid
@@ -121,17 +136,24 @@ def proved(
     if not isinstance(contact.law, AdhesiveWall) or floor < WORTH:
         return None
     modulus = solid.in_units(contact.length, contact.pressure).contact_modulus
-    square, mean = state.square * grid.size, 0.0 if hold.fixed else max(hold.spring, 1 / contact.softest)
+    mean = 0.0 if hold.fixed else max(hold.spring, 1 / contact.softest)
     floor *= PART
-    far = 2.01 * math.sqrt(local_compliance(contact, hold) * square) / floor
+    far = max(1.2 * distance(contact, hold, floor, state.error * state.scale / 2), LITTLE * floor)
     modulus *= (1 - floor) / 2
     contact.coupling = contact.coupling or least_coupling(grid)
     extra = 0.999 * modulus * contact.coupling * grid.size
     stiff = extra if hold.fixed else min(extra, hold.spring - floor * mean)
     action = contact.with_mean(smaller_stiffness(grid, modulus), stiff)
-    if not is_m_matrix(contact, action, stiffening(contact, state, hold, far), stiff):
+    added = stiffening(contact, state, hold, far)
+
+    def part(s: slice) -> np.ndarray:
+        out = added(s)
+        return np.multiply(out, 1 - floor, out=out, where=out > 1 / contact.local)
+
+    if not is_m_matrix(contact, action, part, stiff):
         return None
-    return floor, square / (2 * floor) / grid.size, far
+    bound = energy_error(contact, state, hold, added, floor)
+    return (floor, bound, far) if far >= distance(contact, hold, floor, bound) else None
 
 
 def least_coupling(grid: SlabGrid) -> float:

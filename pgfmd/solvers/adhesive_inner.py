@@ -94,6 +94,16 @@ def least_ritz(steps: list[tuple[float, float]]) -> tuple[float, float]:
     return float(values[0]), float(beside[-1] * abs(vectors[-1, 0]))
 
 
+def decrement(first: float, steps: list[tuple[float, float]], floor: float) -> float:
+    """Largest ⟨r, A⁻¹r⟩ for A ≥ floor · P⁻¹, P the preconditioner: of the first ⟨r, Pr⟩ and the steps of conjugate
+    gradients with A, ⟨r, x⟩ and the share of what is left.
+    """
+    found = 0.0
+    for step, ratio in steps:
+        found, first = found + step * first, first * ratio
+    return found + first / floor
+
+
 @jit
 def masked(rows: np.ndarray, residual: np.ndarray, free: np.ndarray, out: np.ndarray) -> tuple[float, float]:
     """out = rows on free points, else 0; returns Σ residual · out and Σ out."""
