@@ -2,16 +2,20 @@
 # The paper, reproduced: all runs of figures F1–F9 and table T1, the figures, and the report with a verdict on each claim
 # (report.html and, where there is a browser, report.pdf).
 #
-#   bash jobs/paper.sh [--small] [FOLDER]      # FOLDER: results/paper, or results/paper-small
+#   bash jobs/paper.sh [--small | --full] [FOLDER]      # FOLDER: results/paper, or results/paper-small
 #
 # Runs that are complete are not repeated: start it again after an interruption.  As many runs go on at a time as there are
-# cores (JOBS=1: one), each with one thread; those of 4096² points come first.  --small scales every grid down by 8, for a
-# look in a coffee break; its verdicts mean little.  PYTHON=… takes that interpreter, and sets nothing up.
+# cores (JOBS=1: one), each with one thread.  --full computes the limits: larger cells, more surfaces, more loads; the
+# report takes figures of which FOLDER has no runs from jobs/paper/results.  --small scales every grid down by 8, for a look
+# in a coffee break; its verdicts mean little.  PYTHON=… takes that interpreter, and sets nothing up.
 set -euo pipefail
 
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-small=1
-if [ "${1:-}" = --small ]; then small=8; shift; fi
+small=1 plan=standard
+case ${1:-} in
+    --small) small=8 && shift ;;
+    --full) plan=limits && shift ;;
+esac
 folder=${1:-results/paper$([ "$small" = 1 ] || echo -small)}
 jobs=${JOBS:-$(env -u OMP_NUM_THREADS nproc)} # nproc heeds that variable
 [ -n "${PYTHON:-}" ] || bash tools/setup.sh
@@ -37,8 +41,8 @@ pressures() {
     esac
 }
 
-# One line per run: name, job, overrides.
-plan() {
+# One line per run: name, job, overrides; those of 4096² points come first.
+standard() {
     local h seed zeta points n shortest seeds
     for seed in 1 2 3 4 5 6; do
         for h in 0.3 0.8; do
@@ -88,7 +92,54 @@ plan() {
     done
 }
 
+# The same beyond the paper: cells to 8192 a, loads at given areas, eight ranges of the wall.
+limits() {
+    local h seed n shortest zeta
+    for h in 0.3 0.8; do
+        for seed in 1 2 3 4 5 6 7 8; do
+            echo "limit-exponents-h$h-s$seed jobs/paper/exponents.toml $(size 8192 1) surface.hurst=$h" \
+                "surface.seed=$seed load.pressure=$(pressures $h 1)" \
+                'output.observables=["histogram","spectra","patches","bearing"]'
+        done
+        for n in 8192 4096 1024; do
+            for seed in $(seq $((n == 8192 ? 3 : n == 4096 ? 6 : 16))); do
+                echo "limit-kappa-n$n-h$h-s$seed jobs/paper/loads.toml $(size $n 16) surface.hurst=$h surface.seed=$seed" \
+                    "load.pressure=[0.00003,0.0001,0.00035,0.00073,0.0015]" \
+                    'output.observables=["spectra","discretisation"]'
+            done
+        done
+        for seed in $(seq 16); do
+            echo "limit-crossover-h$h-s$seed jobs/paper/scales.toml $(size 2048 8) surface.hurst=$h surface.seed=$seed" \
+                "load.pressure=[0.0036,0.0056,0.0076,0.0097,0.0119,0.0142,0.0167,0.0224,0.0285,0.0367,0.0462,0.0745]" \
+                'output.observables=["spectra"]'
+        done
+        for seed in 1 2 3 4; do
+            echo "limit-solved-h$h-s$seed jobs/paper/scales.toml $(size 2048 8) surface.hurst=$h surface.seed=$seed" \
+                "load.contact_area=[0.02,0.08,0.24,0.5,0.8]" 'output.observables=["spectra","lowpass"]'
+            for shortest in 1 2 4 8 16 32 64; do
+                echo "limit-moment-l$shortest-h$h-s$seed jobs/paper/loads.toml $(size 2048 $shortest) surface.hurst=$h" \
+                    "surface.seed=$seed load.contact_area=[0.005,0.02,0.08]" 'output.observables=["histogram"]'
+            done
+            for shortest in 16 32 64; do
+                echo "limit-patches-l$shortest-h$h-s$seed jobs/paper/large.toml $(size 4096 $shortest)" \
+                    "surface.hurst=$h surface.seed=$seed load.pressure=[0.00073,0.00314]" \
+                    'output.observables=["patches"]'
+            done
+        done
+        for seed in 1 2 3 4 5 6 7 8; do
+            echo "limit-beyond-h$h-s$seed jobs/paper/exponents.toml $(size 2048 32) surface.hurst=$h surface.seed=$seed" \
+                'load.pressure=[0.003] output.spectra.all_modes=true output.observables=["spectra","bearing"]'
+        done
+    done
+    for seed in 1 2 3 4 5 6 7 8; do
+        for zeta in 0.03 0.125 0.25 0.5 1.0 2.0 4.0 8.0; do
+            echo "limit-wall-z$zeta-s$seed jobs/paper/exponential.toml $(size 1024 32) wall.zeta=$zeta surface.seed=$seed" \
+                'output.fields=["height","gap"]'
+        done
+    done
+}
+
 mkdir -p "$folder"
-plan | "$python" tools/paper/runs.py "$folder" --jobs "$jobs"
+$plan | "$python" tools/paper/runs.py "$folder" --jobs "$jobs"
 "$python" tools/paper/report.py "$folder" --output "$folder/report" --jobs "$jobs" $([ "$small" = 1 ] || echo --small)
 echo "report: $folder/report/report.html"

@@ -298,13 +298,13 @@ def test_only_what_is_to_be_done_is_run(runs, tmp_path):
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
 GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
 GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale", "correlation_decay"}
-GENERAL |= {"contact_stiffness"}
-SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load", "contact_stiffness"}
+GENERAL |= {"contact_stiffness", "dependence"}
+SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load", "contact_stiffness", "dependence"}
 KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
     ("bare",): GENERAL - {"pressure_distribution", "bearing_area", "contact_patches"},
-    ("nothing",): {"area_load", "overview", "contact_stiffness"},
+    ("nothing",): {"area_load", "overview", "contact_stiffness", "dependence"},
     ("file",): GENERAL,
     ("sinusoid",): GENERAL,
     ("paraboloid",): GENERAL,
@@ -314,7 +314,8 @@ KINDS = {
     ("one load",): GENERAL - {"contact_stiffness"},
     ("none to full",): GENERAL,
     ("areas",): GENERAL,
-    ("following",): {"area_load", "overview", "contact_stiffness", "autocorrelations", "correlation_decay", *FOLLOWING},
+    ("following",): {"area_load", "overview", "contact_stiffness", "autocorrelations", "correlation_decay", "dependence",
+                     *FOLLOWING},
     ("grid16", "grid32", "grid48"): GENERAL - {"contact_stiffness"} | {"resolution"},
     ("kept", "file", "soft1", "nothing", "areas", "none to full"): GENERAL | {"field_theory"},
 }

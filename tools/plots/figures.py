@@ -33,6 +33,7 @@ FIGURES = (
     "field_theory",
     "contact_patches",
     "resolution",
+    "dependence",
     "energy_by_scale",
     "correlation_decay",
     "force_approach",

@@ -64,19 +64,27 @@ def ensembles(found: Iterable[Load], *, by_load: bool = True) -> list[Ensemble]:
         key = tuple(sorted((name, str(value)) for name, value in setting(load).items()))
         groups.setdefault((key, target), []).append(load)
     members = sorted(groups.values(), key=lambda group: (_order(group[0]), group[0].mean_pressure))
-    settings = [setting(group[0]) for group in members]
-    keys = [key for key in dict.fromkeys(k for s in settings for k in s) if _differs(key, settings)]
-    keys = [key for key in keys if key not in DERIVED] or keys
     several = by_load and len({target for _, target in groups}) > 1
     found = []
-    for group, values in zip(members, settings, strict=True):
-        differences = [_named(key, values[key]) for key in keys if key in values]
-        control, target = group[0].target
-        asked = [f"{CONTROLS[control]} = {target:g}"] * by_load
+    for group, differences in zip(members, named_differences([setting(group[0]) for group in members]), strict=True):
+        asked = [imposed(group[0])] * by_load
         labels = [", ".join([*differences, *[text] * several]) for text in (_area(group), _pressure(group))]
         found.append((tuple(group), labels, ", ".join([*differences, *asked]) or "simulation"))
     chosen = len({labels[0] for _, labels, _ in found}) < len(found)  # equal areas: loads are told by their pressures
     return [Ensemble(group, labels[chosen], name) for group, labels, name in found]
+
+
+def named_differences(settings: Sequence[dict]) -> list[list[str]]:
+    """What each setting has that not all share, e.g. ["H = 0.3", "λ_s = 8"]."""
+    keys = [key for key in dict.fromkeys(k for s in settings for k in s) if _differs(key, settings)]
+    keys = [key for key in keys if key not in DERIVED] or keys
+    return [[_named(key, values[key]) for key in keys if key in values] for values in settings]
+
+
+def imposed(load: Load) -> str:
+    """The quantity that the job imposed at this load, e.g. "p̄ = 0.01"."""
+    control, target = load.target
+    return f"{CONTROLS[control]} = {target:g}"
 
 
 def _differs(key: str, settings: Sequence[dict]) -> bool:
