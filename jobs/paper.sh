@@ -96,13 +96,13 @@ standard() {
 limits() {
     local h seed n shortest zeta
     for h in 0.3 0.8; do
-        for seed in 1 2 3 4 5 6 7 8; do
+        for seed in 1 2 3 4; do
             echo "limit-exponents-h$h-s$seed jobs/paper/exponents.toml $(size 8192 1) surface.hurst=$h" \
                 "surface.seed=$seed load.pressure=$(pressures $h 1)" \
                 'output.observables=["histogram","spectra","patches","bearing"]'
         done
         for n in 8192 4096 1024; do
-            for seed in $(seq $((n == 8192 ? 3 : n == 4096 ? 6 : 16))); do
+            for seed in $(seq $((n == 8192 ? 2 : n == 4096 ? 4 : 16))); do
                 echo "limit-kappa-n$n-h$h-s$seed jobs/paper/loads.toml $(size $n 16) surface.hurst=$h surface.seed=$seed" \
                     "load.pressure=[0.00003,0.0001,0.00035,0.00073,0.0015]" \
                     'output.observables=["spectra","discretisation"]'
