@@ -3,7 +3,8 @@
     printf '%s\\n' "NAME JOB.toml section.key=value …" … | python tools/paper/runs.py RESULTS [--jobs 2]
 
 Reads one run per line; those whose folder RESULTS/NAME holds a complete run of the same job are not repeated.  Each
-run has OMP_NUM_THREADS threads, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its message.
+run has OMP_NUM_THREADS threads, and its log is RESULTS/NAME.log.  The first run that fails ends all, with its message;
+so does Ctrl-C, at once.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import logging
 import multiprocessing
+import signal
 import sys
 import time
 from pathlib import Path
@@ -73,6 +75,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     print(f"{len(todo)} of {len(lines)} runs to do, {options.jobs} at a time, into {options.results}", flush=True)
     began = time.perf_counter()
+    for stop in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(stop, _end)
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         tasks = [(line, options.results) for line in todo]
         try:
@@ -82,6 +86,13 @@ def main(arguments: list[str] | None = None) -> int:
             print(f"runs.py: error: {error}", file=sys.stderr)
             return 1
     return 0
+
+
+def _end(number: int, _) -> None:
+    """End with all runs, which would go on, as each catches this signal itself."""
+    for run in multiprocessing.active_children():
+        run.kill()
+    sys.exit(128 + number)
 
 
 def _parts(line: str) -> tuple[str, list[str]]:
