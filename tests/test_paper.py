@@ -48,6 +48,7 @@ CALLS = {
     "contact_patches": ("hard", ["--smallest", "4"]),
     "persson_spectrum": ("hard", []),
     "field_theory": ("soft", []),
+    "dependence": ("hard", ["--of", "q_star", "m2", "bearing_tail", "--on", "contact_area", "--level", "1.3"]),
 }
 
 
@@ -252,6 +253,21 @@ def test_ratio_to_f(folder):
             ratio = rows["stress"] / rows["full_contact"] / rows["f_persson"]
             ratios.append(np.exp(np.mean(np.log(ratio[part]))))
         same(found(folder, "persson_spectrum")[f"ratio/f_Persson, {setting}"], ratios)
+
+
+def test_where_full_contact_ends(folder):
+    """q* of each surface and load, by linear interpolation in ln q; m₂ as another figure has it."""
+    kept = split(table(folder, "dependence_data"), "of", "setting", "seed")
+    for (setting, seed), run in split(table(folder, "persson_spectrum_data"), "setting", "seed").items():
+        x, ratio = run["q_over_q_l"], run["stress"] / run["full_contact"]
+        first = int(np.argmax(ratio < 0.9))
+        around = slice(max(first - 1, 0), first + 1)
+        place = np.exp(np.interp(-0.9, -ratio[around], np.log(x[around])))
+        if np.any(ratio < 0.9):
+            assert kept["q_star", setting, seed]["value"][0] == pytest.approx(place, rel=1e-6)
+    for (setting,), loads in split(table(folder, "pressure_distribution_loads"), "setting").items():
+        same(found(folder, "dependence")[f"m2, {setting}"], loads["m2"])
+    assert {key[0] for key in kept} == {"q_star", "m2", "bearing_tail"}
 
 
 def test_largest_spectral_ratio(folder):

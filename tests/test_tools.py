@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 import re
+import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 from xml.etree import ElementTree
@@ -295,11 +297,41 @@ def test_only_what_is_to_be_done_is_run(runs, tmp_path):
     assert not many_runs.is_done(tmp_path / "nothing", str(job), [])
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["interrupt", "termination"])
+def test_a_signal_ends_all_runs(tmp_path, number):
+    """The processes of the runs end with the one that started them, which says nothing."""
+    line = f"long {ROOT / 'jobs' / 'paper' / 'large.toml'} grid.n=2048\n"
+    command = [sys.executable, str(PAPER / "runs.py"), str(tmp_path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdin.write(line)
+        process.stdin.close()
+        started = tmp_path / "long.log"
+        while not (started.exists() and "load 1/" in started.read_text()) and process.poll() is None:
+            time.sleep(0.1)
+        family = [path.name for path in Path("/proc").glob("[0-9]*") if _state(path.name)[1:2] == [str(process.pid)]]
+        process.send_signal(number)
+        assert process.wait(60) == 128 + number
+        assert process.stderr.read() == ""
+    end = time.monotonic() + 60
+    while any(_state(pid)[:1] not in ([], ["Z"]) for pid in family) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert family and all(_state(pid)[:1] in ([], ["Z"]) for pid in family)
+
+
+def _state(pid: str) -> list[str]:
+    """State, parent, … of a process; nothing if it is not there."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
+
+
 # Which kinds of run there are, and which figures each can give: all others refuse in one line.
 GENERAL = {"overview", "area_load", "pressure_distribution", "autocorrelations", "stress_contact_spectra"}
 GENERAL |= {"bearing_area", "exponents", "persson_spectrum", "contact_patches", "energy_by_scale", "correlation_decay"}
 GENERAL |= {"contact_stiffness", "dependence"}
-SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load", "contact_stiffness", "dependence"}
+SOFT_ONES = {"overview", "persson_spectrum", "field_theory", "energy_by_scale", "area_load", "dependence"}
+SOFT_ONES |= {"contact_stiffness"}
 KINDS = {
     ("kept",): GENERAL,
     ("seed1", "seed2"): GENERAL,
@@ -314,8 +346,8 @@ KINDS = {
     ("one load",): GENERAL - {"contact_stiffness"},
     ("none to full",): GENERAL,
     ("areas",): GENERAL,
-    ("following",): {"area_load", "overview", "contact_stiffness", "autocorrelations", "correlation_decay", "dependence",
-                     *FOLLOWING},
+    ("following",): {"area_load", "overview", "contact_stiffness", "autocorrelations", "correlation_decay",
+                     "dependence", *FOLLOWING},
     ("grid16", "grid32", "grid48"): GENERAL - {"contact_stiffness"} | {"resolution"},
     ("kept", "file", "soft1", "nothing", "areas", "none to full"): GENERAL | {"field_theory"},
 }
@@ -668,6 +700,48 @@ def test_stiffness_between_loads_lies_between_that_of_both(tmp_path):
     errors = [row[4] for row in figures.draw("area_load", [tmp_path / "run"])._table if row[:2] == (1, "simulation")]
     bars = [load.numbers["contact_area_corrected_error"] for load in Results(tmp_path / "run")]
     np.testing.assert_allclose(errors, bars, rtol=1e-12)
+
+
+def test_power_laws_and_levels_of_one_number_against_another(runs):
+    """p̄/(2 p̄)² is a power law of exponent −1, without error; it reaches the geometric mean of its ends at that of p̄."""
+    import dependence
+
+    found = reading.loads([runs["seed1"], runs["seed2"]])
+    law = dependence.Quantity("", lambda load: 0.25 / load.mean_pressure)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(dependence.QUANTITIES, "inverse", law)
+        loads = sorted({load.mean_pressure for load in found})
+        level = 0.25 / np.sqrt(loads[0] * loads[-1])
+        options = {"of": ["inverse"], "on": "mean_pressure", "fit": (0.0, 1.0), "level": level}
+        sheet = figures.draw("dependence", [runs["seed1"], runs["seed2"]], **options)
+    places = sheet.findings[f"mean_pressure where inverse reaches {level:g}"]
+    assert places.count == 2 and loads[0] < places.value < loads[-1]
+    assert "exponent of inverse against mean_pressure" not in sheet.findings  # of two loads
+    x = np.geomspace(1.0, 8.0, 7)
+    assert dependence.reached(x, 1 / x, 0.25) == pytest.approx(4.0, rel=1e-12)
+    assert dependence.reached(x, x**2, 4.0) == pytest.approx(2.0, rel=1e-12)
+    dependence._fit(sheet, "law", [[(a, -3 * c * a**-1.5) for a in x] for c in (0.9, 1.0, 1.1)], (1.5, 5.0), 0)
+    assert sheet.findings["law"].value == pytest.approx(-1.5, rel=1e-12)
+    assert sheet.findings["law"].seeds == pytest.approx(0, abs=1e-12)
+    with pytest.raises(InputError, match="'nothing' is no column"):
+        figures.draw("dependence", [runs["seed1"]], of=["nothing"])
+
+
+def test_a_report_takes_figures_of_which_it_has_no_runs(tmp_path):
+    """From the committed folder, with the rows of their runs; a figure that is there stays."""
+    plan = [report.Figure("A", "", "area_load", ("a-*",)), report.Figure("B", "", "area_load", ("b-*",))]
+    source, output = tmp_path / "committed", tmp_path / "report"
+    for folder in (source, output):
+        folder.mkdir()
+    for name in ("A_area_load.json", "A_area_load_means.csv", "AA_area_load.json", "B_area_load.json"):
+        (source / name).write_text("old")
+    (source / "runs.csv").write_text("run,grid\na-1,8\nb-1,8\n")
+    (output / "B_area_load.json").write_text("new")
+    assert report._take(plan, source, output) == {"a-1": {"run": "a-1", "grid": "8"}}
+    assert sorted(path.name for path in output.iterdir()) == [
+        "A_area_load.json", "A_area_load_means.csv", "B_area_load.json"
+    ]  # fmt: skip
+    assert (output / "B_area_load.json").read_text() == "new"
 
 
 def test_a_curve_without_points_has_no_entry_in_the_legend():

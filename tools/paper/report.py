@@ -2,10 +2,10 @@
 
     python tools/paper/report.py results/paper [--output results/paper/report]
 
-Makes anew each figure of which the folder holds runs; others stay as they are in the output folder.  `report.py FOLDER
---page` writes the page alone, from the figures and tables of a report's folder.  Claims and rules are in
-tools/paper/claims.toml; a note names what has not been run yet.  A browser (Chromium or Chrome), where there is one,
-prints the page to report.pdf.
+Makes anew each figure of which the folder holds runs.  Others stay as they are in the output folder; where it lacks
+them, they are taken from jobs/paper/results.  `report.py FOLDER --page` writes the page alone, from the figures and
+tables of a report's folder.  Claims and rules are in tools/paper/claims.toml; a note names what has not been run yet.
+A browser (Chromium or Chrome), where there is one, prints the page to report.pdf.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 
 CLAIMS = Path(__file__).with_name("claims.toml")
+COMMITTED = Path(__file__).resolve().parents[2] / "jobs" / "paper" / "results"
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 RUNS = ("run", "grid", "H", "lambda_s", "seed", "wall", "contact_areas", "pressures", "certified", "transforms",
@@ -143,7 +144,8 @@ def write_report(folder: Path, output: Path, source: Path = CLAIMS, *, small: bo
             missing = pool.starmap(draw, tasks, chunksize=1)
     else:
         missing = [draw(*task) for task in tasks]
-    _write_runs(output / "runs.csv", folder)
+    taken = _take(plan, COMMITTED, output)
+    _write_runs(output / "runs.csv", folder, taken)
     return write_page(output, source, small=small, missing=missing)
 
 
@@ -193,12 +195,29 @@ def _print(page: Path):
         subprocess.run(words, capture_output=True, timeout=300, check=False)
 
 
-def _write_runs(path: Path, folder: Path):
-    """One row for each complete run; of runs that are not in the folder, the rows that the file has already."""
-    rows = {}
-    if path.exists():
-        with open(path, encoding="utf-8") as file:
-            rows = {row["run"]: row for row in csv.DictReader(file)}
+def _take(plan: Iterable[Figure], source: Path, output: Path) -> dict[str, dict]:
+    """Copy each figure that the folder `output` lacks from the folder `source`; the rows of its runs."""
+    rows, known = {}, _rows(source / "runs.csv")
+    for figure in plan:
+        if source != output and not (output / f"{figure.picture}.json").exists():
+            for path in source.glob(f"{figure.picture}[._]*"):
+                shutil.copy(path, output / path.name)
+            rows |= {run: row for run, row in known.items()
+                     if any(fnmatch.fnmatchcase(run, pattern) for pattern in figure.runs)}  # fmt: skip
+    return rows
+
+
+def _rows(path: Path) -> dict[str, dict]:
+    """The rows of a table of runs, by their names; none if there is no table."""
+    if not path.exists():
+        return {}
+    with open(path, encoding="utf-8") as file:
+        return {row["run"]: row for row in csv.DictReader(file)}
+
+
+def _write_runs(path: Path, folder: Path, rows: dict[str, dict]):
+    """One row for each complete run; of runs that are not in the folder, `rows` and those that the file has already."""
+    rows |= _rows(path)
     rows |= {run.name: _row(run) for run in folder.iterdir() if _complete(run)}
     with open(path, "w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, RUNS, lineterminator="\n")
@@ -279,7 +298,8 @@ contact are correlated in space. {found}</p>
 them. Of its {counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one
 conjecture. Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at
 the accuracy that it gives or with which its figures can be read. A column of its own says what better numbers show.</p>
-<p class="small">{units} Largest certified relative energy error of any run: {worst:.1e}.</p>"""
+<p class="small">{units} Figures of limits are made by <code>jobs/paper.sh --full</code>; other reports take them from
+its tables. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
 
 
 def _news(news: list[claims.Result], findings: dict[str, Findings]) -> str:
