@@ -45,12 +45,13 @@ LEAST = 16  # pixels of the smallest patch that is fitted
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of a load; the keys of a job that change it beside the load."""
+    """A number of a load: its axis, its word in a legend, and the keys of a job that change it beside the load."""
 
-    label: str
+    axis: str
     value: Callable[[Load], float]
     keys: tuple[str, ...] = ()
     of_setting: bool = False  # the same for all loads of a run
+    word: str = ""
 
 
 def m2(load: Load) -> float:
@@ -104,13 +105,14 @@ def _crossover(sample: contact_patches.Sample, resolved: float) -> float:
 
 QUANTITIES = {
     "m2": Quantity(r"$m_2 = \langle\sigma^2\rangle_c\,/\,\sigma_c^2$", m2),
-    "q_star": Quantity(r"$q^*/\,q_l$", q_star),
-    "q_star_persson": Quantity(r"$q^*/\,q_l$ of $f(q)$, Persson", q_star_persson),
+    "q_star": Quantity(r"$q^*/\,q_l$", q_star, word="simulation"),
+    "q_star_persson": Quantity(r"$q^*/\,q_l$", q_star_persson, word="Persson"),
     "patch_slope": Quantity(
         r"exponent of $l_c(a_c)$, $a_c \leq 0.1\,\lambda_s^2$",
         _patches(lambda sample, least: contact_patches.slope(sample, least, contact_patches.SMALL)),
+        word="exponent",
     ),
-    "patch_crossover": Quantity(r"crossover $a_c\,/\,\lambda_s^2$", _patches(_crossover)),
+    "patch_crossover": Quantity(r"crossover $a_c\,/\,\lambda_s^2$", _patches(_crossover), word="crossover"),
     "patch_tail": Quantity(
         r"$\tau$ of patches above $\lambda_s^2$",
         _patches(lambda sample, least: tail_exponent(sample[0], max(contact_patches.LARGE, least))[0]),
@@ -137,8 +139,7 @@ def quantity(name: str, loads: list[Load]) -> Quantity:
         ends = name.removeprefix("field_theory_").split("_")
         if len(ends) == 2 and all(end.isdigit() for end in ends):
             band = "–".join(ends)
-            label = rf"ratio to field theory $-\,1$, $q/q_l$ = {band}"
-            return Quantity(label, departure(*map(int, ends)))
+            return Quantity("ratio to field theory $-$ 1", departure(*map(int, ends)), word=f"$q/q_l$ = {band}")
     if name in QUANTITIES:
         return QUANTITIES[name]
     columns = sorted({column for load in loads for column in load.results.loads})
@@ -155,12 +156,13 @@ def draw(
     sheet, below, drawn = Sheet(), quantity(on, loads), 0
     x = cache(below.value)
     for what in of:
-        y = cache(quantity(what, loads).value)
+        above = quantity(what, loads)
+        y = cache(above.value)
         known = [load for load in loads if math.isfinite(y(load))]
         if len(known) < len(loads):
             sheet.notes.append(f"{len(loads) - len(known)} of {len(loads)} loads have no {what}")
         for name, groups in _curves(known, below).items():
-            title = ", ".join(filter(None, ([what, name] if len(of) > 1 else [name])))
+            title = ", ".join(filter(None, ([above.word or above.axis, name] if len(of) > 1 else [name])))
             points = sorted(((float(np.mean([x(load) for load in group])), group) for group in groups), key=_place)
             for place, group in points:
                 sheet.findings.add(f"{what}, {group.name}", [y(load) for load in group])
@@ -185,7 +187,8 @@ def draw(
     if level is not None:
         sheet.panels[0].axhline(level, color=BLACK, ls="--", lw=0.7)
     positive = all(row[column] > 0 for row in sheet._table for column in (2, 3))
-    sheet.label(0, below.label, quantity(of[0], loads).label if len(of) == 1 else "", scale=SCALES[positive])
+    axes = list(dict.fromkeys(quantity(what, loads).axis for what in of))
+    sheet.label(0, below.axis, axes[0] if len(axes) == 1 else "", scale=SCALES[positive])
     return sheet
 
 
@@ -228,17 +231,17 @@ def reached(x: np.ndarray, y: np.ndarray, level: float) -> float:
 def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits: tuple[float, float], number: int):
     """The exponent of |mean over the seeds| between limits; its error by leaving one seed out at a time."""
 
-    def exponent(chosen: list) -> tuple[float, float, np.ndarray]:
+    def exponent(chosen: list) -> tuple[float, float, np.ndarray, float]:
         x, y = np.mean(np.array(chosen), axis=0).T
         part = (x >= limits[0]) & (x <= limits[1]) & (y != 0)
         if np.count_nonzero(part) < 3:
-            return math.nan, math.nan, x[part]
+            return math.nan, math.nan, x[part], 1.0
         slope, (offset,) = fit_power_law(x[part], np.abs(y[part]))
-        return slope, offset, x[part]
+        return slope, offset, x[part], float(np.sign(y[part].sum()))
 
     longest = max(map(len, seeds))
     whole = [each for each in seeds if len(each) == longest]
-    slope, offset, x = exponent(whole)
+    slope, offset, x, sign = exponent(whole)
     sheet.findings.add(name, slope)
     if name not in sheet.findings:
         return
@@ -246,8 +249,9 @@ def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits
         rest = np.array([exponent(whole[:i] + whole[i + 1 :])[0] for i in range(len(whole))])
         error = float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2)))
         sheet.findings[name] = Finding(slope, error, None, len(whole))
-    ends = x[[0, -1]]
-    sheet.curve(0, ends, np.exp(offset) * ends**slope, name, label=False, color=style(number)["color"], ls="--", lw=0.9)
+    along = np.geomspace(x[0], x[-1], 40)
+    sheet.curve(0, along, sign * np.exp(offset) * along**slope, name, label=False, color=style(number)["color"],
+                ls="--", lw=0.9)  # fmt: skip
 
 
 if __name__ == "__main__":
