@@ -26,8 +26,10 @@ from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.layered import Layered
 from pgfmd.solvers.active_set import cropping
 from pgfmd.solvers.active_set.active_set import Relaxation, State
+from pgfmd.solvers.active_set.contact_from_coarse import ActiveSetIteration
+from pgfmd.solvers.controls import MeanGap
 from pgfmd.solvers.dispatch import solve_contact
-from pgfmd.solvers.options import Solver
+from pgfmd.solvers.options import Load, Solver
 from pgfmd.surfaces.self_affine import self_affine
 
 MODULUS = 1.7
@@ -331,6 +333,37 @@ def test_a_displacement_is_met_in_one_solution():
         known = pgfmd.solve(heights, pressure, **options)
         found = pgfmd.solve(heights, displacement=known.displacement, **options)
         assert abs(found.mean_pressure / pressure - 1) < 1e-4 and found.transforms < 1.7 * known.transforms
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_bound_of_a_mean_gap(seed):
+    """The mean displacement under a uniform pressure is that of the response; loose solutions have the mean gap of the
+    best one to what their certificates say.
+    """
+    shape, rng = [(64, 64), (40, 23), (17, 50), (96, 64)][seed], np.random.default_rng(seed)
+    grid, law = grid_of(shape), HardWall()
+    heights = self_affine(SlabGrid(MPI.COMM_SELF, shape), 0.6, 4.0, 0.1, seed + 1)
+    problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=MODULUS), law)
+    control = MeanGap(problem, Load(mean_gap=(0.1,)))
+    assert abs(control._uniform / response(grid, np.ones(shape)).mean() - 1) < 1e-12
+    worst = 0.0
+    for pressure in 10.0 ** rng.uniform(-3, -1, 6) * MODULUS:
+        best = pgfmd.solve(heights, pressure, boundary="open", contact_modulus=MODULUS, tolerance=1e-14)
+        for tolerance in 10.0 ** rng.uniform(-6, -1, 4):
+            loose = ActiveSetIteration.contact(problem.at(pressure), tolerance)
+            allowed = control.uncertainty(loose, best.mean_gap) * control.allowed(loose, best.mean_gap)
+            worst = max(worst, abs(loose.mean_gap - best.mean_gap) / allowed)
+    assert 0.1 < worst <= 1
+
+
+def test_a_mean_gap_costs_a_few_solutions():
+    """At most five times the work of the load that it gives."""
+    heights = self_affine(SlabGrid(MPI.COMM_SELF, (256, 256)), 0.8, 8.0, 0.1, 3)
+    for pressure in (0.002, 0.02):
+        options = {"boundary": "open", "contact_modulus": 1.0}
+        known = pgfmd.solve(heights, pressure, **options)
+        found = pgfmd.solve(heights, mean_gap=known.mean_gap, **options)
+        assert abs(found.mean_pressure / pressure - 1) < 3e-4 and found.transforms < 5 * known.transforms
 
 
 @pytest.mark.parametrize("wall", [{"kind": "hardness", "hardness": 0.06}, {"kind": "exponential", "zeta": 0.02}])

@@ -39,7 +39,7 @@ LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
 # several solutions (2.2 … 2.8).  Closure to 1e-3 took 6 … 9 at 256² and 512², to 1e-4 9 … 14.
 SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.8, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
-SOLUTIONS_WORK = 2.4
+SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 OPEN_AREA = 0.45  # with open boundaries where it is not known: between areas that need little memory and most
 TABLE_BYTES = 8.0  # per quarter of the torus' modes: their compliance
@@ -80,7 +80,10 @@ def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None 
     field_count = sum(1 if name == "height" else loads for name in job.output.fields)
     by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
     secants = job.imposed.control not in ("pressure", "percolation") and not by_level  # one mean pressure after another
-    contacts = loads * (SOLUTIONS_WORK if secants else SEARCH_WORK[job.imposed.control])
+    work_of_search = SOLUTIONS_WORK if secants else SEARCH_WORK[job.imposed.control]
+    if job.imposed.control == "mean_gap" and not job.cell.domain.wraps:
+        work_of_search = OPEN_GAP_WORK
+    contacts = loads * work_of_search
     solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
     if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
         solving *= THIN_WORK

@@ -19,6 +19,7 @@ EQUAL = 4 * np.finfo(float).eps  # over the largest height: points this close to
 TINY = 1e-300  # least argument of a logarithm, and tolerance of a gap
 LEAST_ERROR = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 CLOSING_AREA = 0.37  # in Persson's theory, of the load at which the gap of rough surfaces closes (.33 … .40)
+ROUNDED = 1e-6  # least part of the elastic energy that is not that of a uniform pressure, in bounds
 RESOLVED = 1e-9  # tolerance over the rms height down to which approaches are counted from the mean height
 
 
@@ -335,14 +336,35 @@ class MeanGap(Control):
         return abs(self.reached(found) - self.approach(target)) / self.allowed(found, target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """`bound` over the tolerance; of the mean gap with open boundaries also that of the mean displacement ⟨Gδ⟩ for
-        an error δ of the pressure: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² ≤ 2B max Â per point.  Collective.
+        """`bound` over the tolerance; with open boundaries also what gaps in contact were, and where a wall limits the
+        pressure the mean displacement ⟨Gδ⟩ for an error δ of it: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² = 2B W/N.  Collective.
         """
         bound = self.bound(found)
-        if not (self.grid.domain.wraps or isinstance(self, Displacement)):
+        if self._moved and self.problem.law.kind == "hard":
+            bound += abs(found.cut)
+        elif self._moved and self.problem.law.highest < math.inf:
             above = 2 * found.elastic_energy * max(found.certified_error, LEAST_ERROR)
-            bound += math.sqrt(2 * above * self.grid.reduction.max(self.problem.solid.modes(self.grid)))
+            bound += math.sqrt(2 * above * self._uniform)
         return bound / self.allowed(found, target)
+
+    @property
+    def _moved(self) -> bool:
+        """Whether the mean gap changes by a mean displacement too."""
+        return not (self.grid.domain.wraps or isinstance(self, Displacement))
+
+    @cached_property
+    def _uniform(self) -> float:
+        """Mean displacement W of an open patch under a uniform pressure 1: ⟨1, G1⟩/N.  Collective."""
+        grid = self.grid
+        places = np.arange(grid.torus[0] // 2 + 1), np.arange(grid.columns.start, grid.columns.stop)
+        along, across = (
+            (np.divide(np.sin(n * x), np.sin(x), out=np.full(x.shape, float(n)), where=k > 0)) ** 2
+            for k, n, x in ((k, n, np.pi * k / m) for k, n, m in zip(places, grid.shape, grid.torus, strict=True))
+        )
+        weights = grid.hermitian_weight[:, 0] * across
+        return float(grid.reduction.sum(weights @ (self.problem.solid.modes(grid) @ (grid.even_weight * along)))) / (
+            grid.modes * grid.size
+        )
 
     def bound(self, found: ContactSolution) -> float:
         """A bound of the errors of the mean gap and of the approach.  Collective.
@@ -356,6 +378,9 @@ class MeanGap(Control):
         so that |λ* − λ| ≤ (s A + s² ζP/2 + B/s)/P, which is at most (2√(AB) + B)/P at s = √(B/A), or at 1 if that is
         less.  Where the range depends on the pressure, ζP is Σ p × range, as s is small.
 
+        With open boundaries the mean gap is ⟨Gp⟩ − λ.  It is −K'(0)/P for the convex K(t) + ½t²P²W/N, K(t) the least
+        J(p) − tP⟨1, Gp⟩/N with Σ p = P + tP, so that the same holds with A = ½⟨p − p̄, G(p − p̄)⟩ + ζP/2.
+
         Under a law that limits the pressure to σ_Y, p may not be multiplied: w = min(p, σ_Y − p) is added or taken away
         instead.  Then A = ½⟨w, Gw⟩, P is Σ w, and the terms ±s Σ w(g − λ), which vanish for w = p, are at most 2s√(AB):
         the bound is (4√(AB) + B)/Σ w.  The plastic depth d is that of λ p̄ − σ_Y⟨d⟩, the slope of J* as the load and
@@ -365,6 +390,10 @@ class MeanGap(Control):
         energy, change, law, grid = found.elastic_energy, found.mean_pressure, self.problem.law, self.grid
         above, highest = 2 * energy * max(found.certified_error, LEAST_ERROR), law.highest
         curvature = energy + grid.reduction.sum(law.softness(found.pressure)) / grid.size / 2
+        if self._moved and highest == math.inf:
+            mean = found.mean_pressure
+            rest = energy + mean * (mean * self._uniform / 2 - (found.approach - self.reached(found)))
+            curvature += max(rest, ROUNDED * energy) - energy  # of flat heights 0, but for rounding
         scaled, roots = 2 * math.sqrt(above * curvature) + above, 2
         if highest < math.inf:
             curvature, change = self._energy(np.minimum(found.pressure, highest - found.pressure))

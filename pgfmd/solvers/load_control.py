@@ -15,8 +15,9 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from pgfmd.errors import SolverError, Unreachable
+from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transfer import SubGrid, restrict_locally
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.adhesive_branch import Branch
@@ -34,9 +35,11 @@ Percolates = Callable[[SlabGrid, np.ndarray], bool]
 NEIGHBOURS = math.log(1.05)  # loads this close start from each other; over larger steps coarse grids are cheaper
 LOOSE = 1e-5  # certified error of intermediate solutions
 SURE = 0.3  # part of the target's tolerance that may be due to the solution's certified error
+FARTHER = 4.0  # error over what of it may be due to the solution's certified error, on the way
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
 JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs between its ends counts as jumping
 SHARP = 1e-12  # certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump
+ABOUT, LEAST_SIDE = 1e-2, 64  # tolerance of a gap on the coarser grid that gives a first guess, and its least side
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
 FIRST_STEP = 0.1  # of ln p̄ in the search of closure; doubled until both sides of it are known
@@ -65,6 +68,7 @@ class LoadControl:
         self._previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution
         self._resumed: np.ndarray | None = None
         self._totals = np.zeros(3)
+        self._slope = 1.0  # of a search, to begin with or at its end
 
     def check_targets(self, targets: Iterable[float]) -> None:
         """Raises InputError for the first target that is wrong input on this surface.  Collective."""
@@ -145,12 +149,14 @@ class LoadControl:
         sharpest = min(self.tolerance, SHARP) if control.jumps else self.tolerance
         highest = self.problem.law.highest
         search = _Search(self._first_guess(target), math.log(highest))
+        search.slope = self._slope
         best: tuple[float, ContactSolution | None] = math.inf, None
         for _ in range(MOST_SOLVES):
             found = self._solved(min(math.exp(search.at), math.nextafter(highest, 0.0)), tolerance, target)
             error, unsure = control.error(found, target), control.uncertainty(found, target)
             if error + unsure <= 1 and tolerance <= self.tolerance:
                 self._note_pixel(found, target)
+                self._slope = search.slope
                 return found
             if control.jumps and tolerance <= sharpest and error <= best[0]:  # of equal ones the last, next to the jump
                 best = error, found
@@ -158,8 +164,10 @@ class LoadControl:
             if narrow and tolerance <= sharpest:
                 break
             known = max(found.certified_error, LEAST_ERROR)
-            wanted = sharpest if narrow else self.tolerance
-            finer = min(wanted, known * (SURE / unsure) ** 2 if unsure > SURE else math.inf)
+            wanted, sure = sharpest if narrow else self.tolerance, SURE
+            if not (narrow or control.jumps) and error / FARTHER > SURE:  # far from the target, that is wasted
+                wanted, sure = tolerance, error / FARTHER
+            finer = min(wanted, known * (sure / unsure) ** 2 if unsure > sure else math.inf)
             if finer < tolerance and (error <= max(1.0, unsure) or narrow):
                 if finer == 0:  # no certificate knows the value
                     break
@@ -212,7 +220,33 @@ class LoadControl:
             total = self.grid.reduction.sum(self._resumed)
             if 0 < total < math.inf:
                 return math.log(total / self.grid.size)
-        return self.control.guess(target)
+        return self._guess_from_coarse(target) or self.control.guess(target)
+
+    def _guess_from_coarse(self, target: float) -> float | None:
+        """ln p̄ of the contact of a patch with a hard wall on half as many points each way, about; None if there is
+        none.  Sets also the slope with which the search begins.  Collective.
+        """
+        control, problem = self.control, self.problem
+        if self.grid.domain.wraps or problem.law.kind != "hard" or min(self.grid.shape) < 2 * LEAST_SIDE:
+            return None
+        place, options = SubGrid.coarse(self.grid), dataclasses.replace(control.options, gap_tolerance=ABOUT)
+        heights = restrict_locally(self.grid, place, problem.heights)
+
+        def find(grid: SlabGrid) -> tuple[float, float, float]:
+            search = LoadControl(options, problem.on(grid, heights), LOOSE)
+            pressure = search.solution(target).mean_pressure
+            return pressure, search._slope, float(search._totals[1])
+
+        try:
+            pressure, self._slope, transforms = place.on_all(find)
+        except (SolverError, InputError) as failure:
+            if not shared(self.grid.comm, failure):
+                raise
+            return None
+        finally:
+            place.free()
+        self._totals[1] += transforms * place.size / self.grid.size
+        return math.log(pressure) if pressure > 0 else None
 
     def _separated(self, target: float) -> ContactSolution:
         """The solid, undeformed, at a target before first contact."""

@@ -129,7 +129,9 @@ class Dimensionless:
                 f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
                 "energy is lost in the last digits of the pressure; allow a larger tolerance"
             )
+        raw = 0.0 if grid.domain.wraps else grid.reduction.sum(gap) / grid.size - level
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
+        cut = 0.0 if grid.domain.wraps else grid.reduction.sum(gap) / grid.size - raw * units.height
         lowered, work = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
         lost = work / (2 * energy * units.pressure * units.height) if work else 0.0
         depth, sunk = np.zeros(gap.shape), 0.0  # pages that are not written take no memory
@@ -157,6 +159,7 @@ class Dimensionless:
             pressure_error=state.pressure_error,
             plastic_depth=depth,
             mean_plastic_depth=sunk,
+            cut=cut,
         )
 
     def _lower(self, pressure: np.ndarray, gap: np.ndarray) -> tuple[float, float]:

@@ -58,7 +58,8 @@ class ContactSolution:
     seconds of wall time; threshold, the pressure above which a point counts as in contact (0 but under laws that touch
     everywhere; −inf: points of gap 0 do); approach of the solid from where the undeformed one touches the highest
     point; pressure_error, an estimate of ‖p − p*‖₂/‖p*‖₂ (NaN where the solver gives none);
-    details, further numbers of the solver.
+    details, further numbers of the solver; cut, mean_gap less what it was before gaps in contact were set to 0, on an
+    open patch.
     """
 
     pressure: np.ndarray
@@ -77,6 +78,7 @@ class ContactSolution:
     plastic_depth: np.ndarray = None  # type: ignore[assignment]  # zeros, if not given
     mean_plastic_depth: float = 0.0
     details: Mapping[str, float] = field(default_factory=dict)
+    cut: float = 0.0
 
     def __post_init__(self) -> None:
         if self.plastic_depth is None:

@@ -187,5 +187,5 @@ def _on_rectangle(
     return dataclasses.replace(
         found, pressure=pressure, gap=gap, mean_pressure=mean, mean_gap=grid.reduction.sum(gap) / grid.size,
         elastic_energy=found.elastic_energy * share, transforms=found.transforms * share + wide.transforms,
-        plastic_depth=np.zeros(gap.shape),
+        plastic_depth=np.zeros(gap.shape), cut=found.cut * share,
     ), proved and grid.reduction.min(gap) >= 0  # fmt: skip
