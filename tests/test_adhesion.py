@@ -215,14 +215,14 @@ def test_pull_off_of_a_sphere(transition, expected):
 
 
 def sure(contact, state, hold):
-    """The estimate, with smaller guesses of ν until the distance t is large enough."""
-    guess = 1.0
-    for _ in range(6):
-        floor, bound, far = estimated(contact, state, hold, guess)
-        if bound < math.inf:
-            break
-        guess = min(floor or guess / 4, guess)
-    return floor, bound, far
+    """ν, the bound and the distance t, of which larger ones are tried until one is large enough."""
+    far = 1e-3
+    for _ in range(8):
+        floor, bound, least = estimated(contact, state, hold, far)
+        if far >= least:
+            return floor, bound, far
+        far = max(1.2 * least, 2 * far) if floor else far / 3
+    return 0.0, math.inf, far
 
 
 def test_the_bound_holds_on_dense_problems():
@@ -277,7 +277,7 @@ def test_what_is_proved_holds_for_matrices(control):
         contact = AdhesiveContact(branch(heights, law, Load(mean_gap=(1.0,))).problem)
         hold = Hold("mean_gap", 0.5 + seed / 24) if control == "mean_gap" else Hold("pressure", load=0.3, spring=0.0)
         state = contact.minimise(contact.undeformed(hold.gap or 1.0), hold, 1e-5)
-        found = proved(contact, state, hold, sure(contact, state, hold)[0])
+        found = proved(contact, state, hold, *sure(contact, state, hold)[:2])
         if found is None:
             continue
         floor, bound, far = found

@@ -22,7 +22,7 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.adhesive import AdhesiveContact
-from pgfmd.solvers.adhesive_certificate import distance, estimated, proved
+from pgfmd.solvers.adhesive_certificate import LITTLE, MARGIN, distance, estimated, proved
 from pgfmd.solvers.adhesive_model import AdhesiveState, Hold
 from pgfmd.solvers.options import Load
 from pgfmd.solvers.solution import Certificate, ContactSolution, Monitor
@@ -249,23 +249,29 @@ class Branch:
         """ν, the bound of the energy error per point, the distance t, and whether they are proved.  Lowers the state
         to where its distance from the minimum hardly changes ν.  Collective.
         """
-        contact, wanted = self.contact, self.tolerance * state.scale / 2
-        guess, most, proof = min(max(state.curvature, 1e-3), 0.8, LESS * self.floor or 1.0), state.error, None
+        contact, wanted, worse = self.contact, self.tolerance * state.scale / 2, 1.0
+        guess, goal = min(max(state.curvature, 1e-3), 0.8, LESS * self.floor or 1.0), state.error
         for _ in range(TRIES):
-            near = FAR * guess / (distance(contact, hold, guess, state.error * state.scale / 2) or 1e-300)
-            goal = min(state.error * min(near * near, 1.0), most)
+            expected = worse * state.error * state.scale / 2
+            near = FAR * guess / (distance(contact, hold, guess, expected) or 1e-300)
+            goal = min(state.error * min(near * near, 1.0), goal)
             if goal < state.error:
                 contact.lowered(state, hold, goal, self._see)
-            if self.proven and (proof := proved(contact, state, hold, self.floor)):
+                expected = worse * state.error * state.scale / 2
+            if self.proven and (proof := proved(contact, state, hold, self.floor, expected)):
                 return *proof, True
-            floor, bound, far = estimated(contact, state, hold, guess)
-            if bound <= wanted:
-                break
-            guess = min(floor or guess / LESSER, guess)
-            most = state.error if math.isinf(bound) else state.error * wanted / bound / 2
-        self.floor, proof = floor, proved(contact, state, hold, floor)
-        self.proven = proof is not None
-        return *(proof or (floor, bound, far)), self.proven
+            far = max(MARGIN * distance(contact, hold, guess, expected), LITTLE * guess)
+            floor, bound, least = estimated(contact, state, hold, far)
+            if far >= least and bound <= wanted:
+                self.floor, proof = floor, proved(contact, state, hold, floor, bound)
+                self.proven = proof is not None
+                return *(proof or (floor, bound, far)), self.proven
+            guess, goal = min(floor or guess / LESSER, guess), state.error
+            if floor > 0:
+                worse = max(worse, 2 * bound / (state.error * state.scale))
+                goal *= min(1.0, wanted / bound / 2)
+        self.floor, self.proven = 0.0, False
+        return 0.0, math.inf, far, False
 
     def _solution(
         self, state: AdhesiveState, hold: Hold, details: dict[str, float], begun: tuple[float, float]

@@ -29,6 +29,7 @@ WORTH = 0.2  # least estimate of ν with which one is: K_M is too soft for small
 MOST_PROOF = 40  # conjugate gradients of a proof, for each of
 GOALS = 1e-3, 0.03  # what is left of the 1 that is asked, in the norm of P, of it at first and then of that
 LARGEST = 100.0  # of 1/G(0) that κ counts at most: more would give the same, by more iterations
+MARGIN = 1.2  # of a distance t over what an expected bound asks for
 LITTLE = 0.05  # distance t over ν that hardly changes ν
 LEFT = 0.6  # of ⟨r, Pr⟩/ν, the root of what is left as the energy error is computed
 ROUNDED = 1.001  # what single precision may leave
@@ -37,16 +38,14 @@ Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 
 
 def estimated(
-    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, guess: float = 1.0
+    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float
 ) -> tuple[float, float, float]:
-    """(ν, bound on E − E* of the local minimum per point, distance t of its gaps), ν by Lanczos iterations, 0 where no
-    larger one is found; t is that for the `guess` of ν.  The bound is inf where it asks for a larger t; `state.error`
-    is then that of the bound.  Collective.
+    """(ν, bound e on E − E* of the local minimum per point, least t for which it holds) where t = far.  Collective.
 
-    ν is `RITZ` of the least eigenvalue of PA, 1 without D̄: the least Ritz value less the norm of its residual, which is
-    right if the start holds that eigenvector.
+    ν is `RITZ` of the least eigenvalue of PA, 1 without D̄, by Lanczos iterations: the least Ritz value less the norm of
+    its residual, which is right if the start holds that eigenvector.  0 where it is not above that.
     """
-    grid, far = contact.grid, max(1.2 * distance(contact, hold, guess, state.error * state.scale / 2), LITTLE * guess)
+    grid = contact.grid
     added = stiffening(contact, state, hold, far)
     weight = softened(contact, added)
     contact.count, actions = grid.size, contact.actions(hold)._replace(firm=True)
@@ -62,14 +61,13 @@ def estimated(
     floor, error = (0.0, 0.0) if negative else least_ritz(steps)
     floor = max(RITZ * (floor - error), 0.0)
     bound = energy_error(contact, state, hold, added, floor) if floor else math.inf
-    if floor and far < distance(contact, hold, floor, bound):
-        state.error, bound = max(state.error, 2 * bound / state.scale), math.inf
-    return floor, bound, far
+    return floor, bound, distance(contact, hold, floor, bound)
 
 
 def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -> float:
     """The least t for ν = floor and that bound of the energy error per point."""
-    return 2 * math.sqrt(2 * local_compliance(contact, hold) * bound * contact.grid.size / floor)
+    square = 2 * local_compliance(contact, hold) * bound * contact.grid.size
+    return 2 * math.sqrt(square / floor) if floor > 0 else math.inf
 
 
 def energy_error(
@@ -118,9 +116,10 @@ def softened(contact: AdhesiveContact, added: Stiffening) -> np.ndarray:
 
 
 def proved(
-    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, floor: float
+    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, floor: float, expected: float
 ) -> tuple[float, float, float] | None:
-    """The same with a ν that is proved, at most the estimate `floor`; None if the proof fails.  Collective.
+    """(ν, e, t) with a ν that is proved, `PART` of the estimate `floor`; None if the proof fails.  expected: about e.
+    Collective.
 
     With K_M, whose symbol is ½E'√(4 sin²(q_x a/2) + 4 sin²(q_y b/2)) in units of the spacings, K ≥ K_M and K_M has no
     positive entry off its diagonal, as the root of a discrete Laplacian.  So M = (1 − ν)K_M + s, with (1 − ν)s where
@@ -138,7 +137,7 @@ def proved(
     modulus = solid.in_units(contact.length, contact.pressure).contact_modulus
     mean = 0.0 if hold.fixed else max(hold.spring, 1 / contact.softest)
     floor *= PART
-    far = max(1.2 * distance(contact, hold, floor, state.error * state.scale / 2), LITTLE * floor)
+    far = max(MARGIN * distance(contact, hold, floor, expected), LITTLE * floor)
     modulus *= (1 - floor) / 2
     contact.coupling = contact.coupling or least_coupling(grid)
     extra = 0.999 * modulus * contact.coupling * grid.size
