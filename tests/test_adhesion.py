@@ -497,6 +497,17 @@ def test_a_flat_surface_at_a_mean_gap(comm):
     assert found.mean_pressure == pytest.approx(-0.6 / 1.5 * math.exp(-2 / 1.5), rel=1e-12)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_flat_surface_without_residual_may_lack_a_bound():
+    """A flat surface on pixels of a thousand ranges: nothing is left of the forces, and no ν is found."""
+    law = Potential(pressure=MORSE, gaps=(-1.0, 12.0), unresolved=True)
+    grid = SlabGrid(ALONE, (4, 5), (4e3, 5e3))
+    problem = ContactProblem(grid, np.zeros((4, 5)), Homogeneous(contact_modulus=1.0), law)
+    found = Branch(Load(mean_gap=(0.9,)), problem, 1e-10).solution(0.9)
+    np.testing.assert_allclose(found.gap, 0.9, rtol=1e-12)
+    assert not math.isinf(found.certified_error)
+
+
 @pytest.mark.parametrize("work", [0.15, 1.2])
 def test_tamaas_finds_the_same_adhesive_contact(work):
     """Both start from the undeformed solid; pressures to 1e-4 (both solved to some 1e-5), energy to 1e-8."""

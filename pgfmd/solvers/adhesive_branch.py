@@ -267,7 +267,7 @@ class Branch:
                 self.proven = proof is not None
                 return *(proof or (floor, bound, far)), self.proven
             guess, goal = min(floor or guess / LESSER, guess), state.error
-            if floor > 0:
+            if floor > 0 and math.isfinite(bound) and state.error > 0:
                 worse = max(worse, 2 * bound / (state.error * state.scale))
                 goal *= min(1.0, wanted / bound / 2)
         self.floor, self.proven = 0.0, False
