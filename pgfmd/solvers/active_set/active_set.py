@@ -54,7 +54,7 @@ LATE = 8  # steps at the tolerance that may be spent on meeting what is imposed
 LEAST = 1e-24  # certified error below which the level's error is that of rounding, a few 1e-12, not √error
 STUCK = 3  # steps without halving the least error, before double precision is taken
 WORST = 0.4  # largest error of a start that counts
-MOVED = 1e-5  # the same where the start has another load
+MOVED = 1e-4  # the same where an area is sought; at 1e-5 searches cost 5 % more
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
 UNSEEN = 0.05  # rounding below this part of the tolerance is neglected
@@ -229,25 +229,14 @@ class Relaxation:
         """Whether the state is at the imposed load, or at what is imposed instead."""
         return state.aim is None or not self.exact or state.aim.target.missed(self.measured(state)) <= 1
 
-    def move_load(self, state: State, square: float) -> bool:
-        """Multiplies the pressures if an area that is sought asks for another load and is known well enough (`Aim`);
-        returns whether.  square: about twice the error of the energy.  Collective.
+    def wanted_pressure(self, state: State, square: float) -> float:
+        """The mean pressure that an area that is sought asks for, if that is another one and the area is known well
+        enough (`Aim`); else 0.  square: about twice the error of the energy.
         """
         if not self.exact or state.aim is None or not state.energy > 0:
-            return False
-        if not state.aim.moves(self.measured(state), max(square / (2 * state.energy) - self.enough, 0.0)):
-            return False
-        factor, rest = state.aim.pressure * self.grid.size / state.load, self.heights
-
-        def part(_: int, first: int, stop: int) -> None:
-            rows = slice(first, stop)
-            state.pressure[rows] *= factor
-            state.gap[rows] += (factor - 1) * (state.gap[rows] + (rest[rows] + state.base))
-
-        self.grid.threads.share(part, len(state.gap), self.grid.band)
-        self.set_load(state.aim.pressure)
-        self.measure(state)
-        return True
+            return 0.0
+        error = max(square / (2 * state.energy) - self.enough, 0.0)
+        return state.aim.pressure if state.aim.moves(self.measured(state), error) else 0.0
 
     def set_load(self, mean_pressure: float) -> None:
         """The load from now on."""

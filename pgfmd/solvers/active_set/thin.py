@@ -157,8 +157,9 @@ class ThinSteps(Relaxation):
         mask = state.pressure > 0 if self.mask is None else self.mask
         if (imposed := self.imposed) is None:
             system = ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
-            if not self.move_load(state, system.square):
+            if not (pressure := self.wanted_pressure(state, system.square)):
                 return system
+            self._move_load(state, pressure)
             return ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
         if not (state.load > 0 and state.energy > 0):
             raise SolverError("contact is lost; allow a larger tolerance")
@@ -167,6 +168,19 @@ class ThinSteps(Relaxation):
         aim = state.aim = state.aim or Aim(imposed)
         aim.follow(at, -math.inf)
         return ThinSystem(self, mask, np.where(mask, aim.level - state.gap, 0.0), mean)
+
+    def _move_load(self, state: State, mean_pressure: float) -> None:
+        """Multiplies the pressures.  Collective."""
+        factor, rest = mean_pressure * self.grid.size / state.load, self.heights
+
+        def part(_: int, first: int, stop: int) -> None:
+            rows = slice(first, stop)
+            state.pressure[rows] *= factor
+            state.gap[rows] += (factor - 1) * (state.gap[rows] + (rest[rows] + state.base))
+
+        self.grid.threads.share(part, len(state.gap), self.grid.band)
+        self.set_load(mean_pressure)
+        self.measure(state)
 
     def improve(self, state: State, system: ThinSystem, wanted: float, enough: float) -> None:  # type: ignore[override]
         """Solves the system, takes the next set from the solution, and makes the pressure feasible.  Collective."""
