@@ -208,10 +208,12 @@ class Level:
         return self.new(self.from_root(whole, self.counts))
 
     def solved(self, target: np.ndarray) -> np.ndarray:
-        """A⁻¹ target by a few steps of flexible conjugate gradients, or exactly on the coarsest level.  Collective."""
+        """A⁻¹ target by a few steps of flexible conjugate gradients, or exactly on the coarsest level; the target is
+        overwritten.  Collective.
+        """
         if len(self.factor) or self.coarse is None:
             return self.cycle(target)
-        x, r, step = self.new(), target.copy(), None
+        x, r, step = self.new(), target, None
         goal = 0.0
         for k in range(INNER):
             square = self.sum(scaled_square(self.graph, r))
