@@ -49,19 +49,24 @@ def estimated(
     added = stiffening(contact, state, hold, far)
     weight = softened(contact, added)
     contact.count, actions = grid.size, contact.actions(hold)._replace(firm=True)
-    noise = grid.new_field(np.float32)
-    seed = np.random.default_rng(7)
-    seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
-    for row, free in zip(noise, contact.free, strict=True):
-        row[...] = (seed.random(row.shape) - 0.5) * free
-    if hold.fixed:
-        noise -= np.float32(grid.reduction.sum(noise) / grid.size)
-    _, negative, _, steps = conjugate_gradients(contact, noise, weight, actions, lambda _: 1e-6, LANCZOS)
-    del noise, weight  # their memory
+    _, negative, _, steps = conjugate_gradients(contact, noise(contact, hold), weight, actions, lambda _: 1e-6, LANCZOS)
+    del weight  # its memory
     floor, error = (0.0, 0.0) if negative else least_ritz(steps)
     floor = max(RITZ * (floor - error), 0.0)
     bound = energy_error(contact, state, hold, added, floor) if floor else math.inf
     return floor, bound, distance(contact, hold, floor, bound)
+
+
+def noise(contact: AdhesiveContact, hold: Hold) -> np.ndarray:
+    """Random numbers on the free points, the same on any number of ranks.  Collective."""
+    grid, seed = contact.grid, np.random.default_rng(7)
+    out = grid.new_field(np.float32)
+    seed.bit_generator.advance(grid.rows.start * grid.shape[1])  # type: ignore[attr-defined]
+    for row, free in zip(out, contact.free, strict=True):
+        row[...] = (seed.random(row.shape) - 0.5) * free
+    if hold.fixed:
+        out -= np.float32(grid.reduction.sum(out) / grid.size)
+    return out
 
 
 def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -> float:
