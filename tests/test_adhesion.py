@@ -415,7 +415,9 @@ WRONG = {
     "pixel": ({"wall": {"kind": "adhesive", "work": 9.0, "range": 1.0}}, r"process zone .* grid.n = \d+"),
     "observable": ({"output": {"observables": ["lowpass"]}}, "lowpass is not measured with wall.kind"),
     "closed": ({"load": {"mean_gap": -1.0}}, "all points touch"),
-    "load": ({"load": {"pressure": [0.1, 1e300]}}, r"load.pressure = 1e\+300: more than 1e\+60 of the wall's largest"),
+    "load": ({"load": {"pressure": [0.1, 1e300]}}, r"load.pressure = 1e\+300: over 1e\+60 of the wall's largest"),
+    "deep": ({"load": {"displacement": [1e40]}, "solid": {"contact_modulus": 1.0, "poisson": 0.3, "thickness": 9.0}},
+             r"load.displacement = 1e\+40: over 1e\+10 of what"),
     "formula": ({"wall": {"kind": "potential", "pressure": "1/gap", "gaps": [1.0, 2.0]}}, "attracts nowhere"),
 }
 

@@ -39,7 +39,7 @@ ROUGH = 1e-5  # certified error of the contact under a hard wall with which a se
 FAR = 0.2  # largest distance t from the minimum, in ranges and over ν: more makes ν smaller
 LESS = 0.7  # a guess of ν, over that of the last contact
 LESSER, TRIES = 4.0, 3  # where a guess of ν was too large: the next one, and how often
-MOST = 1e60  # load over the largest attraction
+MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
 log = logging.getLogger("pgfmd")
@@ -91,8 +91,10 @@ class Branch:
             hold = self.hold(target)
             if hold.fixed and not hold.gap > self.contact.law.least:
                 raise InputError(f"load.{self.name} = {target:g}: all points touch there, at any load")
-            if not abs(hold.force(0.0)) < MOST:
-                raise InputError(f"load.{self.name} = {target:g}: more than {MOST:g} of the wall's largest attraction")
+            if not abs(hold.force(0.0)) < MOST[0]:
+                raise InputError(f"load.{self.name} = {target:g}: over {MOST[0]:g} of the wall's largest attraction")
+            if hold.gap < -MOST[1] * self.contact.apart:
+                raise InputError(f"load.{self.name} = {target:g}: over {MOST[1]:g} of what heights and wall span")
 
     def displacement(self, found: ContactSolution) -> float:
         """Approach of the far side from where the undeformed solid touches the highest point."""
