@@ -406,7 +406,7 @@ class _Programme:
         return x, np.average(gap[room], weights=x[room])
 
     def bound(self, x: np.ndarray, level):
-        """½ ρ·Kρ / x·Ax, ρ = gap − level between the limits, what of it has the wrong sign at them (NUMERICS 2).  inf
+        """½ ε·Kε / x·Ax, ε = gap − level between the limits, what of it has the wrong sign at them (NUMERICS 2).  inf
         if x does not carry the load, or is beyond its limits."""
         if abs(x.sum() - self.count) > 1e-15 * self.count or x.min() < 0 or x.max() > self.most * (1 + Real(1e-15)):
             return Real(math.inf)

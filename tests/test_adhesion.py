@@ -215,7 +215,7 @@ def test_pull_off_of_a_sphere(transition, expected):
 
 
 def sure(contact, state, hold):
-    """ν, the bound and the distance t, of which larger ones are tried until one is large enough."""
+    """θ, the bound and the distance t, of which larger ones are tried until one is large enough."""
     far = 1e-3
     for _ in range(8):
         floor, bound, least = estimated(contact, state, hold, far)
@@ -226,7 +226,7 @@ def sure(contact, state, hold):
 
 
 def test_the_bound_holds_on_dense_problems():
-    """The distance of loosely solved states from their minimum is at most the bound, ν estimated by Lanczos."""
+    """The distance of loosely solved states from their minimum is at most the bound, θ estimated by Lanczos."""
     for seed in range(12):
         heights = np.random.default_rng(seed).normal(size=(8, 8))
         contact = AdhesiveContact(branch(heights, AdhesiveWall(work=0.6, range=1.2), Load(mean_gap=(1.0,))).problem)
@@ -238,8 +238,8 @@ def test_the_bound_holds_on_dense_problems():
 
 
 def test_the_estimate_counts_points_that_may_open():
-    """K + κ − D̄ ≥ νP⁻¹ as matrices, to 3 %: Ritz values of twenty steps in single precision, from one random start.
-    Held shut, the points that touch would leave a ν larger by a tenth and more."""
+    """K + s ≥ θP⁻¹ as matrices, to 3 %: Ritz values of twenty steps in single precision, from one random start.
+    Held shut, the points that touch would leave a θ larger by a tenth and more."""
     n, larger, law = 8, 0, AdhesiveWall(work=0.3, range=0.6)
     stiffness = dense_stiffness(n, 0.6**2 / 0.3)
     for seed in range(8):
@@ -266,7 +266,7 @@ def test_the_estimate_counts_points_that_may_open():
 
 @pytest.mark.parametrize("control", ["mean_gap", "pressure"])
 def test_what_is_proved_holds_for_matrices(control):
-    """Of 24 surfaces some are proved, and none falsely: with K and D̄ as matrices, K + κ − D̄ ≥ νK for the ν of the
+    """Of 24 surfaces some are proved, and none falsely: with K and s as matrices, K + s ≥ θK for the θ of the
     proof (at a load, in the norm with the mean mode), and the loose state's energy error is within its bound, which in
     the median is at most 1.5 times it."""
     n, ratios = 8, []
@@ -501,7 +501,7 @@ def test_a_flat_surface_at_a_mean_gap(comm):
 
 @pytest.mark.filterwarnings("error")
 def test_a_flat_surface_without_residual_may_lack_a_bound():
-    """A flat surface on pixels of a thousand ranges: nothing is left of the forces, and no ν is found."""
+    """A flat surface on pixels of a thousand ranges: nothing is left of the forces, and no θ is found."""
     law = Potential(pressure=MORSE, gaps=(-1.0, 12.0), unresolved=True)
     grid = SlabGrid(ALONE, (4, 5), (4e3, 5e3))
     problem = ContactProblem(grid, np.zeros((4, 5)), Homogeneous(contact_modulus=1.0), law)

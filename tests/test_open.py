@@ -191,7 +191,7 @@ class Padded(Open):
 @pytest.mark.parametrize("count", broad([40, 400]))
 def test_certificate_and_solution_against_brute_force(count):
     """With any padding, and pixels to 10:1: the compliance is positive definite; the solution is that of the dense
-    reference; neither the bound of a feasible pressure nor ½⟨ρ, Kρ⟩ of a random ρ that obeys the conditions, and is
+    reference; neither the bound of a feasible pressure nor ½⟨ε, Kε⟩ of a random ε that obeys the conditions, and is
     anything in the padding, is below the true error.
     """
     random = np.random.default_rng(11)

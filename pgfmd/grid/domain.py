@@ -22,7 +22,7 @@ class Domain:
     """The periodic cell: the torus is the cell, fields wrap, and every second point is one of the coarser grid.
 
     name: in [grid] boundary;  wraps: whether the neighbours of a border are the points at the opposite one.  If not,
-    fields end there: sets, patches and contact lines do not reach beyond, and the field ρ of the certificate is 0.
+    fields end there: sets, patches and contact lines do not reach beyond, and the field ε of the certificate is 0.
     """
 
     name: str = "periodic"

@@ -27,14 +27,15 @@ log = logging.getLogger("pgfmd")
 
 @dataclass(frozen=True, kw_only=True)
 class Leakage(Observable):
-    """Reynolds flow, ∇·(g³∇P) = 0, through the gap g under a mean pressure gradient along x and along y.
+    """Reynolds flow, ∇·(g³∇p_f) = 0 for the fluid's pressure p_f, through the gap g under a mean gradient along x and
+    along y.
 
     The conductivity K is 12 × viscosity × the flow per width over that gradient, a length cubed: g³ between parallel
     plates.  Over the cube of the mean gap it is the pressure flow factor of Patir and Cheng (1978,
     doi:10.1115/1.3453103).  Faces between points have the harmonic mean of g³.  The bounds hold for this grid.
-    With a half grid the value is extrapolated by the second order in the spacing.  Its error is the distance to that by
-    the first order: near closure the order is between both, and a change may be small by chance, so that the larger
-    relative one of both axes counts.
+    With a half grid the value is extrapolated to spacing 0 as if its error were of second order; the error bar reaches
+    to what first order would give, since near closure the order is between both.  The change may be small by chance, so
+    that it is taken, relative to the value, from the axis where it is larger.
     """
 
     name = "leakage"
@@ -67,7 +68,7 @@ class Leakage(Observable):
     half_grid: bool = key(
         flag(),
         False,
-        "extrapolate by a grid with half the points each way, beyond this grid's bounds; twice the change is its error",
+        "extrapolate to spacing 0 by a grid with half the points each way, beyond the bounds; error: twice the change",
     )
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:

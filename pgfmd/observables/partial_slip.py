@@ -31,10 +31,10 @@ MOST_TRIALS, ENOUGH = 12, 1e-6  # contacts until a shift is met, and its relativ
 class PartialSlip(Observable):
     """Tractions under a tangential load Q along x at constant normal load P, with Coulomb's friction μ.
 
-    q = μ(p(P) − p(P*)), P* = P − Q/μ (Ciavarella 1998, J. Appl. Mech. 65, 998; Jäger 1998, doi:10.1007/s004190050179):
-    where p(P*) > 0 the bodies stick, in the rest of the contact they slip.  With κ = (2 − ν)/(2 − 2ν), the tangential
-    over the normal compliance, the shift is κμ times the approach from P* to P, and the stiffness K(P*)/κ.  For bodies
-    of like material this is exact at ν = 0; else slip is not quite parallel to q, and stick_violation is the rms
+    τ = μ(p(P) − p(P*)), P* = P − Q/μ (Ciavarella 1998, J. Appl. Mech. 65, 998; Jäger 1998, doi:10.1007/s004190050179):
+    where p(P*) > 0 the bodies stick, in the rest of the contact they slip.  With c = (2 − ν)/(2 − 2ν), the tangential
+    over the normal compliance, the shift is cμ times the approach from P* to P, and the stiffness K(P*)/c.  For bodies
+    of like material this is exact at ν = 0; else slip is not quite parallel to τ, and stick_violation is the rms
     variation of the displacement over the stick area, by the kernel of tangential tractions, over the shift.  Between
     −Q and Q the loop follows Masing's rule, and loses 4Qδ − 8∫δ dQ.
     """

@@ -89,7 +89,7 @@ class AdhesiveContact(AdhesiveModel):
     ) -> AdhesiveState:
         """The minimum of the energy down from a gap, which becomes that of the minimum.  Collective.
 
-        Ends when ⟨r, Gr⟩/2ν, ν estimated, is at most the tolerance times 2 E_el.  Where no step lowers the energy any
+        Ends when ⟨r, Gr⟩/2θ, θ estimated, is at most the tolerance times 2 E_el.  Where no step lowers the energy any
         more, an error of up to 1000 times the tolerance is accepted, and written as `certified_error`.
         Raises SolverError after `MOST_STEPS`.
         """

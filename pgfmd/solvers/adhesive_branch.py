@@ -36,9 +36,9 @@ NEAR_PIXELS = 4.0  # for μ_T ≤ 1
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
-FAR = 0.2  # largest distance t from the minimum, in ranges and over ν: more makes ν smaller
-LESS = 0.7  # a guess of ν, over that of the last contact
-LESSER, TRIES = 4.0, 3  # where a guess of ν was too large: the next one, and how often
+FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
+LESS = 0.7  # a guess of θ, over that of the last contact
+LESSER, TRIES = 4.0, 3  # where a guess of θ was too large: the next one, and how often
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
@@ -69,7 +69,7 @@ class Branch:
         self.stickiness = resolved(problem, problem.law)
         self.contact = AdhesiveContact(problem)
         self.last: tuple[float, AdhesiveState] | None = None
-        self.floor, self.proven = 0.0, False  # ν of the last contact, and whether .6 of it was proved
+        self.floor, self.proven = 0.0, False  # θ of the last contact, and whether `PART` of it was proved
         self.change: tuple[float, np.ndarray] | None = None  # of targets and gaps to the last ones
 
     def hold(self, target: float) -> Hold:
@@ -248,8 +248,8 @@ class Branch:
             )  # fmt: skip
 
     def _certified(self, state: AdhesiveState, hold: Hold) -> tuple[float, float, float, bool]:
-        """ν, the bound of the energy error per point, the distance t, and whether they are proved.  Lowers the state
-        to where its distance from the minimum hardly changes ν.  Collective.
+        """θ, the bound of the energy error per point, the distance t, and whether they are proved.  Lowers the state
+        to where its distance from the minimum hardly changes θ.  Collective.
         """
         contact, wanted, worse = self.contact, self.tolerance * state.scale / 2, 1.0
         guess, goal = min(max(state.curvature, 1e-3), 0.8, LESS * self.floor or 1.0), state.error

@@ -1,10 +1,10 @@
 """How far a state is from the minimum of the energy next to it: an estimate by Lanczos iterations, and a proof.
 
-With A = K + s, E(g) − E(g*) ≤ e = ⟨r, A⁻¹r⟩/2 and |g − g*| ≤ t at each point if A ≥ νP⁻¹ and t ≥ 2√(2G(0)e/ν): the
+With A = K + s, E(g) − E(g*) ≤ e = ⟨r, A⁻¹r⟩/2 and |g − g*| ≤ t at each point if A ≥ θP⁻¹ and t ≥ 2√(2G(0)e/θ): the
 energy is at least that of the quadratic form within t of the gaps, and at the rim exceeds that of g.  With D̄, the
-largest −W'' at gaps within t, s = −D̄ at free points, and s = κ = 2b/t − D̄ at points that touch, pressed by b more than
+largest −W'' at gaps within t, s = −D̄ at free points, and s = 2b/t − D̄ at points that touch, pressed by b more than
 the law's tension.  P is the compliance between the points where s < 1/G(0), and 1/s on the others: K + max(s, 0) ≥ P⁻¹.
-Conjugate gradients give e, with what they leave, ⟨r', Pr'⟩/2ν, added.
+Conjugate gradients give e, with what they leave, ⟨r', Pr'⟩/2θ, added.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 
 LANCZOS = 20  # steps: right to 10 % in 10 of 12 states
 RITZ = 0.9  # of a Ritz value less its residual, which counts
-PART = 0.45  # of the estimated ν, for which a proof is tried: less proves few more, in a larger distance t
-WORTH = 0.2  # least estimate of ν with which one is: K_M is too soft for smaller ones
+PART = 0.45  # of the estimated θ, for which a proof is tried: less proves few more, in a larger distance t
+WORTH = 0.2  # least estimate of θ with which one is: K_M is too soft for smaller ones
 MOST_PROOF = 40  # conjugate gradients of a proof, for each of
 GOALS = 1e-3, 0.03  # what is left of the 1 that is asked, in the norm of P, of it at first and then of that
-LARGEST = 100.0  # of 1/G(0) that κ counts at most: more would give the same, by more iterations
+LARGEST = 100.0  # of 1/G(0) that s counts at most: more would give the same, by more iterations
 MARGIN = 1.2  # of a distance t over what an expected bound asks for
-LITTLE = 0.05  # distance t over ν that hardly changes ν
-LEFT = 0.6  # of ⟨r, Pr⟩/ν, the root of what is left as the energy error is computed
+LITTLE = 0.05  # distance t over θ that hardly changes θ
+LEFT = 0.6  # of ⟨r, Pr⟩/θ, the root of what is left as the energy error is computed
 ROUNDED = 1.001  # what single precision may leave
 POSITIVE = 1e-3  # least value of Mv, of which 1 was asked, that rounding in double precision cannot make of one ≤ 0
 Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
@@ -40,9 +40,9 @@ Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 def estimated(
     contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float
 ) -> tuple[float, float, float]:
-    """(ν, bound e on E − E* of the local minimum per point, least t for which it holds) where t = far.  Collective.
+    """(θ, bound e on E − E* of the local minimum per point, least t for which it holds) where t = far.  Collective.
 
-    ν is `RITZ` of the least eigenvalue of PA, 1 without D̄, by Lanczos iterations: the least Ritz value less the norm of
+    θ is `RITZ` of the least eigenvalue of PA, 1 without D̄, by Lanczos iterations: the least Ritz value less the norm of
     its residual, which is right if the start holds that eigenvector.  0 where it is not above that.
     """
     grid = contact.grid
@@ -70,7 +70,7 @@ def noise(contact: AdhesiveContact, hold: Hold) -> np.ndarray:
 
 
 def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -> float:
-    """The least t for ν = floor and that bound of the energy error per point."""
+    """The least t for θ = floor and that bound of the energy error per point."""
     square = 2 * local_compliance(contact, hold) * bound * contact.grid.size
     return 2 * math.sqrt(square / floor) if floor > 0 else math.inf
 
@@ -78,7 +78,7 @@ def distance(contact: AdhesiveContact, hold: Hold, floor: float, bound: float) -
 def energy_error(
     contact: AdhesiveContact, state: AdhesiveState, hold: Hold, added: Stiffening, floor: float
 ) -> float:
-    """The bound e of the energy error per point, for s = `added` and ν = floor.  Collective."""
+    """The bound e of the energy error per point, for s = `added` and θ = floor.  Collective."""
     start = contact.residual(state, hold)
     weight, contact.count, goal = softened(contact, added), contact.grid.size, LEFT * math.sqrt(floor)
     actions = contact.actions(hold)._replace(firm=True)
@@ -94,7 +94,7 @@ def local_compliance(contact: AdhesiveContact, hold: Hold) -> float:
 
 
 def stiffening(contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float) -> Stiffening:
-    """−D̄ of the free points, κ = 2b/t − D̄ of others, D̄ the largest −W'' within t.  Collective."""
+    """−D̄ of the free points, 2b/t − D̄ of others, D̄ the largest −W'' within t.  Collective."""
     contact.residual(state, hold)  # chooses the free points
     free, factor = contact.free.copy(), 2 / max(far, 1e-100)
 
@@ -123,14 +123,14 @@ def softened(contact: AdhesiveContact, added: Stiffening) -> np.ndarray:
 def proved(
     contact: AdhesiveContact, state: AdhesiveState, hold: Hold, floor: float, expected: float
 ) -> tuple[float, float, float] | None:
-    """(ν, e, t) with a ν that is proved, `PART` of the estimate `floor`; None if the proof fails.  expected: about e.
+    """(θ, e, t) with a θ that is proved, `PART` of the estimate `floor`; None if the proof fails.  expected: about e.
     Collective.
 
     With K_M, whose symbol is ½E'√(4 sin²(q_x a/2) + 4 sin²(q_y b/2)) in units of the spacings, K ≥ K_M and K_M has no
-    positive entry off its diagonal, as the root of a discrete Laplacian.  So M = (1 − ν)K_M + s, with (1 − ν)s where
+    positive entry off its diagonal, as the root of a discrete Laplacian.  So M = (1 − θ)K_M + s, with (1 − θ)s where
     that is above 1/G(0), is positive definite if Mv > 0 for some v > 0 (Berman and Plemmons 1994,
-    doi:10.1137/1.9781611971262, chapter 6), and then A ≥ νP⁻¹.  M may stiffen the mean as far as its entries allow: at
-    a mean gap by anything, at a load by the spring less ν times the stiffness of the mean in P⁻¹.
+    doi:10.1137/1.9781611971262, chapter 6), and then A ≥ θP⁻¹.  M may stiffen the mean as far as its entries allow: at
+    a mean gap by anything, at a load by the spring less θ times the stiffness of the mean in P⁻¹.
     For periodic half-spaces and the exponential attraction, whose D̄ is that of the smallest gap.
     """
     problem, grid = contact.problem, contact.grid

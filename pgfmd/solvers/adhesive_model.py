@@ -67,7 +67,7 @@ class AdhesiveState:
     """A contact in units of the law.
 
     gap, stress: g and K(g + h) (nx_local, ny); mean: mean gap; elastic: ⟨u, Ku⟩/2 and law: ΣW, per point; square:
-    ⟨r, Gr⟩ per point; curvature: an estimate of the least ν with K + W'' ≥ νK, from inner iterations; negative: whether
+    ⟨r, Gr⟩ per point; curvature: an estimate of the least θ with K + W'' ≥ θK, from inner iterations; negative: whether
     one followed negative curvature; error: energy error over 2 E_el; drop: by how much the steps lowered the energy
     """
 

@@ -2,7 +2,7 @@
 
 The bound of `active_set` and `second_order` holds for every feasible pressure, 0 ≤ p ≤ σ_Y and Σ p = P.  Others are
 projected first: cut to their bounds, then multiplied by one factor.  Under a hard wall a trace of pressure far from the
-contact would spoil the bound, since ρ = g − λ where p > 0.  Such points pay p (g − λ − ρ) for a ρ < g − λ instead, as
+contact would spoil the bound, since ε = g − λ where p > 0.  Such points pay p (g − λ − ε) for an ε < g − λ instead, as
 in `second_order`, and do not count as in contact.
 """
 

@@ -4,15 +4,15 @@ With G the compliance without the mean mode and C the points with 0 < p < σ_Y, 
 its mean is the x that minimises ⟨x, Gx⟩/N among those with x = 0 outside C and mean 1.  Its minimum is 1/K, with
 K = −dp̄/dḡ (ḡ: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
 
-    S − ⟨ρ, Kρ⟩/N ≤ 1/K ≤ S,        ρ = Gx − S on C,
+    S − ⟨ε, G⁻¹ε⟩/N ≤ 1/K ≤ S,        ε = Gx − S on C,
 
-whatever ρ is outside C, since x* − x is 0 there and has mean 0.  ρ is continued as for the hard wall, without its cuts.
+whatever ε is outside C, since x* − x is 0 there and has mean 0.  ε is continued as for the hard wall, without its cuts.
 
 Under the exponential wall G + D takes the place of G, D = ζ/p, and C is the whole plane.  Then
 
-    S − ⟨ρ₁, Kρ₁⟩/N − ⟨ρ₂, D⁻¹ρ₂⟩/N ≤ 1/K ≤ S,        ρ₁ + ρ₂ = (G + D)x − S.
+    S − ⟨ε₁, G⁻¹ε₁⟩/N − ⟨ε₂, D⁻¹ε₂⟩/N ≤ 1/K ≤ S,        ε₁ + ε₂ = (G + D)x − S.
 
-With the compliance α of a few pixels in place of G, ρ₁ = αρ/(α + D) gives the least bound point by point.
+With the compliance α of a few pixels in place of G, ε₁ = αε/(α + D) gives the least bound point by point.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class FixedContact(Relaxation):
         self.highest = 2.0
         gap = np.array([0, 0, 0], np.float32)[self.place]
         self.points = Unknowns(grid, (self.place, gap), 0.0, self.highest)
-        gap[self.place == 0], gap[self.place == 2] = HUGE, -HUGE  # no limit there on the continued ρ
+        gap[self.place == 0], gap[self.place == 2] = HUGE, -HUGE  # no limit there on the continued ε
         self.state = State(self.place, gap)
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
@@ -129,7 +129,7 @@ class FixedContact(Relaxation):
 
 def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) -> Increment:
     """The same under an exponential wall, by conjugate gradients for (1 + √p G/ζ √p) y = √p, x ∝ √p y, whose residual
-    is √p ρ/ζ, in double precision.  Collective.
+    is √p ε/ζ, in double precision.  Collective.
     """
     grid, reduction, law = problem.grid, problem.grid.reduction, problem.law
     assert isinstance(law, ExponentialWall)
@@ -145,7 +145,7 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
 
     def bounds() -> tuple[float, float]:
         value = size * reduction.dot(y, root - residual) / reduction.dot(root, y) ** 2
-        share = alpha * root**2 + 1  # ρ₁ = α √p r/share, and ρ₂²/D = (r/share)²
+        share = alpha * root**2 + 1  # ε₁ = α √p r/share, and ε₂²/D = (r/share)²
         square, _ = energy_of_residual(grid, source(alpha * root * residual / share), stiffness)
         rest = reduction.dot(residual / share, residual / share)
         return value - value**2 * (2 * square + rest) / size, value

@@ -1,16 +1,16 @@
 """Green's function molecular dynamics: damped dynamics of the displacement's Fourier modes against a wall.
 
 After Campañá and Müser 2006 (doi:10.1103/PhysRevB.74.075420).  Mode by mode the displacement moves with its force,
-m(q) du(q)/dt = f(q) − K(q) u(q), with a damping m(q) = K(q) + κ that gives all modes one time scale, the time step.
+m(q) du(q)/dt = f(q) − K(q) u(q), with a damping m(q) = K(q) + K₀ that gives all modes one time scale, the time step.
 
 A hard wall that only pushed points out of itself would be consistent with the forces only if all modes had one damping.
-Here the wall is a spring κ with a force f of its own, which each step sets to the solution of
+Here the wall is a spring K₀ with a force f of its own, which each step sets to the solution of
 
-    f/κ − gap(f) = f_old/κ − gap + c       (gap(f): that of the law; for hard walls, a projection onto f ≥ 0)
+    f/K₀ − gap(f) = f_old/K₀ − gap + c       (gap(f): that of the law; for hard walls, a projection onto f ≥ 0)
 
-so that at rest the gap is that of the law for every κ; c makes the forces bear the load.  With the displacement
-extrapolated by one step this is a primal–dual iteration that converges for every κ (Condat 2013,
-doi:10.1007/s10957-012-0245-9).  It is fastest if κ is the geometric mean of the softest and the stiffest mode.  Steps
+so that at rest the gap is that of the law for every K₀; c makes the forces bear the load.  With the displacement
+extrapolated by one step this is a primal–dual iteration that converges for every K₀ (Condat 2013,
+doi:10.1007/s10957-012-0245-9).  It is fastest if K₀ is the geometric mean of the softest and the stiffest mode.  Steps
 are lengthened by the factor 1.8 (they converge below 2), which takes the place of inertia.
 """
 

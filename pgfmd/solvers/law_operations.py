@@ -34,7 +34,7 @@ class LawState:
     level: float = 0.0  # c: at the solution the law's gap at p̂ is g − c
     contact: int = 0  # points in contact
     iterations: int = 0
-    pressure_error: float = math.nan  # ‖Kρ‖/‖p̂‖, an estimate
+    pressure_error: float = math.nan  # ‖Kε‖/‖p̂‖, an estimate
     rounding: float = 0.0  # error that rounding of the gap and of the pressure's last digits may make
 
 

@@ -2,14 +2,14 @@
 
 With the dual energy φ(p) of a law and its conjugate ψ(g) = sup over p of −p g − φ(p), a point of pressure p and gap g
 has the excess φ(p) + p g + ψ(g) ≥ 0, which is 0 where the law is obeyed.  For a feasible p with gap g = Gp − h, any
-level λ and any field ρ
+level λ and any field ε
 
-    J(p) − J(p*) ≤ ½⟨ρ, Kρ⟩ + Σ excess(p, g − λ − ρ),        K = G⁻¹ (stiffness; the mean, q = 0, is left out):
+    J(p) − J(p*) ≤ ½⟨ε, Kε⟩ + Σ excess(p, g − λ − ε),        K = G⁻¹ (stiffness; the mean, q = 0, is left out):
 
-with d = p* − p, whose sum is 0, J(p*) − J(p) = ⟨g − λ, d⟩ + ½⟨d, Gd⟩ + Σ φ(p*) − φ(p), where ⟨ρ, d⟩ + ½⟨d, Gd⟩ ≥
-−½⟨ρ, Kρ⟩ and Σ (g − λ − ρ) p* + φ(p*) ≥ −Σ ψ(g − λ − ρ).  The best ρ would give the error itself; point by point, with
-the compliance α of a few pixels in place of G, it is ρ = α (p − p⁺) with the law's answer p⁺, where α p⁺ − gap(p⁺) =
-α p − (g − λ).  A gap that is computed with an error e adds ‖e‖_K to ‖ρ‖_K (`Rounding`).
+with d = p* − p, whose sum is 0, J(p*) − J(p) = ⟨g − λ, d⟩ + ½⟨d, Gd⟩ + Σ φ(p*) − φ(p), where ⟨ε, d⟩ + ½⟨d, Gd⟩ ≥
+−½⟨ε, Kε⟩ and Σ (g − λ − ε) p* + φ(p*) ≥ −Σ ψ(g − λ − ε).  The best ε would give the error itself; point by point, with
+the compliance α of a few pixels in place of G, it is ε = α (p − p⁺) with the law's answer p⁺, where α p⁺ − gap(p⁺) =
+α p − (g − λ).  A gap that is computed with an error e adds ‖e‖_K to ‖ε‖_K (`Rounding`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
 
 DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
-SINGLE = 1e-3  # relative error of ‖ρ‖_K, from a transform in single precision
+SINGLE = 1e-3  # relative error of ‖ε‖_K, from a transform in single precision
 # Error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13 in N: measured at most
 # .7 and 1.3.
 ROUNDING = 1.0, 1.8
@@ -34,7 +34,7 @@ COLUMNS = 16  # of the spectrum at a time, so that NumPy's temporary arrays stay
 
 
 def energy_of_residual(grid: SlabGrid, fill: RowAction, stiffness: ColumnAction) -> tuple[float, float]:
-    """½Σ ρ Kρ and Σ (Kρ)² of the field ρ that `fill` makes, in single precision, by half a transform.  Collective.
+    """½Σ ε Kε and Σ (Kε)² of the field ε that `fill` makes, in single precision, by half a transform.  Collective.
 
     stiffness: acts as K over the number of points.
     """
@@ -114,5 +114,5 @@ def last_digits(problem: ContactProblem, square: float, softness: float) -> floa
 
 
 def certified(square: float, rounding: float) -> float:
-    """The bound of ½‖ρ + e‖²_K; square: the computed ½‖ρ‖²_K, rounding: `Rounding.bound` of ½‖e‖²_K."""
+    """The bound of ½‖ε + e‖²_K; square: the computed ½‖ε‖²_K, rounding: `Rounding.bound` of ½‖e‖²_K."""
     return ((1 + SINGLE) * math.sqrt(square) + math.sqrt(rounding)) ** 2

@@ -225,7 +225,7 @@ def bound_of(pressure, heights, grid, elasticity, case) -> tuple[float, float]:
     """A bound of the energy error, of second order, and ⟨p, Gp⟩ per point from NumPy's transforms.
 
     Hard wall: `least_square`.  Exponential wall: the least of several bounds.  One is
-    the duality gap.  The others are ½⟨ρ, Kρ⟩ with ρ = g + ζ ln p − λ where p is above some value and 0 elsewhere, plus
+    the duality gap.  The others are ½⟨ε, Kε⟩ with ε = g + ζ ln p − λ where p is above some value and 0 elsewhere, plus
     the loss ζ (s − p + p ln(p/s)) against s = exp((λ − g)/ζ) at those other points.
     """
     qy = 2 * np.pi / grid.lengths[1] * np.arange(grid.shape[1] // 2 + 1)
@@ -258,7 +258,7 @@ def bound_of(pressure, heights, grid, elasticity, case) -> tuple[float, float]:
 
 
 def least_square(contact: np.ndarray, away: np.ndarray, stiffness: np.ndarray) -> float:
-    """The least ½⟨ρ, Kρ⟩ per point of all ρ that are `away` in contact and at most that elsewhere, or a little more: by
+    """The least ½⟨ε, Kε⟩ per point of all ε that are `away` in contact and at most that elsewhere, or a little more: by
     `STEPS` projected gradient steps with momentum (Beck and Teboulle 2009, doi:10.1137/080716542).
     """
     field = momentum = np.where(contact, away, np.minimum(away, 0.0))

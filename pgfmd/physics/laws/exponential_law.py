@@ -143,7 +143,7 @@ class ExponentialWall(ContactLaw):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """The excess is ζ times the relative entropy of p to exp(−(g − level − ρ)/ζ)."""
+        """The excess is ζ times the relative entropy of p to exp(−(g − level − ε)/ζ)."""
         return excess(pressure, gap, residual, compliance, self.zeta, level)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:

@@ -321,7 +321,7 @@ class _InUnits(ContactLaw):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """ρ is the distance of g − level from the gap of p⁺, so that the excess lies between two points of the graph;
+        """ε is the distance of g − level from the gap of p⁺, so that the excess lies between two points of the graph;
         what rounding may leave in both factors of its bound is added to them.
         """
         total, digits = 0.0, 8 * LAST

@@ -44,7 +44,7 @@ class HardWall(ContactLaw):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """ρ = g − level, but at most compliance · p, and at least compliance · (p − highest)."""
+        """ε = g − level, but at most compliance · p, and at least compliance · (p − highest)."""
         return excess(pressure, gap, residual, compliance, level, self.highest)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:

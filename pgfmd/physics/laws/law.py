@@ -137,9 +137,9 @@ class ContactLaw(Section):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """The part of these rows in the certificate: fills `residual` with ρ = compliance · (p − p⁺), p⁺ from
+        """The part of these rows in the certificate: fills `residual` with ε = compliance · (p − p⁺), p⁺ from
         compliance · p⁺ − gap(p⁺) = compliance · p − (g − level); returns the sum of the excess (defined in
-        `solvers.second_order`; 0 where the law is obeyed) of pressures p and gaps g − level − ρ.
+        `solvers.second_order`; 0 where the law is obeyed) of pressures p and gaps g − level − ε.
         """
         raise NotImplementedError
 

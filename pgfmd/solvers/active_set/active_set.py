@@ -7,11 +7,11 @@ points are, the gaps of the others (`dual`).  Each step computes the response to
 chooses the unknowns, solves for them by conjugate gradients in single precision with a particle–mesh response, and
 makes the state feasible again.
 
-The stop is a certificate, ½⟨ρ, Kρ⟩, of second order in the error of the gap, for any field ρ with
+The stop is a certificate, ½⟨ε, Kε⟩, of second order in the error of the gap, for any field ε with
 
-    ρ = g − λ  where 0 < p < σ_Y,        ρ ≤ g − λ  where p = 0,        ρ ≥ g − λ  where p = σ_Y
+    ε = g − λ  where 0 < p < σ_Y,        ε ≤ g − λ  where p = 0,        ε ≥ g − λ  where p = σ_Y
 
-(proof in NUMERICS.md).  Where p is at a bound, ρ may be chosen; smooth fields give the lowest bound (`continuation`).
+(proof in NUMERICS.md).  Where p is at a bound, ε may be chosen; smooth fields give the lowest bound (`continuation`).
 
 Quantities here are dimensionless (`nondimensional`): pressures over their mean, heights in a unit of about their size.
 """
@@ -69,7 +69,7 @@ class State:
     measured from λ, at least 0, and 0 where the pressure lies between its bounds.  estimated: true if it comes from a
     coarser grid.  load: Σ p.  aim: what is prescribed where no load is given.  energy: ½⟨p, Gp⟩.  error: of
     the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of
-    those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kρ‖/‖p‖ of a certificate.
+    those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kε‖/‖p‖ of a certificate.
     """
 
     pressure: np.ndarray
@@ -260,13 +260,13 @@ class Relaxation:
 
     @cached_property
     def means(self) -> BlockMeans:
-        """Where ρ begins.  Collective on first use."""
+        """Where ε begins.  Collective on first use."""
         return BlockMeans(self.grid)
 
     def bound(self, state: State, precision: Precision) -> float:
         """A bound of the energy error over 2 · energy of a state that was `measure`d, rounding included.  Collective.
 
-        Sets `state.pressure_error` = ‖Kρ‖/‖p‖.  If every point is an unknown, p* − p = −Kρ; else it is an estimate: in
+        Sets `state.pressure_error` = ‖Kε‖/‖p‖.  If every point is an unknown, p* − p = −Kε; else it is an estimate: in
         144 solutions the true error was .3 to 1.0 of it, in the median .9 (`tests/test_hard_wall`).
         """
         margin, own = BESIDE, (state.pressure, state.gap)
@@ -286,7 +286,7 @@ class Relaxation:
                 piece = fields[0][part], fields[1][part]
                 residual_limits(piece, limits, (at, wide), (values, start + first - margin + at), work)
                 at += len(piece[0])
-            if not wraps:  # ρ = 0 beyond the border
+            if not wraps:  # ε = 0 beyond the border
                 outside = np.arange(first, stop + 2 * margin) - margin + self.grid.rows.start
                 work[:, (outside < 0) | (outside >= self.grid.shape[0])] = 0
             for done, stride in enumerate(STRIDES):
@@ -347,15 +347,15 @@ def contact_sums(
 
 @jit
 def excess(fields: Fields, limits: Limits, residual: np.ndarray) -> float:
-    """Σ p (g − λ − ρ) of points that pay for ρ < g − λ, and Σ (σ_Y − p)(ρ − g + λ) of those for ρ > g − λ."""
+    """Σ p (g − λ − ε) of points that pay for ε < g − λ, and Σ (σ_Y − p)(ε − g + λ) of those for ε > g − λ."""
     (pressure, gap), (level, highest, spare) = fields, limits
     total = 0.0
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
             p, rest = pressure[i, u(j)], gap[i, u(j)] - level
-            rounded, rho = np.float32(rest), residual[i, u(j)]  # as in `residual_limits`
+            rounded, chosen = np.float32(rest), residual[i, u(j)]  # as in `residual_limits`
             if p > 0 and rounded > spare * p:
-                total += p * (rest - rho)
+                total += p * (rest - chosen)
             elif p < highest and -rounded > spare * (highest - p):
-                total += (highest - p) * (rho - rest)
+                total += (highest - p) * (chosen - rest)
     return total

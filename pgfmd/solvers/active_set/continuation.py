@@ -1,7 +1,7 @@
-"""How the certificate continues ρ from the unknowns, where it is the residual g − λ, to the other points.
+"""How the certificate continues ε from the unknowns, where it is the residual g − λ, to the other points.
 
-The best ρ makes ½⟨ρ, Kρ⟩ least within what is allowed: about what a rubber sheet does between the points that hold it.
-What is left at the end of a solve is often alike over a whole patch and its surroundings, so ρ begins at means of the
+The best ε makes ½⟨ε, Kε⟩ least within what is allowed: about what a rubber sheet does between the points that hold it.
+What is left at the end of a solve is often alike over a whole patch and its surroundings, so ε begins at means of the
 residual over blocks of pixels (`BlockMeans`).  Sweeps of means over neighbours follow, far ones first (`STRIDES`), each
 cut to what is allowed.
 """
@@ -101,7 +101,7 @@ def residual_sums(fields: Fields, limits: Limits, part: tuple[int, int], sums: n
 def residual_limits(
     fields: Fields, limits: Limits, place: tuple[int, int], blocks: tuple[np.ndarray, int], out: np.ndarray
 ) -> None:
-    """The least and the largest ρ that the certificate allows for rows of pressure and gap, and a first one, into
+    """The least and the largest ε that the certificate allows for rows of pressure and gap, and a first one, into
     out[0 … 2]: the allowed one that is nearest to the value of its block.  place: row and column of `out` where the
     first point goes.  blocks: the values of blocks, and which row of the first block the first row is.
     """

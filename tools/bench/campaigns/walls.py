@@ -132,8 +132,8 @@ def polished(contact: reference.Contact, wall: dict, p: np.ndarray, level: float
 
 
 def wrong_formula(contact: reference.Contact, job: dict, control: str, answer) -> str:
-    """A wall that is a formula.  With ρ the distance of the gap from that of the law at the pressure, up to a constant,
-    the energy error is at most ½ ρ·Kρ, as the energy is as convex as the elastic one at least.  If that is more than
+    """A wall that is a formula.  With ε the distance of the gap from that of the law at the pressure, up to a constant,
+    the energy error is at most ½ ε·Kε, as the energy is as convex as the elastic one at least.  If that is more than
     certified: ½ d·Gd of the distance d to the solution must not be.  Raises Unable if there is none.
     """
     wall, load, room = job["wall"], answer.mean_pressure, math.sqrt(8 * abs(answer.certified_error))
