@@ -264,6 +264,20 @@ def test_unwritable_folder_is_refused_on_all_ranks(comm, shared_tmp_path, place)
     assert [path.name for path in shared_tmp_path.iterdir()] == ["file"]
 
 
+def test_a_disk_too_full_for_the_lock_holds_nothing(tmp_path, monkeypatch):
+    """Refused with the reason, nothing is left, and the same process can try again."""
+
+    def fails(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", fails)
+        with pytest.raises(InputError, match="cannot be written as an output folder: No space left"):
+            files.OutputFolder(tmp_path / "o")
+    assert not list(tmp_path.iterdir())
+    files.OutputFolder(tmp_path / "o").release()
+
+
 def test_nothing_written_leaves_nothing(comm, shared_tmp_path):
     """A run that fails on its input before it writes leaves no folder behind."""
     with pytest.raises(InputError, match="NaN"), writer(comm, shared_tmp_path / "a" / "b"):

@@ -289,8 +289,13 @@ class OutputFolder:
                 if os.path.samestat(os.fstat(handle), os.stat(name)):
                     break
             os.close(handle)
-        os.ftruncate(handle, 0)
-        os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())
+        try:
+            os.ftruncate(handle, 0)
+            os.write(handle, f"process {os.getpid()} on {platform.node()}".encode())
+        except OSError:  # a full disk
+            name.unlink()
+            os.close(handle)
+            raise
         return handle
 
     def release(self) -> None:
