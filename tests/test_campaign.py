@@ -245,6 +245,10 @@ FOUND_BY_CAMPAIGNS = {
         },
         "load": {"pressure": [1.040298839022228e-53, 2761675248223919.0, 0.0009117643579223804]},
     },
+    "a flow without neighbours": {
+        "grid": {"n": [2, 1]}, "surface": {"kind": "sinusoid", "amplitude": 2.0295e-3}, "solid": HALF,
+        "load": {"contact_area": 0.1289}, "output": SOUND["output"] | {"observables": ["leakage"]},
+    },
     "a search from no load": {
         "grid": {"n": [1, 2], "boundary": "open"}, "surface": {"kind": "file", "path": "heights.npy"}, "solid": HALF,
         "load": {"displacement": 1e23},

@@ -187,10 +187,8 @@ class Level:
 
     def cycle(self, target: np.ndarray) -> np.ndarray:
         """z ≈ A⁻¹ target: a symmetric preconditioner, but for inner steps.  Collective."""
-        if len(self.factor):
-            return back_substituted(self.factor, target)
-        if self.coarse is None:
-            return self.gathered_solution(target)
+        if self.coarse is None:  # where no point has a neighbour, nothing is left there
+            return back_substituted(self.factor, target) if self.halo is None else self.gathered_solution(target)
         z, sweep = self.new(), relax if len(self.graph.first) else relax_in_slab
         sweep(self.graph, target, z, False)
         coarse = self.rest(target, z, self.coarse.new(), self.aggregate)
@@ -211,7 +209,7 @@ class Level:
         """A⁻¹ target by a few steps of flexible conjugate gradients, or exactly on the coarsest level; the target is
         overwritten.  Collective.
         """
-        if len(self.factor) or self.coarse is None:
+        if self.coarse is None:
             return self.cycle(target)
         x, r, step = self.new(), target, None
         goal = 0.0
