@@ -17,8 +17,10 @@ LENGTHS = ("mean_gap", "displacement", "constriction_x", "constriction_y")  # sm
 PLACES = ("row", "column", "von_mises_depth")  # of extremes, which several points may share
 
 
-def compare(one: tuple, many: tuple) -> str:
-    """What differs between (verdict, detail, answers) on one rank and on several; empty if nothing does."""
+def compare(one: tuple, many: tuple, wall: dict | None = None) -> str:
+    """What differs between (verdict, detail, answers) on one rank and on several; empty if nothing does.  wall: whose
+    work and largest attraction energies and pressures count beside.
+    """
     if one[0] != many[0]:
         doubtful = {one[0], many[0]} <= {UNCERTIFIED, UNJUDGED, "right"}  # at the limit of rounding
         return "" if doubtful else f"ends differently: {one[:2]} on one rank, {many[:2]} on several"
@@ -28,10 +30,12 @@ def compare(one: tuple, many: tuple) -> str:
         return ""
     if len(one[2]) != len(many[2]):
         return f"{len(one[2])} loads on one rank, {len(many[2])} on several"
-    return next(filter(None, map(_different, one[2], many[2])), "")
+    work = (wall or {}).get("work", 0.0)
+    scales = {"elastic_energy": work, "energy": work, "mean_pressure": work / (wall or {}).get("range", 1.0)}
+    return next(filter(None, (_different(a, b, scales) for a, b in zip(one[2], many[2], strict=True))), "")
 
 
-def _different(one: Answer, many: Answer) -> str:
+def _different(one: Answer, many: Answer, scales: dict[str, float]) -> str:
     """What differs between two answers."""
     if one.pressure is None or many.pressure is None:
         return ""
@@ -50,14 +54,14 @@ def _different(one: Answer, many: Answer) -> str:
         return f"groups {sorted(set(one.groups) ^ set(many.groups))} on one side only"
     for name, (first, second) in groups.items():
         for key in first:
-            if wrong := _apart(key, first, second, (room, one.relief)):
+            if wrong := _apart(key, first, second, (room, max(one.relief * (key in LENGTHS), scales.get(key, 0.0)))):
                 return f"{name}: {key} {wrong}"
     return ""
 
 
 def _apart(key: str, first: dict, second: dict, allowed: tuple[float, float]) -> str:
     """How one dataset of a group differs."""
-    room, relief = allowed
+    room, least = allowed
     if key in EFFORT or key.endswith((*PLACES, "_error")):
         return ""
     a, b = np.asarray(first[key]), np.asarray(second.get(key, np.nan))
@@ -77,6 +81,6 @@ def _apart(key: str, first: dict, second: dict, allowed: tuple[float, float]) ->
     a, b = a[np.isfinite(a)], b[np.isfinite(b)]
     given = np.abs(np.asarray(first.get(f"{key}_error", 0.0)) + np.asarray(second.get(f"{key}_error", 0.0)))
     width = float(np.max(given, initial=0.0, where=np.isfinite(given)))
-    size = max(np.abs(a).max(initial=0.0), relief * (key in LENGTHS))
+    size = max(np.abs(a).max(initial=0.0), least)
     off = np.abs(a - b).max(initial=0.0)
     return "" if off <= room * size + 1.01 * width else f"differs by {off / size:.1e}: {a} and {b}"

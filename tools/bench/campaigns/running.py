@@ -36,7 +36,7 @@ def run_beside_one(case: Case, folder: Path, comm) -> tuple[str, str]:
     one = answered(case, folder / "one", None)
     if one[0] in BAD:
         return one[:2]
-    wrong = compare(one, many)
+    wrong = compare(one, many, case.document.get("wall"))
     return (WRONG, f"on {comm.size} ranks: {wrong}") if wrong else many[:2]
 
 
