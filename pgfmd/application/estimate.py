@@ -19,7 +19,7 @@ from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, readable
 from pgfmd.parallel.mpi import shared_memory
 from pgfmd.physics.solids.solid import SOFT
-from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO
+from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
 from pgfmd.solvers.options import cost as solver_cost
 
 FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
@@ -186,7 +186,9 @@ def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
     single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
     effort = job.wall.newton_effort if method == "newton" else job.wall.effort
     most = 1.0 if cell.domain.wraps else GAPS_FROM  # there pressures are the unknowns at any area
-    costs = [solver_cost(method, min(area, most), slabs, effort, scaled, single) for area in contact_areas(job)]
+    strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
+    arrays = Arrays(scaled, single, strips)
+    costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in contact_areas(job)]
     for number, each in enumerate(reached(job)):
         if each.part <= WORTH:
             work = solver_cost(method, min(each.area / each.part, most), slabs).transforms

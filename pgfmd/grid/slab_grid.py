@@ -34,6 +34,7 @@ BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into t
 # One rank keeps transforms for the next grid alike: of so many modes at most, those of the last grids freed.  Each
 # belongs to one grid at a time, so that threads may solve at once.
 MOST_MODES, SPARES = 1 << 16, 16
+ROOM = 1 << 20  # points of a rank whose transforms are kept, 4 or 8 MB: on many ranks shared memory is slow to make
 _spares: list[tuple[Hashable, Strips, dict[np.dtype, Transform | LibraryTransform]]] = []
 _lock = threading.Lock()
 
@@ -292,6 +293,11 @@ class SlabGrid:
             for place in (i for i, spare in enumerate(_spares) if spare[0] == self._kind):
                 _, self._strips, self._planned = _spares.pop(place)
                 return
+
+    def make_room(self) -> None:
+        """Frees the memory of the transforms if ranks have more than `ROOM` points.  Collective."""
+        if self.size > ROOM * self.comm.size:
+            self.free()
 
     def free(self) -> None:
         """Free the memory of the transforms, or keep them for a grid alike; the next use takes or allocates them again.

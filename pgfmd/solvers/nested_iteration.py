@@ -57,6 +57,7 @@ class NestedIteration(Generic[StateType]):
         if scaled.uniform is not None:
             return scaled.uniform
         nested.rms = scaled.rms
+        problem.grid.make_room()  # filled in double precision by the surface; single precision takes half of them
         if start is None:
             state, transforms = nested.solve(scaled.problem)
         else:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import TRANSFORMS
@@ -46,16 +46,26 @@ DYNAMICS = 42.0  # displacement, force, modes and their mobility (28); the rest 
 GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the gaps outside; there it needs most memory
 
 
-def cost(
-    method: str, area: float, slabs: int = 1, effort: float = 1.0, scaled: bool = True, single: bool = False
-) -> Cost:
+class Arrays(NamedTuple):
+    """What decides on the memory beside the contact.  scaled: whether heights are scaled in an array of their own.
+    single: whether the active set can keep pressure and gap in single precision.  strips: bytes per point of the
+    transforms in double precision that it frees while it does not transform.
+    """
+
+    scaled: bool = True
+    single: bool = False
+    strips: float = 0.0
+
+
+USUAL = Arrays()
+
+
+def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0, arrays: Arrays = USUAL) -> Cost:
     """One contact of that relative area by that method; memory of the fullest of so many slabs.
 
-    effort: time under the law over that under a hard wall (dynamics) or an exponential one (Newton).  scaled: whether
-    heights are scaled in an array of their own.  single: whether the active set can keep pressure and gap in single
-    precision.
+    effort: time under the law over that under a hard wall (dynamics) or an exponential one (Newton).
     """
-    heights = SCALED * scaled
+    heights = SCALED * arrays.scaled
     if method == "adhesive":
         return Cost(70, ADHESIVE)
     if method == "newton":
@@ -65,8 +75,9 @@ def cost(
     by_pressures = area <= GAPS_FROM
     most = fullest(area if by_pressures else 1 - area, slabs)
     work, unknowns = (6.5 + 22 * area, PER_PRESSURE) if by_pressures else (13.5 - 7 * area, PER_GAP)
-    # Solved, the fields are in double precision.
-    return Cost(work, heights + MESH + max(most * unknowns - SINGLE * single, 0))
+    saved, strips = (SINGLE + arrays.strips / 2) * arrays.single, arrays.strips
+    # Solved, the fields are in double precision, and there are no strips.
+    return Cost(work, heights + MESH + max(most * unknowns + strips - saved, 0) - strips)
 
 
 def fullest(area: float, slabs: int) -> float:

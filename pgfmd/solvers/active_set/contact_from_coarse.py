@@ -172,9 +172,6 @@ class ActiveSetIteration(NestedIteration[State]):
             state.aim = state.aim or Aim(problem.imposed, known, pressure=problem.mean_pressure)
             problem = problem.imposing(None, state.aim.pressure)
         given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
-        padded = exact and not problem.grid.domain.wraps
-        if padded:  # strips that double precision has filled; single precision takes half of them
-            problem.grid.free()
         by_gaps = given and state.aim is None and problem.law.highest == np.inf and state.between > most
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
         solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
@@ -190,9 +187,8 @@ class ActiveSetIteration(NestedIteration[State]):
                 solver, state.clipped = Descent(problem, exact), False
             else:
                 solver.free()
-                if padded:
-                    problem.grid.free()
                 if exact:
+                    problem.grid.make_room()
                     solver.widen(state)
                 return state
 

@@ -107,6 +107,11 @@ class MeshResponse:
         part = np.searchsorted(self.splines[0], (low - 3, low + len(block)))
         spread_points(values.own, values.points.lists, (part[0], part[1]), self.splines, low, block)
 
+    def make_room(self) -> None:
+        """Frees the transforms of the mesh if they are large.  Collective."""
+        if self.place.grid is not None:
+            self.place.grid.make_room()
+
     def free(self) -> None:
         """Frees the transforms of the mesh.  Collective."""
         self.place.free()

@@ -77,6 +77,12 @@ class PressureSteps(Relaxation):
         self.compute_gap(state, precision)
         return self._system(state, started and self.highest == math.inf)
 
+    def compute_gap(self, state: State, precision: Precision) -> None:
+        """As `Relaxation.compute_gap`; the transforms of the mesh make room for those of the grid.  Collective."""
+        if self.exact and isinstance(self.inner, MeshResponse):
+            self.inner.make_room()
+        super().compute_gap(state, precision)
+
     def _system(self, state: State, loaded_only: bool = False) -> ConjugateGradients:
         """The system for a gap that is known.  Where another load is wanted, it answers a shift of the level by what
         that load needs about; `_solve` multiplies the answer.  Collective.
@@ -117,8 +123,8 @@ class PressureSteps(Relaxation):
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)
             return
-        if self.exact and not self.grid.domain.wraps:
-            self.grid.free()  # padded strips, an eighth of the memory at the peak, for 2 % of the time
+        if self.exact:
+            self.grid.make_room()  # an eighth of the memory at the peak, for 2 % of the time
         part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
         goal, failures = part * system.square, 0
         while failures < 2:
