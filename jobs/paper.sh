@@ -5,8 +5,8 @@
 #   bash jobs/paper.sh [--small | --full] [FOLDER]      # FOLDER: results/paper, or results/paper-small
 #
 # Runs that are complete are not repeated: start it again after an interruption.  As many runs go on at a time as there are
-# cores (JOBS=1: one), each with one thread.  --full computes the limits: larger cells, more surfaces, more loads; the
-# report takes figures of which FOLDER has no runs from jobs/paper/results.  --small scales every grid down by 8, for a look
+# cores (JOBS=1: one), each with one thread.  --full computes the limits instead: larger cells, more surfaces, more loads.
+# Figures whose runs are not in FOLDER are taken from jobs/paper/results.  --small scales every grid down by 8, for a look
 # in a coffee break; its verdicts mean little.  PYTHON=… takes that interpreter, and sets nothing up.
 set -euo pipefail
 

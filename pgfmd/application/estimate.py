@@ -43,7 +43,8 @@ SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 OPEN_AREA = 0.45  # with open boundaries where it is not known: between areas that need little memory and most
 TABLE_BYTES = 8.0  # per quarter of the torus' modes: their compliance
-COARSE, MOST_LOADS, MOST_POINTS = 128, 16, 2**24  # of contacts that tell how far one reaches: side, number; of a file
+# Of `explore`: most points along a side and number of its contacts; most points of a file that it reads.
+COARSE, MOST_LOADS, MOST_POINTS = 128, 16, 2**24
 # A contact that is solved on a rectangle: bytes per point of the patch, of the rectangle; transforms for the rest.
 WHOLE_BYTES, RECTANGLE_BYTES, OUTSIDE = 27.0, (55.0, 16.0), 2.0
 RETURNED = 2**25  # bytes of an array from which its memory is returned to the system, not kept for the next (glibc)

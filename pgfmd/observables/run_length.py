@@ -164,7 +164,7 @@ class PeriodicSets:
 
     def unite(self, a: np.ndarray, b: np.ndarray, shift: np.ndarray) -> tuple[int, int]:
         """Join pieces a[e] and b[e]: b, moved by shift[e] cells ((edges, 2) integers), touches or overlaps a.  Returns
-        the first e that closes a path around the cell along x, and along y; their number if none does.
+        the first e that closes a path around the cell along x, and the first along y; len(a) where none does.
 
         Afterwards every piece points to its root, the lowest number of its set.
         """

@@ -336,8 +336,9 @@ class MeanGap(Control):
         return abs(self.reached(found) - self.approach(target)) / self.allowed(found, target)
 
     def uncertainty(self, found: ContactSolution, target: float) -> float:
-        """`bound` over the tolerance; with open boundaries also what gaps in contact were, and where a wall limits the
-        pressure the mean displacement ⟨Gδ⟩ for an error δ of it: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² = 2B W/N.  Collective.
+        """`bound` over the tolerance.  With open boundaries the bound grows: under a hard wall by the mean of the gaps
+        that were set to 0; where a wall limits the pressure, by the mean displacement ⟨Gδ⟩ for an error δ of the
+        pressure: ⟨Gδ⟩² ≤ ⟨1, G1⟩⟨δ, Gδ⟩/N² = 2B W/N.  Collective.
         """
         bound = self.bound(found)
         if self._moved and self.problem.law.kind == "hard":
@@ -349,7 +350,7 @@ class MeanGap(Control):
 
     @property
     def _moved(self) -> bool:
-        """Whether the mean gap changes by a mean displacement too."""
+        """Whether a change of the mean displacement changes the mean gap, at a given approach."""
         return not (self.grid.domain.wraps or isinstance(self, Displacement))
 
     @cached_property

@@ -68,7 +68,7 @@ class LoadControl:
         self._previous: tuple[float, np.ndarray] | None = None  # p̄ and pressure of the last solution
         self._resumed: np.ndarray | None = None
         self._totals = np.zeros(3)
-        self._slope = 1.0  # of a search, to begin with or at its end
+        self._slope = 1.0  # with which the next search begins: that at the end of the last one
 
     def check_targets(self, targets: Iterable[float]) -> None:
         """Raises InputError for the first target that is wrong input on this surface.  Collective."""

@@ -196,7 +196,7 @@ def _print(page: Path):
 
 
 def _take(plan: Iterable[Figure], source: Path, output: Path) -> dict[str, dict]:
-    """Copy each figure that the folder `output` lacks from the folder `source`; the rows of its runs."""
+    """Copy each figure that the folder `output` lacks from the folder `source`; returns the rows of its runs."""
     rows, known = {}, _rows(source / "runs.csv")
     for figure in plan:
         if source != output and not (output / f"{figure.picture}.json").exists():
@@ -216,7 +216,7 @@ def _rows(path: Path) -> dict[str, dict]:
 
 
 def _write_runs(path: Path, folder: Path, rows: dict[str, dict]):
-    """One row for each complete run; of runs that are not in the folder, `rows` and those that the file has already."""
+    """Write one row for each complete run of the folder; those of other runs are in `rows` or in the file already."""
     rows |= _rows(path)
     rows |= {run.name: _row(run) for run in folder.iterdir() if _complete(run)}
     with open(path, "w", newline="", encoding="utf-8") as file:
@@ -298,8 +298,8 @@ contact are correlated in space. {found}</p>
 them. Of its {counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one
 conjecture. Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at
 the accuracy that it gives or with which its figures can be read. A column of its own says what better numbers show.</p>
-<p class="small">{units} Figures of limits are made by <code>jobs/paper.sh --full</code>; other reports take them from
-its tables. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
+<p class="small">{units} <code>jobs/paper.sh --full</code> makes the figures of the limits; a report without its runs
+takes them from <code>jobs/paper/results</code>. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
 
 
 def _news(news: list[claims.Result], findings: dict[str, Findings]) -> str:

@@ -2,9 +2,9 @@
 
     pgfmd plot dependence DIR… [--of q_star] [--on contact_area] [--fit FROM TO] [--level 2]
 
-Runs that differ by the seed alone are averaged.  A curve holds the loads that differ by nothing but what is on the
-horizontal axis.  `--fit` gives the exponent of the size of the means between two values, `--level` where a value is
-reached.
+Runs that differ by the seed alone are averaged.  A curve holds the loads that differ by nothing but the seed and what
+is on the horizontal axis.  `--fit` fits a power law to the absolute means in a range of that axis; `--level` says where
+each curve reaches a value.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ from samples import Ensemble, ensembles, imposed, named_differences, setting
 
 from pgfmd.errors import InputError
 
-CAPTION = """Means over seeds with standard errors. Lines join loads that differ by nothing but the horizontal axis;
-dashed: a power law fitted over the range that it spans, or the level asked for."""
+CAPTION = """Means over seeds with standard errors. Lines join loads that differ by nothing but what is on the
+horizontal axis; dashed: a power law, drawn over the range of its fit, or the level asked for."""
 NEEDS = ()
 OPTIONS = {
     "--of": {"nargs": "+", "help": "what is drawn: columns of the table of loads, or m2, q_star, q_star_persson, "
                                    "field_theory_K_K (K: first and last q/q_l), patch_slope, patch_crossover, "
                                    "patch_tail, bearing_tail (default mean_gap)"},
     "--on": {"help": "horizontal axis: a column, or one of lambda_s (in grid spacings), waves (λ_l/λ_s), zeta, "
-                     "gap_over_range (rms gap over ζ) (default mean_pressure)"},
-    "--fit": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "range of a power law"},
-    "--level": {"type": float, "help": "where this value is reached"},
+                     "gap_over_range (rms gap about its mean, over ζ) (default mean_pressure)"},
+    "--fit": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "range of a power law on that axis"},
+    "--level": {"type": float, "help": "value that curves reach: where they do is reported"},
 }  # fmt: skip
-LEVEL = 0.9  # of the stress spectrum over that of full contact: q* is where the ratio falls below it
+LEVEL = 0.9  # stress spectrum over that of full contact that defines q*: there the ratio falls below this
 LEAST = 16  # pixels of the smallest patch that is fitted
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of a load: its axis, its word in a legend, and the keys of a job that change it beside the load."""
+    """A number of a load: the label of its axis, its value, the keys of a job that set it, its word in legends."""
 
     axis: str
     value: Callable[[Load], float]
@@ -66,7 +66,7 @@ def q_star(load: Load) -> float:
 
 
 def q_star_persson(load: Load) -> float:
-    """The same of f(q) of Persson's theory."""
+    """The same for f(q), which Persson's theory has in place of that ratio."""
     q = persson_spectrum.ratio(load)[0]
     return crossing(q / load.q_unit, persson_spectrum.theory(load, q), LEVEL)
 
@@ -83,7 +83,7 @@ def departure(low: int, high: int) -> Callable[[Load], float]:
 
 
 def gap_over_range(load: Load) -> float:
-    """Standard deviation of the gap over ζ."""
+    """Rms value of the gap about its mean, over ζ."""
     count, total, squares = 0, 0.0, 0.0
     for _, gap in load.results.blocks("gap", load.index):
         count, total, squares = count + gap.size, total + float(gap.sum()), squares + float(np.sum(gap**2))
@@ -153,16 +153,16 @@ def draw(
     fit: tuple[float, float] | None = None, level: float | None = None,
 ) -> Sheet:  # fmt: skip
     """The numbers `of` against the number `on`, one curve for each setting (and load, if `on` is of the setting)."""
-    sheet, below, drawn = Sheet(), quantity(on, loads), 0
-    x = cache(below.value)
+    sheet, horizontal, drawn = Sheet(), quantity(on, loads), 0
+    x = cache(horizontal.value)
     for what in of:
-        above = quantity(what, loads)
-        y = cache(above.value)
+        vertical = quantity(what, loads)
+        y = cache(vertical.value)
         known = [load for load in loads if math.isfinite(y(load))]
         if len(known) < len(loads):
             sheet.notes.append(f"{len(loads) - len(known)} of {len(loads)} loads have no {what}")
-        for name, groups in _curves(known, below).items():
-            title = ", ".join(filter(None, ([above.word or above.axis, name] if len(of) > 1 else [name])))
+        for name, groups in _curves(known, horizontal).items():
+            title = ", ".join(filter(None, ([vertical.word or vertical.axis, name] if len(of) > 1 else [name])))
             points = sorted(((float(np.mean([x(load) for load in group])), group) for group in groups), key=_place)
             for place, group in points:
                 sheet.findings.add(f"{what}, {group.name}", [y(load) for load in group])
@@ -188,7 +188,7 @@ def draw(
         sheet.panels[0].axhline(level, color=BLACK, ls="--", lw=0.7)
     positive = all(row[column] > 0 for row in sheet._table for column in (2, 3))
     axes = list(dict.fromkeys(quantity(what, loads).axis for what in of))
-    sheet.label(0, below.axis, axes[0] if len(axes) == 1 else "", scale=SCALES[positive])
+    sheet.label(0, horizontal.axis, axes[0] if len(axes) == 1 else "", scale=SCALES[positive])
     return sheet
 
 
@@ -199,14 +199,15 @@ def _place(point: tuple[float, Ensemble]) -> float:
     return point[0]
 
 
-def _curves(loads: list[Load], below: Quantity) -> dict[str, list[Ensemble]]:
+def _curves(loads: list[Load], horizontal: Quantity) -> dict[str, list[Ensemble]]:
     """Loads that differ by nothing but what is on the horizontal axis and the seed: name of the curve → its points."""
     groups: dict[tuple, list[Ensemble]] = {}
     settings: dict[tuple, dict] = {}
     for group in ensembles(loads):
         first = group.loads[0]
-        fixed = {key: value for key, value in setting(first).items() if not (below.keys and key.startswith(below.keys))}
-        key = (*((key, str(value)) for key, value in fixed.items()), imposed(first) * below.of_setting)
+        varied = [key for key in setting(first) if horizontal.keys and key.startswith(horizontal.keys)]
+        fixed = {key: value for key, value in setting(first).items() if key not in varied}
+        key = (*((key, str(value)) for key, value in fixed.items()), imposed(first) * horizontal.of_setting)
         groups.setdefault(key, []).append(group)
         settings[key] = fixed
     titles = [", ".join(words) for words in named_differences(list(settings.values()))]
@@ -229,7 +230,7 @@ def reached(x: np.ndarray, y: np.ndarray, level: float) -> float:
 
 
 def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits: tuple[float, float], number: int):
-    """The exponent of |mean over the seeds| between limits; its error by leaving one seed out at a time."""
+    """The exponent of |mean over the seeds that have all loads| between limits; its error by leaving one out."""
 
     def exponent(chosen: list) -> tuple[float, float, np.ndarray, float]:
         x, y = np.mean(np.array(chosen), axis=0).T

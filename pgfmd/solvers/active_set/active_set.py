@@ -229,8 +229,8 @@ class Relaxation:
         """Whether the state is at the imposed load, or at what is imposed instead."""
         return state.aim is None or not self.exact or state.aim.target.missed(self.measured(state)) <= 1
 
-    def wanted_pressure(self, state: State, square: float) -> float:
-        """The mean pressure that an area that is sought asks for, if that is another one and the area is known well
+    def next_pressure(self, state: State, square: float) -> float:
+        """The mean pressure for the next step of a search for an area, if it is to change and the area is known well
         enough (`Aim`); else 0.  square: about twice the error of the energy.
         """
         if not self.exact or state.aim is None or not state.energy > 0:

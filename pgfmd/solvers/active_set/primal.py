@@ -32,9 +32,9 @@ NEAR_CUT = 0.5  # factor on the residual in the iteration that adapts a start
 
 
 class PressureSteps(Relaxation):
-    """Relaxation that costs least where few points are in contact.  wanted: Σ p after the next step, 0: as it is."""
+    """Relaxation that costs least where few points are in contact.  next_load: Σ p after the next step; 0: as is."""
 
-    wanted = 0.0
+    next_load = 0.0
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
@@ -84,16 +84,16 @@ class PressureSteps(Relaxation):
         super().compute_gap(state, precision)
 
     def _system(self, state: State, loaded_only: bool = False) -> ConjugateGradients:
-        """The system for a gap that is known.  Where another load is wanted, it answers a shift of the level by what
-        that load needs about; `_solve` multiplies the answer.  Collective.
+        """The system for a gap that is known.  Where an area that is sought asks for another load, the
+        level is shifted by about what that load needs; `_solve` scales the change to that load.  Collective.
         """
         self.measure(state)
         if (imposed := self.imposed) is None:
             system = self._aimed_at(state, (state.level, state.level), NEUTRAL, loaded_only)
-            if loaded_only or not (pressure := self.wanted_pressure(state, system.square)):
+            if loaded_only or not (pressure := self.next_pressure(state, system.square)):
                 return system
-            at, self.wanted = self.measured(state), pressure * self.grid.size
-            level = state.level + at.range * (self.wanted / state.load - 1)
+            at, self.next_load = self.measured(state), pressure * self.grid.size
+            level = state.level + at.range * (self.next_load / state.load - 1)
             return self._aimed_at(state, (level, state.level), Mean(False, 0.0, state.load / at.range))
         if not (state.load > 0 and state.energy > 0):
             raise SolverError("contact is lost; allow a larger tolerance")
@@ -124,7 +124,7 @@ class PressureSteps(Relaxation):
             self._solve(state, system, wanted)
             return
         if self.exact:
-            self.grid.make_room()  # an eighth of the memory at the peak, for 2 % of the time
+            self.grid.make_room()  # the peak of memory is an eighth lower, for 2 % more time
         part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
         goal, failures = part * system.square, 0
         while failures < 2:
@@ -138,7 +138,7 @@ class PressureSteps(Relaxation):
             change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
             self.inner.apply(change, response)
             near.add(state.gap, response)
-            del near, before, change, response  # a tenth of the memory at the peak
+            del near, before, change, response  # the peak of memory is a tenth lower
             system = self._system(state)
             if system.square < 1.1 * goal:
                 return
@@ -149,14 +149,14 @@ class PressureSteps(Relaxation):
         """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
         feasible.  Collective.
         """
-        change, steps = system.solve(MOVE_CUT if self.wanted else wanted)
-        if self.wanted:
+        change, steps = system.solve(MOVE_CUT if self.next_load else wanted)
+        if self.next_load:
             total = self.grid.reduction.sum(change.sum(dtype=np.float64))
-            factor = (self.wanted - state.load) / total if total else 0.0
+            factor = (self.next_load - state.load) / total if total else 0.0
             factor = factor if factor > 0 else 1.0
             change *= np.float32(factor)
             self.set_load((state.load + factor * total) / self.grid.size)
-            self.wanted = 0.0
+            self.next_load = 0.0
         system.points.add(state.pressure, change)
         state.iterations += steps
         self.feasible.make(system.points, (state.pressure, state.gap))

@@ -157,7 +157,7 @@ class ThinSteps(Relaxation):
         mask = state.pressure > 0 if self.mask is None else self.mask
         if (imposed := self.imposed) is None:
             system = ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
-            if not (pressure := self.wanted_pressure(state, system.square)):
+            if not (pressure := self.next_pressure(state, system.square)):
                 return system
             self._move_load(state, pressure)
             return ThinSystem(self, mask, np.where(mask, state.level - state.gap, 0.0), NEUTRAL)
@@ -170,7 +170,7 @@ class ThinSteps(Relaxation):
         return ThinSystem(self, mask, np.where(mask, aim.level - state.gap, 0.0), mean)
 
     def _move_load(self, state: State, mean_pressure: float) -> None:
-        """Multiplies the pressures.  Collective."""
+        """Scales the pressures to this load.  Collective."""
         factor, rest = mean_pressure * self.grid.size / state.load, self.heights
 
         def part(_: int, first: int, stop: int) -> None:
