@@ -35,6 +35,15 @@ def test_an_unknown_error_names_its_rank(comm):
             raise ArithmeticError("lost")
     assert comm.rank == comm.size - 1 or str(caught.value) == f"rank {comm.size - 1}: ArithmeticError: lost"
 
+    def fails():
+        error = ArithmeticError("lost")
+        error.reason = fails  # which is lost on the way to others
+        raise error
+
+    with pytest.raises(RuntimeError if comm.rank else ArithmeticError, match="lost"):
+        from_root(comm, fails)
+    assert comm.bcast("all here") == "all here"
+
 
 @pytest.mark.parametrize("kind", [InputError, SolverError, OSError])
 def test_errors_of_all_ranks_are_shared(comm, kind):

@@ -160,18 +160,12 @@ def _for_others(failure: Exception, rank: int) -> Exception:
 
 
 def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
-    """Call `function(*arguments)` on rank 0; return its value, or raise its error, on every rank.  Collective."""
+    """Call `function(*arguments)` on rank 0; every rank returns its value, or raises its error.  Collective."""
     value: Any = None
-    failure: Exception | None = None
-    if comm.rank == 0:
-        try:
+    with raise_together(comm):
+        if comm.rank == 0:
             value = function(*arguments)
-        except Exception as error:  # reaches every rank below
-            failure = error
-    value, failure = comm.bcast((value, failure))
-    if failure is not None:
-        raise mark_shared(comm, failure)
-    return value
+    return comm.bcast(value)
 
 
 def _forget(_: MPI.Comm, __: int, kept: dict[object, MPI.Comm | None]) -> None:
