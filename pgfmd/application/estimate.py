@@ -37,7 +37,8 @@ SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with
 THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
-# several solutions (2.2 … 2.8).  Closure to 1e-3 took 6 … 9 at 256² and 512², to 1e-4 9 … 14.
+# several solutions (2.2 … 2.8; the mean gap of an open patch 3.3).  Closure to 1e-3 took 6 … 9 at 256² and 512²,
+# to 1e-4 9 … 14.
 SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.8, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
 SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²

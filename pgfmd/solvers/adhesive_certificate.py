@@ -23,16 +23,16 @@ from pgfmd.solvers.adhesive_inner import conjugate_gradients, decrement, least_r
 from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 
 LANCZOS = 20  # steps: right to 10 % in 10 of 12 states
-RITZ = 0.9  # of a Ritz value less its residual, which counts
+RITZ = 0.9  # part of the least Ritz value less its residual that counts as θ
 PART = 0.45  # of the estimated θ, for which a proof is tried: less proves few more, in a larger distance t
 WORTH = 0.2  # least estimate of θ with which one is: K_M is too soft for smaller ones
-MOST_PROOF = 40  # conjugate gradients of a proof, for each of
-GOALS = 1e-3, 0.03  # what is left of the 1 that is asked, in the norm of P, of it at first and then of that
+MOST_PROOF = 40  # most iterations of a proof for each of GOALS
+GOALS = 1e-3, 0.03  # factors on the residual of Mv = 1, in the norm of P, in a first round and in one that goes on
 LARGEST = 100.0  # of 1/G(0) that s counts at most: more would give the same, by more iterations
 MARGIN = 1.2  # of a distance t over what an expected bound asks for
 LITTLE = 0.05  # distance t over θ that hardly changes θ
-LEFT = 0.6  # of ⟨r, Pr⟩/θ, the root of what is left as the energy error is computed
-ROUNDED = 1.001  # what single precision may leave
+LEFT = 0.6  # factor on √⟨r, Pr⟩ over √θ, to which it is reduced where the energy error is computed
+ROUNDED = 1.001  # factor on the energy error, for rounding in single precision
 POSITIVE = 1e-3  # least value of Mv, of which 1 was asked, that rounding in double precision cannot make of one ≤ 0
 Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 
