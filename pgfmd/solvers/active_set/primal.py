@@ -92,6 +92,7 @@ class PressureSteps(Relaxation):
             system = self._aimed_at(state, (state.level, state.level), NEUTRAL, loaded_only)
             if loaded_only or not (pressure := self.next_pressure(state, system.square)):
                 return system
+            del system  # its vectors
             at, self.next_load = self.measured(state), pressure * self.grid.size
             level = state.level + at.range * (self.next_load / state.load - 1)
             return self._aimed_at(state, (level, state.level), Mean(False, 0.0, state.load / at.range))
