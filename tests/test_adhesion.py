@@ -144,27 +144,55 @@ def test_the_energy_never_rises(work):
         assert len(energies) > 2 and (np.diff(energies) <= 1e-13 * abs(energies[0])).all()
 
 
-def test_loading_and_unloading_lose_energy_in_jumps():
-    """After the cycle of a sticky sphere: the loss is the sum of its energy drops, ≥ 0, and equal to the loop integral
-    of the force; apart again the force is that before."""
-    heights = -np.add.outer(np.arange(-24, 24) ** 2, np.arange(-24, 24) ** 2) / 40.0
-    summit = heights.max() - heights.mean()
-    targets = summit - np.linspace(-6.0, 0.0, 61)
-    load = Load(mean_gap=tuple(targets), cycle=True)
-    run = branch(heights, AdhesiveWall(work=0.5, range=1.0), load, 1e-10)
+def paraboloids(n, radius, lower):
+    """Two in a row, the second lower by that."""
+    x, y = np.arange(n), (np.arange(n) - n / 2) ** 2
+    first, second = (-np.add.outer((x - place) ** 2, y) / (2 * radius) for place in (n / 4, 3 * n / 4))
+    return np.maximum(first, second - lower)
+
+
+CYCLES = {  # heights, range of the wall, what is imposed: areas leap, by 19 % at least, in both directions
+    "gap": (-np.add.outer(np.arange(-24, 24) ** 2, np.arange(-24, 24) ** 2) / 40.0, 1.0, "mean_gap", (15.6, 9.6, 61)),
+    "gap, small": (paraboloids(32, 20.0, 2.0), 1.0, "mean_gap", (3.6, 3.0, 25)),
+    "load": (paraboloids(32, 5.0, 4.0), 1.2, "pressure", (-0.0095, -0.0035, 61)),
+}
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(("heights", "length", "control", "targets"), CYCLES.values(), ids=CYCLES)
+def test_loading_and_unloading_lose_energy_in_jumps(comm, heights, length, control, targets):
+    """Over a cycle of fine steps: the loss is the sum of the energy drops, ≥ 0 and only where there is a jump, and
+    equal to the loop integral of the force, whose end is its beginning."""
+    load = Load(**{control: tuple(np.linspace(*targets))}, cycle=True)
+    rows = SlabGrid(comm, heights.shape).rows
+    run = branch(heights[rows], AdhesiveWall(work=0.5, range=length), load, 1e-10, comm)
     found = [run.solution(target) for target in load.targets]
     drops = np.array([each.details["energy_drop"] for each in found])
-    assert (drops >= -1e-12).all() and np.count_nonzero(np.isfinite([f.details["jump_to"] for f in found])) >= 2
+    jumps = np.isfinite([each.details["jump_to"] for each in found])
+    assert np.count_nonzero(jumps) >= 2 and (drops[jumps] > 0).all() and (drops[~jumps] == 0).all()
     curve = []
-    for target, each in zip(load.targets, found, strict=True):
-        if not math.isnan(each.details["jump_to"]):
+    for each, jumped in zip(found, jumps, strict=True):
+        if jumped and control == "mean_gap":
             curve += [(each.details[f"jump_{way}"], each.details[f"pressure_{when}_jump"])
                       for way, when in (("from", "before"), ("to", "after"))]
-        curve.append((target, each.mean_pressure))
+        curve.append((each.mean_gap, each.mean_pressure))
     gaps, pressures = np.transpose(curve)
-    loop = np.trapezoid(pressures, gaps)
-    assert drops.sum() == pytest.approx(-loop, rel=0.02)
-    assert found[-1].mean_pressure == pytest.approx(found[0].mean_pressure, rel=1e-6)
+    assert drops.sum() == pytest.approx(-np.trapezoid(pressures, gaps), rel=0.02)
+    assert curve[-1] == pytest.approx(curve[0], rel=1e-6)
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("count", [5, 17])
+def test_coarse_steps_without_a_jump_lose_no_energy(comm, count):
+    """Unloading goes back the way of loading, though steps meet negative curvature and forces bend between them."""
+    load = Load(displacement=tuple(np.linspace(-1.0, 3.0, count)), cycle=True)
+    heights = rough(32)
+    rows = SlabGrid(comm, heights.shape).rows
+    run = branch(heights[rows], AdhesiveWall(work=0.5, range=1.0), load, 1e-10, comm)
+    found = [run.solution(target) for target in load.targets]
+    forces = np.array([each.mean_pressure for each in found])
+    np.testing.assert_allclose(forces, forces[::-1], atol=1e-5 * abs(forces).max())
+    assert [each.details["energy_drop"] for each in found] == [0.0] * len(found)
 
 
 @pytest.mark.parametrize(("transition", "expected"), [(1.0, 1.6642), (2.0, 1.5746)])

@@ -1,7 +1,7 @@
 """Adhesive contacts at a sequence of targets: each continues from the last, so that loading and unloading differ.
 
-A step along a branch begins with the gap extrapolated from the last two.  Where the iteration met negative curvature
-and the area leapt, the branch has ended between two targets: the place is bisected, from the stable side.
+A step along a branch begins with the gap extrapolated from the last two.  Where the area leapt over negative
+curvature, or energy was lost, the branch ends between two targets: the place is bisected, from the stable side.
 """
 
 from __future__ import annotations
@@ -42,10 +42,11 @@ LESSER, TRIES = 4.0, 3  # where a guess of θ was too large: the next one, and h
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
+Point = tuple[float, AdhesiveState]  # a target and its contact
 log = logging.getLogger("pgfmd")
 
 
-def _bare(point: tuple[float, AdhesiveState]) -> tuple[float, AdhesiveState]:
+def _bare(point: Point) -> Point:
     return point[0], dataclasses.replace(point[1], gap=NONE, stress=NONE)
 
 
@@ -68,7 +69,7 @@ class Branch:
         )  # fmt: skip
         self.stickiness = resolved(problem, problem.law)
         self.contact = AdhesiveContact(problem)
-        self.last: tuple[float, AdhesiveState] | None = None
+        self.last: Point | None = None
         self.floor, self.proven = 0.0, False  # θ of the last contact, and whether `PART` of it was proved
         self.change: tuple[float, np.ndarray] | None = None  # of targets and gaps to the last ones
 
@@ -118,14 +119,14 @@ class Branch:
             state, way = self._cold(hold), PROBED if self.load.branch == "probe" else COLD
         else:
             before, state = _bare(self.last), self._from(self.last, target, extrapolated=True)
-            while state.negative and self._leapt(before[1], state) and self.load.jump_accuracy:
+            while self.load.jump_accuracy and self._leapt(before, (target, state), state.negative):
                 ends = [self.last, (target, state)]
                 del state  # as the fields of what is not needed any more take memory
                 gradual = not self._bisect(ends)
                 self.last = ends[gradual - 1]
                 if not gradual:
                     jump = ends[0][0], ends[1][0], self._pressure(ends[0][1]), self._pressure(ends[1][1])
-                    drop += self._drop(ends[0], ends[1], True)
+                    drop += max(self._lost(*ends)[1], 0.0)
                     self._tell(*ends)
                     before = _bare(ends[1])
                 reached = ends[1] if ends[1][0] == target else None
@@ -133,9 +134,6 @@ class Branch:
                 state = reached[1] if reached else self._from(self.last, target)
                 if reached or gradual:
                     break
-            if state.negative and before[0] != target:
-                sudden = not gradual and self._leapt(before[1], state)
-                drop += max(self._drop(before, (target, state), sudden), 0.0)
         if self.last and math.isnan(jump[0]) and self.last[0] != target:
             change = self.contact.grid.new_field(np.float32)
             np.subtract(state.gap, self.last[1].gap, out=change, casting="same_kind")
@@ -175,13 +173,7 @@ class Branch:
             contact.to_mean(start, hold.gap)
         return contact.minimise(start, hold, self.tolerance, self._see)
 
-    def _from(
-        self,
-        last: tuple[float, AdhesiveState],
-        target: float,
-        tolerance: float = 0.0,
-        extrapolated: bool = False,
-    ) -> AdhesiveState:
+    def _from(self, last: Point, target: float, tolerance: float = 0.0, extrapolated: bool = False) -> AdhesiveState:
         """The contact at a target, from another.  extrapolated: by the last change, which is lost.  Collective."""
         hold, least, gap = self.hold(target), self.contact.law.least, last[1].gap.copy()
         (step, way), self.change = self.change if extrapolated and self.change else (0.0, gap), None
@@ -199,12 +191,14 @@ class Branch:
             self.contact.to_mean(gap, hold.gap)
         return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see)
 
-    def _leapt(self, old: AdhesiveState, new: AdhesiveState) -> bool:
-        return abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
+    def _leapt(self, low: Point, high: Point, negative: bool = True) -> bool:
+        """Whether the area leapt, with negative curvature, or energy was lost by whatever force was between."""
+        (_, old), (_, new) = low, high
+        leap = abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
+        return (negative and leap) or self._lost(low, high)[0] > self.tolerance * (old.scale + new.scale)
 
-    def _bisect(self, ends: list[tuple[float, AdhesiveState]]) -> bool:
-        """Makes the ends the last state before a jump and the first after it; False where the area changes gradually.
-        Collective.
+    def _bisect(self, ends: list[Point]) -> bool:
+        """Makes the ends the last state before a jump and the first after it; False if it is gradual.  Collective.
 
         A jump that makes up half of the change or more leaves at least `SUDDEN` of it in one half of the interval.
         """
@@ -212,33 +206,35 @@ class Branch:
         while abs(ends[1][0] - ends[0][0]) > width:
             ends[0][1].stress = ends[1][1].stress = NONE
             self.last, target = ends[0], (ends[0][0] + ends[1][0]) / 2
-            middle = self._from(self.last, target, tolerance=loose)
-            first, second, whole = (
-                abs(new.near - old.near)
-                for old, new in ((ends[0][1], middle), (middle, ends[1][1]), (ends[0][1], ends[1][1]))
-            )  # fmt: skip
-            if max(first, second) < SUDDEN * whole:
+            middle = target, self._from(ends[0], target, tolerance=loose)
+            halves = (ends[0], middle), (middle, ends[1])
+            areas = [abs(new[1].near - old[1].near) for old, new in halves]
+            losses = [self._lost(*half)[1] for half in halves]
+            sudden, lost = max(areas) > SUDDEN * abs(ends[1][1].near - ends[0][1].near), self._lost(*ends)
+            if not sudden and (lost[0] <= 0 if loose else max(losses) <= SUDDEN * max(lost[1], 0.0)):
                 return False
-            if loose:  # the first only tells whether there is a jump; its states are reported
-                del middle
-                middle, loose = self._from(self.last, target), 0.0
-            ends[1 if first >= second else 0] = target, middle
-        return True
+            if not loose:  # the first only tells whether there may be a jump
+                late = areas[0] < areas[1] if sudden else losses[0] < losses[1]
+                ends[not late] = middle
+            del middle, halves
+            loose = 0.0
+        return self._leapt(ends[0], ends[1])
 
-    def _drop(self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState], sudden: bool) -> float:
+    def _lost(self, low: Point, high: Point) -> tuple[float, float]:
         """Energy per point lost from one state to the next, over w: the work done less the energy gained.
 
-        sudden: the new state belongs to a jump at the new target; otherwise force and gap change linearly.
+        With the force (at a load: gap) of one end on the whole way, the least; and with the mean of both.
         """
-        (old, new), (at, to) = (low[1], high[1]), (self.hold(low[0]), self.hold(high[0]))
-        pull, mean = (old.pull, old.mean) if sudden else ((old.pull + new.pull) / 2, (old.mean + new.mean) / 2)
-        work = (to.gap - at.gap) * pull + (0.0 if at.fixed else (to.load - at.load) * mean)
-        return old.energy + at.energy(old.mean) + work - new.energy - to.energy(new.mean)
+        (_, old), (_, new), at, to = low, high, self.hold(low[0]), self.hold(high[0])
+        load = 0.0 if at.fixed else to.load - at.load
+        works = [(to.gap - at.gap) * state.pull + load * state.mean for state in (old, new)]
+        gained = new.energy + to.energy(new.mean) - old.energy - at.energy(old.mean)
+        return min(works) - gained, sum(works) / 2 - gained
 
     def _pressure(self, state: AdhesiveState) -> float:
         return -state.pull * self.contact.pressure / self.contact.share
 
-    def _tell(self, low: tuple[float, AdhesiveState], high: tuple[float, AdhesiveState]) -> None:
+    def _tell(self, low: Point, high: Point) -> None:
         if self.grid.comm.rank == 0:
             size = self.grid.size
             log.info(

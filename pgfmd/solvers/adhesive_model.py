@@ -68,7 +68,7 @@ class AdhesiveState:
 
     gap, stress: g and K(g + h) (nx_local, ny); mean: mean gap; elastic: ⟨u, Ku⟩/2 and law: ΣW, per point; square:
     ⟨r, Gr⟩ per point; curvature: an estimate of the least θ with K + W'' ≥ θK, from inner iterations; negative: whether
-    one followed negative curvature; error: energy error over 2 E_el; drop: by how much the steps lowered the energy
+    one followed negative curvature; error: energy error over 2 E_el
     """
 
     gap: np.ndarray
@@ -86,7 +86,6 @@ class AdhesiveState:
     inner: int = 0
     refused: int = 0
     negative: bool = False
-    drop: float = 0.0
     residual: float = math.inf
     level: float = 0.0
     pressure_error: float = math.nan
