@@ -5,6 +5,7 @@ Functions that communicate take the communicator first; nothing here knows about
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -160,12 +161,32 @@ def _for_others(failure: Exception, rank: int) -> Exception:
 
 
 def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
-    """Call `function(*arguments)` on rank 0; every rank returns its value, or raises its error.  Collective."""
+    """Call `function(*arguments)` on rank 0; return its value, or raise its error, on every rank.  Collective.
+
+    Of an error that cannot be sent the others raise what `_for_others` makes of it.
+    """
     value: Any = None
-    with raise_together(comm):
-        if comm.rank == 0:
+    failure: Exception | None = None
+    if comm.rank == 0:
+        try:
             value = function(*arguments)
-    return comm.bcast(value)
+        except Exception as error:  # reaches every rank below
+            failure = error
+    sent = comm.bcast((value, _sendable(failure) if comm.rank == 0 else None))
+    failure = sent[1] if failure is None else failure
+    if failure is not None:
+        raise mark_shared(comm, failure)
+    return sent[0]
+
+
+def _sendable(failure: Exception | None) -> Exception | None:
+    """The error, if it can be pickled and made again; else `_for_others`."""
+    try:
+        pickle.loads(pickle.dumps(failure))
+        return failure
+    except Exception:  # whatever a class does that is not made for it
+        assert failure is not None
+        return _for_others(failure, 0)
 
 
 def _forget(_: MPI.Comm, __: int, kept: dict[object, MPI.Comm | None]) -> None:
