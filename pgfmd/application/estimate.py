@@ -225,10 +225,13 @@ def explore(job: Job) -> None:
     hard = job.wall.kind == "hard" and job.solid.only_inwards and job.imposed.control == "pressure"
     if job.cell.domain.wraps or job.surface.whole.known_slope() is not None or not hard:
         return
+    before = logging.root.manager.disable
     logging.disable()  # what heights are warned of, the run says
-    with suppress(InputError, SolverError):
-        vars(job)["reached"] = _reached(job)
-    logging.disable(logging.NOTSET)
+    try:
+        with suppress(InputError, SolverError):
+            vars(job)["reached"] = _reached(job)
+    finally:
+        logging.disable(before)
 
 
 def _reached(job: Job) -> list[Reach]:

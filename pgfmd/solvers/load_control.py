@@ -240,11 +240,10 @@ class LoadControl:
         try:
             pressure, self._slope, transforms = place.on_all(find)
         except (SolverError, InputError) as failure:
-            if not shared(self.grid.comm, failure):
+            if not shared(self.grid.comm, failure):  # others do not come to free the grid
                 raise
-            return None
-        finally:
-            place.free()
+            pressure = transforms = 0.0
+        place.free()
         self._totals[1] += transforms * place.size / self.grid.size
         return math.log(pressure) if pressure > 0 else None
 

@@ -153,8 +153,7 @@ class PressureSteps(Relaxation):
         change, steps = system.solve(MOVE_CUT if self.next_load else wanted)
         if self.next_load:
             total = self.grid.reduction.sum(change.sum(dtype=np.float64))
-            factor = (self.next_load - state.load) / total if total else 0.0
-            factor = factor if factor > 0 else 1.0
+            factor = max((self.next_load - state.load) / total, 0.0) if total else 0.0  # never the other way
             change *= np.float32(factor)
             self.set_load((state.load + factor * total) / self.grid.size)
             self.next_load = 0.0
