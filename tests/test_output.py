@@ -19,9 +19,11 @@ from job_texts import SOLID
 
 from pgfmd.application import files, hdf5_slabs, job
 from pgfmd.application import writer as output
+from pgfmd.application.field_files import FieldFiles
 from pgfmd.application.info import summary
 from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
+from pgfmd.application.tables import ObservablesFile
 from pgfmd.errors import InputError
 from pgfmd.observables import schema
 from pgfmd.observables.observable_kinds import LAYOUT
@@ -302,6 +304,34 @@ def test_failure_keeps_completed_loads(comm, shared_tmp_path, transport, monkeyp
     assert len(read) == 1 and read.status == "failed" and "free" in read.provenance["error"]
     np.testing.assert_array_equal(read.field("pressure", 0), FIELD)
     assert sorted(path.name for path in (folder / "fields").iterdir()) == ["load_0000.h5"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "step"),
+    [
+        (files.Sums, "forget"), (files, "reserve"), (files, "commit"), (FieldFiles, "write_views"),
+        (ObservablesFile, "change"), (files.Sums, "note"),
+    ],
+)  # fmt: skip
+def test_a_folder_lost_at_any_step_is_named(comm, shared_tmp_path, monkeypatch, kind, step):
+    """A folder that is moved away before any step of a load: on all ranks an OSError that names it, nothing is made
+    anew where it was.
+    """
+    folder, original = shared_tmp_path / "out", getattr(kind, step)
+
+    def moved_first(*arguments, **options):
+        if folder.exists():
+            folder.rename(shared_tmp_path / "elsewhere")
+        return original(*arguments, **options)
+
+    with pytest.raises(OSError, match=str(folder)), writer(comm, folder) as result:
+        write_load(result, 0)
+        comm.Barrier()
+        monkeypatch.setattr(kind, step, moved_first)
+        write_load(result, 1)
+    comm.Barrier()
+    assert not folder.exists()
+    assert len(Results(shared_tmp_path / "elsewhere")) == (2 if step == "note" else 1)  # that comes last
 
 
 def test_a_reader_does_not_refuse_a_run(comm, shared_tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, holder, load_name, member_name, revise
+from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, create, holder, load_name, member_name, revise
 from pgfmd.application.results import Results, Runs, text_table
 from pgfmd.application.tables import name_axes
 from pgfmd.errors import InputError
@@ -244,7 +244,7 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
             for title, group in mean_groups(runs, index).items():
                 _put(file.create_group(f"{load_name(index)}/{title}"), group)
 
-    revise(path, begin, anew=True)  # first, since `folders` asks this file for the seeds
+    create(path, begin)  # first, since `folders` asks this file for the seeds
     if status != "running":
         revise(path, add_means)
 

@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application import files, hdf5_slabs, restart
-from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, load_name, revise
+from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, load_name
 from pgfmd.application.tables import add_grid_axes, annotate, name_axes
 from pgfmd.observables.schema import FIELDS, Dataset
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
@@ -126,7 +126,7 @@ class FieldFiles:
         view = View(self.form.shape, self.form.lengths, self.form.length_unit, self._described)
         about = self._provenance()
         for name, fill in ((FIELDS_FILE, view.write_netcdf), (VTK_FILE, view.write_vtk)):
-            revise(self.directory / name, partial(_describe_and_fill, about, fill), anew=True)
+            files.create(self.directory / name, partial(_describe_and_fill, about, fill))
 
     def remove_views(self) -> None:
         """Remove fields.h5 and fields.vtkhdf."""

@@ -118,13 +118,20 @@ Change = Callable[[h5py.File], None]
 """Adds to or changes an open file."""
 
 
-def revise(path: Path, change: Change, blank: bytes = b"", anew: bool = False, sync: bool = True) -> None:
-    """Let `change` modify a small HDF5 file, or fill a new one that begins as `blank`; anew: even if the file exists.
+def revise(path: Path, change: Change, sync: bool = True) -> None:
+    """Let `change` modify a small HDF5 file.  Raises OSError, also if the file is gone; the old file stays then."""
+    _fill(path, path.read_bytes(), change, sync)
 
-    `change` works in memory, since HDF5 crashes when a disk is full.  Raises OSError; the old file stays then.
-    """
-    content = io.BytesIO(path.read_bytes() if path.exists() and not anew else blank)
-    with h5py.File(content, "r+" if content.getbuffer().nbytes else "w", libver=LIBVER) as file:
+
+def create(path: Path, fill: Change, blank: bytes = b"", sync: bool = True) -> None:
+    """Let `fill` write a small HDF5 file, in the place of one that is there.  It begins as `blank`.  Raises OSError."""
+    _fill(path, blank, fill, sync)
+
+
+def _fill(path: Path, begun: bytes, change: Change, sync: bool) -> None:
+    """The work is done in memory, since HDF5 crashes when a disk is full."""
+    content = io.BytesIO(begun)
+    with h5py.File(content, "r+" if begun else "w", libver=LIBVER) as file:
         change(file)
     replace(path, content.getbuffer(), sync)
 

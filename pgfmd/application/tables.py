@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Change, Form, load_name, revise
+from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Change, Form, create, load_name, revise
 from pgfmd.observables.schema import LOADS, TABLE, Dataset, Groups
 
 
@@ -28,6 +28,7 @@ class ObservablesFile:
     def __init__(self, directory: Path, form: Form, patience: float) -> None:
         self.path, self.form, self.patience = directory / OBSERVABLES_FILE, form, patience
         self._changes: list[Change] = []
+        self._begun = False  # whether this run has written the file
         self._last_change = time.monotonic()
 
     def change(self, change: Change, now: bool = False) -> None:
@@ -40,12 +41,16 @@ class ObservablesFile:
                 for each in changes:
                     each(file)
 
-            revise(self.path, apply, _without_loads(*self.form.units.values()), sync=not self.patience)
-            self._last_change = time.monotonic()
+            if self._begun or self.path.exists():  # it must not begin anew where the folder of a run has been lost
+                revise(self.path, apply, sync=not self.patience)
+            else:
+                create(self.path, apply, _without_loads(*self.form.units.values()), sync=not self.patience)
+            self._begun, self._last_change = True, time.monotonic()
 
     def replace(self, fill: Change) -> None:
         """Write the file anew; nothing of an earlier version stays."""
-        revise(self.path, fill, anew=True)
+        create(self.path, fill)
+        self._begun = True
 
 
 def add_columns(
