@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -19,6 +20,7 @@ from job_texts import SOLID
 from pgfmd.application import cli
 from pgfmd.application import job as config
 from pgfmd.application.results import Results
+from pgfmd.errors import InputError
 
 JOB = SOLID + '[grid]\nn = [8, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1.0\n[load]\npressure = [0.1, 0.2]\n'
 
@@ -143,6 +145,14 @@ def test_faults_inside_a_run_end_all_ranks(mpirun, tmp_path, job, fault):
     assert done.returncode == code
     assert words in done.stderr
     assert len(complaints(done.stderr)) == 1
+
+
+def test_an_error_is_written_at_once(monkeypatch):
+    """The line of an error is one write: of two, mpirun may put words of its own between them."""
+    writes: list[str] = []
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=writes.append, flush=lambda: None))
+    assert cli._complain(InputError("bad\nrows")) == 2
+    assert writes == ["pgfmd: error: bad rows\n"]
 
 
 def test_check_and_info_need_no_mpi(tmp_path, job):

@@ -310,7 +310,9 @@ def _complain(error: BaseException) -> int:
         traceback.print_exception(error)
     kind = "" if isinstance(error, (Stopped, KeyboardInterrupt)) else "error: "
     with contextlib.suppress(OSError):  # the terminal may have been closed
-        print(f"pgfmd: {kind}{printable(message, 4000)}", file=sys.stderr, flush=True)
+        # One write, not the two of `print`: mpirun may put words of its own between them.
+        sys.stderr.write(f"pgfmd: {kind}{printable(message, 4000)}\n")
+        sys.stderr.flush()
     return _code(error)
 
 
