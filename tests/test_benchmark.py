@@ -63,13 +63,13 @@ def test_the_load_of_a_count_is_where_check_expects_that_area(area):
     """The inverse of what `pgfmd check` takes as the contact area of a mean pressure."""
     from benchmarks.counts import RMS_SLOPE, pressure_of
 
-    from pgfmd.application.estimate import contact_areas
+    from pgfmd.application.estimate import Plan
     from pgfmd.application.job import parse, tables_as_toml
 
     surface = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 8.0, "rms_slope": RMS_SLOPE}
     tables = {"grid": {"n": 64}, "surface": surface, "solid": {"contact_modulus": 1.0}}
     job = parse(tables_as_toml(tables | {"load": {"pressure": pressure_of(area)}}))
-    assert contact_areas(job) == pytest.approx([area], rel=1e-9)
+    assert Plan(job).contact_areas() == pytest.approx([area], rel=1e-9)
 
 
 def test_pressures_are_certified_where_they_pass_a_level():

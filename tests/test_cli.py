@@ -328,11 +328,11 @@ def test_estimate_scales():
     and sees, of the strips (8 bytes per point), its rows of those of the other.  Files are counted byte for byte:
     fields × points × width × loads.
     """
-    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
+    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, Plan
 
     job = config.parse(JOB, overrides=['output.fields=["height", "pressure"]', "output.precision=float32"])
-    one, two = (estimate(job, ranks) for ranks in (1, 2))
+    one, two = (Plan(job).estimate(ranks) for ranks in (1, 2))
     assert one.node == pytest.approx(one.memory, rel=1e-12)
     assert two.node - one.node == pytest.approx(BASE_BYTES - LIBRARY_BYTES, rel=1e-9)
     assert two.memory - BASE_BYTES >= (one.memory - BASE_BYTES) / 2 + 8 * 48 / 4 - 1e-6
-    assert estimate(job, 1).files == (1 + 2) * 48 * 4
+    assert Plan(job).estimate(1).files == (1 + 2) * 48 * 4

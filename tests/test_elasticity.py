@@ -12,7 +12,7 @@ import reference
 from solids import elastic
 
 import pgfmd
-from pgfmd.application.estimate import report
+from pgfmd.application.estimate import Plan
 from pgfmd.application.job import load, parse
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
@@ -381,7 +381,7 @@ def test_a_job_s_table_is_found_checked_and_compared(comm, shared_tmp_path):
             load(folder / "job.toml")
     tabulated(comm, folder / "factor.csv", np.array([0.5, 5.0]), np.array([2.0, 1.0]))
     job = load(folder / "job.toml")
-    assert "solid      table: table of 2 entries, q from 0.5 to 5, F from 2 to 1" in report(job, 1)
+    assert "solid      table: table of 2 entries, q from 0.5 to 5, F from 2 to 1" in Plan(job).report(1)
     simulate(job, comm, shared_tmp_path / "out")
     simulate(job, comm, shared_tmp_path / "out", restart=True)
     tabulated(comm, folder / "factor.csv", np.array([0.5, 5.0]), np.array([2.0, 1.1]))

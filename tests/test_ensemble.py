@@ -14,7 +14,7 @@ import pgfmd
 from pgfmd.application import ensemble_run as ensembles
 from pgfmd.application import simulate as runner
 from pgfmd.application.ensemble import Column, folders, mean_loads, solved_runs
-from pgfmd.application.estimate import rank_groups
+from pgfmd.application.estimate import Plan
 from pgfmd.application.files import Form
 from pgfmd.application.info import as_json, summary_of_ensemble
 from pgfmd.application.job import as_toml, parse, tables_as_toml
@@ -278,15 +278,15 @@ def test_an_ensemble_is_no_surface(comm):
 )
 def test_ranks_are_shared_out_by_size(n, seeds, ranks, groups):
     """Surfaces are solved side by side; a surface is shared where that is faster, by the speed that slabs have."""
-    assert rank_groups(parse(tables_as_toml(with_seeds(seeds, grid={"n": n}))), ranks) == groups
+    assert Plan(parse(tables_as_toml(with_seeds(seeds, grid={"n": n})))).rank_groups(ranks) == groups
 
 
 def test_ranks_share_what_one_cannot_hold():
     """Where one rank has not the memory for a whole surface, as many share it as are needed."""
-    job = parse(tables_as_toml(with_seeds("1..64", grid={"n": 4096})))
+    plan = Plan(parse(tables_as_toml(with_seeds("1..64", grid={"n": 4096}))))
     alone = 4096**2 * 40 + 2.5e8
-    assert rank_groups(job, 8, alone * 3) == 8 and rank_groups(job, 8, alone * 0.6) < 8
-    assert rank_groups(job, 3, alone * 0.6) == 1  # not two groups, one of which is a single rank
+    assert plan.rank_groups(8, alone * 3) == 8 and plan.rank_groups(8, alone * 0.6) < 8
+    assert plan.rank_groups(3, alone * 0.6) == 1  # not two groups, one of which is a single rank
 
 
 @pytest.mark.mpi("breadth")
@@ -300,7 +300,7 @@ def test_memory_is_judged_for_the_groups_that_run(comm, shared_tmp_path, monkeyp
         pytest.skip("one rank is one group")
     for name in ("BASE_BYTES", "LIBRARY_BYTES"):  # so that the grid alone counts
         monkeypatch.setattr(estimate, name, 0.0)
-    alone = estimate.estimate(parse(tables_as_toml(JOB)), 1).memory
+    alone = estimate.Plan(parse(tables_as_toml(JOB))).estimate(1).memory
     monkeypatch.setattr(machine, "largest_memory", lambda: 0.7 * alone * comm.size)
     assert pgfmd.run(JOB, shared_tmp_path / "out", comm=comm).status == "complete"
     monkeypatch.setattr(machine, "largest_memory", lambda: 0.3 * alone)
@@ -352,7 +352,7 @@ def test_a_seed_that_takes_too_much_memory_does_not_stop_the_others(comm, shared
         simulate(job, group, directory, **options)
 
     monkeypatch.setattr(runner, "simulate", stand_in)
-    monkeypatch.setattr(ensembles, "rank_groups", lambda *_: comm.size)
+    monkeypatch.setattr(ensembles.Plan, "rank_groups", lambda *_: comm.size)
     with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 4: MemoryError"):
         pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
     assert pgfmd.Ensemble(shared_tmp_path / "out").failed == {4: "MemoryError"}

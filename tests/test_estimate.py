@@ -64,7 +64,7 @@ LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads t
 def test_memory_is_predicted(mpirun, tmp_path, n, ranks):
     """The peak of a rank's memory, all libraries included, is within 15 % of what `check` says."""
     text = text_of(n, 0.0032, {})
-    expected = estimate.estimate(job.parse(text), ranks).memory
+    expected = estimate.Plan(job.parse(text)).estimate(ranks).memory
     assert measured(mpirun, tmp_path, text, ranks) == pytest.approx(expected, rel=WITHIN)
 
 
@@ -82,13 +82,13 @@ def test_contacts_of_bodies_are_explored(radius):
     middle; contact of more than half of the patch counts as all of it.
     """
     asked = job.parse(sphere_text(512, radius))
-    assert estimate.contact_areas(asked) == [estimate.OPEN_AREA]
-    before = estimate.bytes_per_point(asked)
-    estimate.explore(asked)
-    (found,) = estimate.reached(asked)
+    unknown, plan = estimate.Plan(asked), estimate.explored(asked)
+    assert unknown.contact_areas() == [estimate.OPEN_AREA]
+    (found,) = plan.reaches
     assert found.area == pytest.approx(np.pi * radius**2, rel=0.15)
     assert found.part == pytest.approx(min((2 * np.sqrt(2 * cropping.MARGIN) * radius) ** 2, 1), rel=0.15)
-    assert (estimate.bytes_per_point(asked) < 0.9 * before) == (found.part < 0.5) and estimate.WORTH == cropping.WORTH
+    assert (plan.bytes_per_point() < 0.9 * unknown.bytes_per_point()) == (found.part < 0.5)
+    assert estimate.WORTH == cropping.WORTH
 
 
 @pytest.mark.breadth
@@ -97,8 +97,7 @@ def test_contacts_of_bodies_are_explored(radius):
 def test_memory_of_open_bodies(mpirun, tmp_path, n, radius):
     """So it is for contacts that are solved on a rectangle."""
     asked = job.parse(sphere_text(n, radius))
-    estimate.explore(asked)
-    expected = estimate.estimate(asked, 1).memory
+    expected = estimate.explored(asked).estimate(1).memory
     assert measured(mpirun, tmp_path, sphere_text(n, radius), 1) == pytest.approx(expected, rel=WITHIN)
 
 
@@ -108,7 +107,7 @@ def test_nodes_hold_what_their_ranks_hold():
     strip, all of it.
     """
     one = job.parse(text_of(4096, 0.0032, {}))
-    alone, apart = estimate.estimate(one, 16), estimate.estimate(one, 16, per_node=4)
+    alone, apart = estimate.Plan(one).estimate(16), estimate.Plan(one).estimate(16, per_node=4)
     least = (alone.node - estimate.LIBRARY_BYTES) / 4 + 8 * 4096**2 / 4 * (1 - 1 / 4)
     assert least <= apart.node - estimate.LIBRARY_BYTES < 1.1 * least
     assert apart.memory - alone.memory == pytest.approx(8 * 4096**2 / 16 * (3 + 3 / 4 - 15 / 16), rel=1e-9)
@@ -145,7 +144,7 @@ def test_coarse_grids_of_a_node(ranks, of):
 def test_memory_of_methods(mpirun, tmp_path, wall, pressure, solver):
     """So it is with other walls, contact areas, methods and transforms."""
     text = text_of(1024, pressure, wall, **solver)
-    expected = estimate.estimate(job.parse(text), 1).memory
+    expected = estimate.Plan(job.parse(text)).estimate(1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
@@ -158,7 +157,7 @@ def test_memory_of_observables(mpirun, tmp_path, name):
     surface, output = {"lambda_s": 8.0, "rms_slope": 0.1}, {"observables": [name], name: options.get(name, {})}
     solid = {"contact_modulus": 1.0, "poisson": 0.3}
     text = rough_job(1024, surface, solid=solid, load={"pressure": [0.006]}, output=output)
-    expected = estimate.estimate(job.parse(text), 1).memory
+    expected = estimate.Plan(job.parse(text)).estimate(1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
@@ -168,14 +167,14 @@ def test_memory_of_observables(mpirun, tmp_path, name):
 def test_memory_of_searches(mpirun, tmp_path, area):
     """So it is where an area is searched: of the last solution only what may start the next is kept."""
     text = text_of(2048, 0.01, {}).replace("pressure = [0.01]", f"contact_area = {area}")
-    expected = estimate.estimate(job.parse(text), 1).memory
+    expected = estimate.Plan(job.parse(text)).estimate(1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
 
 
 def test_thin_free_slabs_take_more_time():
     """A contact on a free slab of .2 of the cell takes many times as long as one on a slab of .3."""
     slabs = (["solid.base=free", f"solid.thickness={thickness}"] for thickness in (200, 300))
-    thin, thick = (estimate.estimate(job.parse(text_of(1024, 0.01, {}), overrides=slab), 1) for slab in slabs)
+    thin, thick = (estimate.Plan(job.parse(text_of(1024, 0.01, {}), overrides=slab)).estimate(1) for slab in slabs)
     assert thin.seconds > thick.seconds + 5 * (thick.seconds - estimate.START) / 3
 
 
@@ -183,7 +182,7 @@ def test_small_grids_take_time_too():
     """Many loads of few points take what a load takes at least, whatever its grid."""
     one = job.parse(text_of(64, 0.01, {}))
     many = job.parse(text_of(64, 0.01, {}).replace("[0.01]", str([0.01 + 1e-6 * i for i in range(2000)])))
-    assert estimate.estimate(many, 1).seconds > estimate.estimate(one, 1).seconds + 1999 * estimate.PER_LOAD
+    assert estimate.Plan(many).estimate(1).seconds > estimate.Plan(one).estimate(1).seconds + 1999 * estimate.PER_LOAD
 
 
 @pytest.mark.parametrize(
@@ -205,7 +204,7 @@ def test_the_very_large_job_says_what_check_says():
     rows = re.findall(r"^# +(\d+) +(\d+) +([\d.]+) GB +([\d.]+) GB +([\d.]+) s$", path.read_text(), re.MULTILINE)
     assert [int(n) for n, *_ in rows] == [16384, 32768, 65536] and job.load(path).grid.n[0] == 16384
     for n, ranks, memory, files, seconds in rows:
-        found = estimate.estimate(job.load(path, [f"grid.n={n}"]), int(ranks), per_node=4)
+        found = estimate.Plan(job.load(path, [f"grid.n={n}"])).estimate(int(ranks), per_node=4)
         assert (found.node, found.files) == pytest.approx((float(memory) * 1e9, float(files) * 1e9), rel=0.1)
         assert 0.5 < found.seconds / float(seconds) < 2
 
@@ -213,7 +212,7 @@ def test_the_very_large_job_says_what_check_says():
 def test_dynamics_take_longer():
     """Some six times, at sizes at which the start of a run does not matter."""
     texts = (text_of(4096, 0.01, {}, method=method) for method in ("active-set", "gfmd"))
-    quick, slow = (estimate.estimate(job.parse(text), 1).seconds for text in texts)
+    quick, slow = (estimate.Plan(job.parse(text)).estimate(1).seconds for text in texts)
     assert slow > 3 * quick
 
 
@@ -226,7 +225,7 @@ def test_a_small_shared_memory_is_told_of(monkeypatch):
     def said(ranks, per_node=None, **solver):
         tables = {"grid": {"n": 4096}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "load": {"pressure": 0.1}}
         large = job.parse(job.tables_as_toml(tables | {"solver": solver, "solid": {"contact_modulus": 1.0}}))
-        return "/dev/shm" in estimate.report(large, ranks, per_node)
+        return "/dev/shm" in estimate.Plan(large).report(ranks, per_node)
 
     monkeypatch.setattr(estimate, "shared_memory", lambda: ("/dev/shm", 64e6))
     assert said(2) and not said(1) and not said(2, 1) and not said(2, transform="mpi4py-fft")

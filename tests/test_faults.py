@@ -81,7 +81,7 @@ FAULTY_SEED = """
 import pgfmd.grid.transpose
 from pgfmd.errors import InputError, SolverError
 from pgfmd.application import ensemble_run
-ensemble_run.rank_groups = lambda *_: {groups}
+ensemble_run.Plan.rank_groups = lambda *_: {groups}
 owner, calls = pgfmd.grid.transpose.SharedStrips, []
 original = owner.put
 def failing(*arguments):

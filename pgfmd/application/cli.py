@@ -165,7 +165,7 @@ def _new(options: argparse.Namespace) -> str:
 
 
 def _check(options: argparse.Namespace) -> str:
-    from pgfmd.application import estimate
+    from pgfmd.application.estimate import explored
     from pgfmd.application.job import load
     from pgfmd.application.machine import largest_memory
     from pgfmd.application.one_process import doubts
@@ -176,10 +176,10 @@ def _check(options: argparse.Namespace) -> str:
         each = f", of each of {surfaces} surfaces" * (surfaces > 1)
         raise InputError(f"--ranks {options.ranks}: more ranks than the {nx} rows of the grid{each}")
     here = largest_memory()
-    estimate.explore(job)
-    size = estimate.estimate(job, options.ranks, here / options.ranks, options.ranks_per_node).node
+    plan = explored(job)
+    size = plan.estimate(options.ranks, here / options.ranks, options.ranks_per_node).node
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
-    report = estimate.report(job, options.ranks, options.ranks_per_node)  # opens the files that the job names
+    report = plan.report(options.ranks, options.ranks_per_node)  # opens the files that the job names
     against = "".join(f"\n{line}" for line in job.output.idle + doubts(job))
     return f"{options.job}: valid{limit}{against}\n{report}"
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pgfmd.application import ensemble, machine, restart
-from pgfmd.application.estimate import rank_groups
+from pgfmd.application.estimate import Plan
 from pgfmd.application.files import (
     ENSEMBLE_FILE,
     OBSERVABLES_FILE,
@@ -50,7 +50,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     """
     seeds = job.surface.seeds
     room = machine.room_per_rank(comm)
-    groups = from_root(comm, rank_groups, job, comm.size, room)  # may read the surface's table
+    groups = from_root(comm, Plan(job).rank_groups, comm.size, room)  # may read the surface's table
     memory = machine.memory_per_rank(job, comm, room)
     machine.refuse_too_large(comm, memory)
     before: bytes | None = None  # ensemble.h5 as it was; rank 0

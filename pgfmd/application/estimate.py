@@ -44,7 +44,7 @@ SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 OPEN_AREA = 0.45  # with open boundaries where it is not known: between areas that need little memory and most
 TABLE_BYTES = 8.0  # per quarter of the torus' modes: their compliance
-# Of `explore`: most points along a side and number of its contacts; most points of a file that it reads.
+# Of `explored`: most points along a side and number of its contacts; most points of a file that it reads.
 COARSE, MOST_LOADS, MOST_POINTS = 128, 16, 2**24
 # A contact that is solved on a rectangle: bytes per point of the patch, of the rectangle; transforms for the rest.
 WHOLE_BYTES, RECTANGLE_BYTES, OUTSIDE = 27.0, (55.0, 16.0), 2.0
@@ -67,142 +67,6 @@ class Estimate:
     seconds: float
 
 
-def estimate(job: Job, ranks: int, room: float = math.inf, per_node: int | None = None) -> Estimate:
-    """Memory, size of the files and time of the job on `ranks` ranks with one core each, roughly.
-
-    room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).  per_node: ranks
-    of the fullest node; None: all.
-    """
-    points = math.prod(job.cell.n)
-    surfaces, groups = max(1, len(job.surface.seeds)), rank_groups(job, ranks, room)
-    here = min(per_node or ranks, ranks)
-    ranks //= groups  # of one surface, in the smallest group
-    loads = len(job.load.targets)
-    itemsize = 4 if job.output.precision == "float32" else 8
-    field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-    by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
-    secants = job.imposed.control not in ("pressure", "percolation") and not by_level  # one mean pressure after another
-    work_of_search = SOLUTIONS_WORK if secants else SEARCH_WORK[job.imposed.control]
-    if job.imposed.control == "mean_gap" and not job.cell.domain.wraps:
-        work_of_search = OPEN_GAP_WORK
-    contacts = loads * work_of_search
-    solving = sum(cost.transforms for cost in solving_costs(job)) / len(contact_areas(job)) * job.solid.effort
-    if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
-        solving *= THIN_WORK
-    measuring = BESIDES[0] + sum(cost.transforms for cost in measuring_costs(job))
-    if not job.cell.domain.wraps:
-        solving, measuring = OPEN_WORK * solving, 3 * measuring
-    work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
-    gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
-    rank, node = _memory(job, ranks, min(here, ranks), gathered)
-    return Estimate(
-        memory=BASE_BYTES + rank,
-        node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
-        files=surfaces * field_count * points * itemsize,
-        seconds=START + -(-surfaces // groups) * (work / gain(ranks) + PER_LOAD * loads),
-    )
-
-
-def _memory(job: Job, ranks: int, here: int, gathered: int) -> tuple[float, float]:
-    """Bytes for one surface, of the rank and of the node that need most: while it is solved and measured, or written,
-    when one rank has `gathered` bytes.  here: ranks of a node.
-
-    Blocked transforms: of the strips of its node a rank sees its own and its rows of the others; on several nodes, one
-    strip for each of these, and its own rows, packed.
-    """
-    nodes = -(-ranks // here)
-    shares, of_node = (largest_shares(job.cell.n, ranks, of) for of in (1, here))
-    workspace = WORKSPACE[job.solver.transform]
-    blocked = workspace * (job.solver.transform == "blocked")
-    packed = blocked * (1 - 1 / nodes)
-    seen = blocked * (here - 1) / (here if nodes == 1 else 1) + packed
-    written = FIELD_BYTES + workspace
-    rank = max(peak(shares, bytes_per_point(job, ranks)), written * shares[0] + gathered) + seen * shares[0]
-    node = max(peak(of_node, bytes_per_point(job, nodes)), written * of_node[0] + gathered) + packed * of_node[0]
-    return rank, node
-
-
-def peak(shares: list[int], per_point: float) -> float:
-    """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
-
-    per_point: bytes per point of the grid that is solved or measured.  Finer grids keep `WAITING_BYTES` per point.  A
-    coarser grid can be the worst: fewer ranks hold it, with larger shares.
-    """
-    return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
-
-
-def gain(ranks: int) -> float:
-    """Speed of ranks that share a surface over that of one."""
-    return 1.0 if ranks == 1 else SLAB_GAIN * ranks
-
-
-def rank_groups(job: Job, ranks: int, room: float = math.inf) -> int:
-    """Into how many groups ranks are divided, each of which takes one surface at a time: 1 if there is only one; for an
-    ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
-
-    A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as its slabs have `LEAST_SLAB` points.
-    """
-    (nx, ny), surfaces = job.cell.n, len(job.surface.seeds)
-    if surfaces == 0:
-        return 1
-
-    def seconds(groups: int) -> float:
-        width = min(ranks // groups, max(1, nx * ny // LEAST_SLAB))
-        return -(-surfaces // groups) / gain(width)
-
-    def fits(groups: int) -> bool:
-        narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
-        return wide <= nx and BASE_BYTES + peak(largest_shares((nx, ny), narrow), bytes_per_point(job)) <= room
-
-    most = min(ranks, surfaces)
-    # If nothing fits, one group takes least memory on each rank; it needs a row for each.
-    return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
-
-
-def bytes_per_point(job: Job, slabs: int = 1) -> float:
-    """Bytes per grid point at the peak, while a load is solved or an observable measured, of the fullest of so many
-    slabs.
-    """
-    costs = solving_costs(job, slabs) + measuring_costs(job)
-    searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
-    kept = FIELD_BYTES + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
-    torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
-    if reaches := [each for each in reached(job) if each.part <= WORTH]:
-        most = max(reaches, key=lambda each: each.part)
-        kept = RECTANGLE_BYTES[int(8 * most.part * math.prod(job.cell.n) >= RETURNED)]
-        measuring = MEASURING_BYTES + max((cost.memory for cost in measuring_costs(job)), default=0.0)
-        return max(measuring, WHOLE_BYTES + most.torus + kept * most.part)
-    workspace = WORKSPACE[job.solver.transform] * torus[1] / job.cell.n[1]
-    if not job.cell.domain.wraps:
-        workspace = PADDED * workspace + TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
-    return kept + workspace + max(cost.memory for cost in costs)
-
-
-def solving_costs(job: Job, slabs: int = 1) -> list[Cost]:
-    """What each load costs to solve; memory of the fullest of so many slabs."""
-    method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-    slope, cell = job.surface.whole.known_slope() or 0.0, job.cell
-    # rms slope times spacing and length bound the rms height of what has mean 0
-    moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
-    scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
-    single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
-    effort = job.wall.newton_effort if method == "newton" else job.wall.effort
-    most = 1.0 if cell.domain.wraps else GAPS_FROM  # there pressures are the unknowns at any area
-    strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
-    arrays = Arrays(scaled, single, strips)
-    costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in contact_areas(job)]
-    for number, each in enumerate(reached(job)):
-        if each.part <= WORTH:
-            work = solver_cost(method, min(each.area / each.part, most), slabs).transforms
-            costs[number] = Cost(each.part * work + OUTSIDE, costs[number].memory)
-    return costs
-
-
-def measuring_costs(job: Job) -> list[Cost]:
-    """What the observables that are asked for cost, for one load."""
-    return [observable.cost(job.cell, job.surface.whole.cutoff(job.grid)) for observable in job.output.asked]
-
-
 class Reach(NamedTuple):
     """The relative area of a contact, the part of the patch on which it is solved, and bytes per point for the torus of
     the gap outside.
@@ -213,28 +77,212 @@ class Reach(NamedTuple):
     torus: float
 
 
-def reached(job: Job) -> list[Reach]:
-    """How far contacts reach, if `explore` has found it."""
-    return vars(job).get("reached", [])
+@dataclass(frozen=True)
+class Plan:
+    """A job, and how far its contacts reach, if `explored` has found that."""
+
+    job: Job
+    reaches: tuple[Reach, ...] = ()
+
+    def estimate(self, ranks: int, room: float = math.inf, per_node: int | None = None) -> Estimate:
+        """Memory, size of the files and time of the job on `ranks` ranks with one core each, roughly.
+
+        room: bytes that each rank can have, by which an ensemble is divided into groups (`rank_groups`).
+        per_node: ranks of the fullest node; None: all.
+        """
+        job = self.job
+        points = math.prod(job.cell.n)
+        surfaces, groups = max(1, len(job.surface.seeds)), self.rank_groups(ranks, room)
+        here = min(per_node or ranks, ranks)
+        ranks //= groups  # of one surface, in the smallest group
+        loads = len(job.load.targets)
+        itemsize = 4 if job.output.precision == "float32" else 8
+        field_count = sum(1 if name == "height" else loads for name in job.output.fields)
+        by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
+        one_solution = by_level or job.imposed.control in ("pressure", "percolation")
+        work_of_search = SEARCH_WORK[job.imposed.control] if one_solution else SOLUTIONS_WORK
+        if job.imposed.control == "mean_gap" and not job.cell.domain.wraps:
+            work_of_search = OPEN_GAP_WORK
+        contacts = loads * work_of_search
+        solving = sum(cost.transforms for cost in self.solving_costs()) / len(self.contact_areas()) * job.solid.effort
+        if job.wall.kind == "hard" and job.solid.softest(job.cell.lengths, job.cell.spacings) < SOFT:
+            solving *= THIN_WORK
+        measuring = BESIDES[0] + sum(cost.transforms for cost in self.measuring_costs())
+        if not job.cell.domain.wraps:
+            solving, measuring = OPEN_WORK * solving, 3 * measuring
+        work = (solving * contacts + measuring * loads + BESIDES[1]) * points * SECONDS_PER_POINT
+        gathered = min(points * itemsize, AGGREGATION_BYTES) if field_count and ranks > 1 else 0
+        rank, node = self._memory(ranks, min(here, ranks), gathered)
+        return Estimate(
+            memory=BASE_BYTES + rank,
+            node=LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES) + -(-here // ranks) * node,
+            files=surfaces * field_count * points * itemsize,
+            seconds=START + -(-surfaces // groups) * (work / gain(ranks) + PER_LOAD * loads),
+        )
+
+    def _memory(self, ranks: int, here: int, gathered: int) -> tuple[float, float]:
+        """Bytes for one surface, of the rank and of the node that need most: while it is solved and measured, or
+        written, when one rank has `gathered` bytes.  here: ranks of a node.
+
+        Blocked transforms: of the strips of its node a rank sees its own and its rows of the others; on several nodes,
+        one strip for each of these, and its own rows, packed.
+        """
+        job = self.job
+        nodes = -(-ranks // here)
+        shares, of_node = (largest_shares(job.cell.n, ranks, of) for of in (1, here))
+        workspace = WORKSPACE[job.solver.transform]
+        blocked = workspace * (job.solver.transform == "blocked")
+        packed = blocked * (1 - 1 / nodes)
+        seen = blocked * (here - 1) / (here if nodes == 1 else 1) + packed
+        written = FIELD_BYTES + workspace
+        rank = max(peak(shares, self.bytes_per_point(ranks)), written * shares[0] + gathered) + seen * shares[0]
+        node = max(peak(of_node, self.bytes_per_point(nodes)), written * of_node[0] + gathered) + packed * of_node[0]
+        return rank, node
+
+    def rank_groups(self, ranks: int, room: float = math.inf) -> int:
+        """Into how many groups ranks are divided, each of which takes one surface at a time: 1 if there is only one;
+        for an ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
+
+        A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as its slabs have `LEAST_SLAB`
+        points.
+        """
+        job = self.job
+        (nx, ny), surfaces = job.cell.n, len(job.surface.seeds)
+        if surfaces == 0:
+            return 1
+
+        def seconds(groups: int) -> float:
+            width = min(ranks // groups, max(1, nx * ny // LEAST_SLAB))
+            return -(-surfaces // groups) / gain(width)
+
+        def fits(groups: int) -> bool:
+            narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
+            return wide <= nx and BASE_BYTES + peak(largest_shares((nx, ny), narrow), self.bytes_per_point()) <= room
+
+        most = min(ranks, surfaces)
+        # If nothing fits, one group takes least memory on each rank; it needs a row for each.
+        return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
+
+    def bytes_per_point(self, slabs: int = 1) -> float:
+        """Bytes per grid point at the peak, while a load is solved or an observable measured, of the fullest of so many
+        slabs.
+        """
+        job = self.job
+        costs = self.solving_costs(slabs) + self.measuring_costs()
+        searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
+        kept = FIELD_BYTES + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
+        torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
+        if reaches := [each for each in self.reaches if each.part <= WORTH]:
+            most = max(reaches, key=lambda each: each.part)
+            kept = RECTANGLE_BYTES[int(8 * most.part * math.prod(job.cell.n) >= RETURNED)]
+            measuring = MEASURING_BYTES + max((cost.memory for cost in self.measuring_costs()), default=0.0)
+            return max(measuring, WHOLE_BYTES + most.torus + kept * most.part)
+        workspace = WORKSPACE[job.solver.transform] * torus[1] / job.cell.n[1]
+        if not job.cell.domain.wraps:
+            workspace = PADDED * workspace + TABLE_BYTES * torus[0] * torus[1] / (4 * math.prod(job.cell.n))
+        return kept + workspace + max(cost.memory for cost in costs)
+
+    def solving_costs(self, slabs: int = 1) -> list[Cost]:
+        """What each load costs to solve; memory of the fullest of so many slabs."""
+        job = self.job
+        method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
+        slope, cell = job.surface.whole.known_slope() or 0.0, job.cell
+        # rms slope times spacing and length bound the rms height of what has mean 0
+        moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
+        scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
+        single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
+        effort = job.wall.newton_effort if method == "newton" else job.wall.effort
+        most = 1.0 if cell.domain.wraps else GAPS_FROM  # there pressures are the unknowns at any area
+        strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
+        arrays = Arrays(scaled, single, strips)
+        costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in self.contact_areas()]
+        for number, each in enumerate(self.reaches):
+            if each.part <= WORTH:
+                work = solver_cost(method, min(each.area / each.part, most), slabs).transforms
+                costs[number] = Cost(each.part * work + OUTSIDE, costs[number].memory)
+        return costs
+
+    def measuring_costs(self) -> list[Cost]:
+        """What the observables that are asked for cost, for one load."""
+        job = self.job
+        return [observable.cost(job.cell, job.surface.whole.cutoff(job.grid)) for observable in job.output.asked]
+
+    def contact_areas(self) -> list[float]:
+        """The relative contact area of each load: the prescribed one; else that of Persson's theory times
+        1 + `AREA_EXCESS` (1 − area); where neither is known, the area that costs most.
+        """
+        job = self.job
+        targets = job.imposed.targets
+        if self.reaches:
+            return [each.area for each in self.reaches]
+        if job.imposed.control == "contact_area":
+            return list(targets)
+        full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
+        if job.imposed.control != "pressure" or not full:  # it may underflow
+            return [GAPS_FROM if job.cell.domain.wraps else OPEN_AREA]
+        areas = [math.erf(target / full) for target in targets]
+        return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
+
+    def report(self, ranks: int, per_node: int | None = None) -> str:
+        """The estimate as text, one line per quantity; raises InputError if a file cannot be used for the job."""
+        job = self.job
+        unit = job.output.length_unit
+        understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface.whole, job.solid)}
+        total, here = self.estimate(ranks, per_node=per_node), min(per_node or ranks, ranks)
+        loads = len(job.load.targets)
+        unknown = not job.cell.domain.wraps and self.contact_areas() == [OPEN_AREA]
+        lines = {
+            "grid": size_in_words(job.cell.shape, job.cell.lengths, unit, vars(job.grid)),
+            "surface": ": ".join(filter(None, [job.surface.whole.kind, understood["surface"]])),
+            "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
+            "seeds": f"{len(job.surface.seeds)}, {self.rank_groups(ranks)} at a time" if job.surface.seeds else "",
+            "loads": f"{loads} by {job.load.control}" + f"; contact area not known, {OPEN_AREA} taken" * unknown,
+            "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} "
+            f"({readable(BASE_BYTES)} for each rank, of which {readable(LIBRARY_BYTES)} are shared, and "
+            f"{self.bytes_per_point():.0f} bytes per grid point)",
+            "of a rank": f"up to {readable(total.memory)}, where what ranks of a node share counts for each"
+            * (ranks > 1),
+            "shared": self.shortage(ranks, here),
+            "files": readable(total.files),
+            "time": f"about {duration(total.seconds)} on {counted(ranks, 'core')}",
+        }
+        width = max(map(len, lines))
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
+
+    def shortage(self, ranks: int, here: int) -> str:
+        """What happens if the memory that `here` of the ranks share on this machine is too small for their strips,
+        else "".
+        """
+        job = self.job
+        groups = self.rank_groups(ranks)
+        points = math.prod(job.cell.n) * here / ranks * groups
+        points *= 1 if job.cell.domain.wraps else 2
+        need = WORKSPACE["blocked"] * points * (here > 1 and ranks > groups and job.solver.transform == "blocked")
+        folder, free = shared_memory()
+        return "" if need <= free else (
+            f"{folder} has {readable(free)} of about {readable(need)} that ranks of a node share: they would exchange "
+            "messages instead, which is slower; make it larger (docker run --shm-size)"
+        )  # fmt: skip
 
 
-def explore(job: Job) -> None:
-    """Finds how far contacts reach on an open patch whose surface does not tell its slope, by the same loads, or some
-    of them, on few points.  The estimates of this job know it from then on; otherwise they take `OPEN_AREA`.
+def explored(job: Job) -> Plan:
+    """The plan of a job.  On an open patch whose surface does not tell its slope it knows how far contacts reach, from
+    the same loads, or some of them, on few points; else estimates take `OPEN_AREA` there.
     """
     hard = job.wall.kind == "hard" and job.solid.only_inwards and job.imposed.control == "pressure"
     if job.cell.domain.wraps or job.surface.whole.known_slope() is not None or not hard:
-        return
+        return Plan(job)
     before = logging.root.manager.disable
     logging.disable()  # what heights are warned of, the run says
     try:
         with suppress(InputError, SolverError):
-            vars(job)["reached"] = _reached(job)
+            return Plan(job, _reached(job))
     finally:
         logging.disable(before)
+    return Plan(job)
 
 
-def _reached(job: Job) -> list[Reach]:
+def _reached(job: Job) -> tuple[Reach, ...]:
     """Raises InputError or SolverError if that is not known."""
     from pgfmd.grid.slab_grid import SlabGrid  # compiles loops
     from pgfmd.parallel.mpi import MPI
@@ -263,58 +311,18 @@ def _reached(job: Job) -> list[Reach]:
         wide = np.maximum(stop, shape - first) / shape
         area = float(np.mean(contact.pressure > 0))
         found.append(Reach(area, part, TABLE_BYTES * math.prod(wide) + WORKSPACE["blocked"] * wide[1]))
-    return found
+    return tuple(found)
 
 
-def contact_areas(job: Job) -> list[float]:
-    """The relative contact area of each load: the prescribed one; else that of Persson's theory times 1 + `AREA_EXCESS`
-    (1 − area); where neither is known, the area that costs most.
+def peak(shares: list[int], per_point: float) -> float:
+    """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
+
+    per_point: bytes per point of the grid that is solved or measured.  Finer grids keep `WAITING_BYTES` per point.  A
+    coarser grid can be the worst: fewer ranks hold it, with larger shares.
     """
-    targets = job.imposed.targets
-    if reaches := reached(job):
-        return [each.area for each in reaches]
-    if job.imposed.control == "contact_area":
-        return list(targets)
-    full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
-    if job.imposed.control != "pressure" or not full:  # it may underflow
-        return [GAPS_FROM if job.cell.domain.wraps else OPEN_AREA]
-    areas = [math.erf(target / full) for target in targets]
-    return [area * (1 + AREA_EXCESS * (1 - area)) for area in areas]
+    return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
 
 
-def report(job: Job, ranks: int, per_node: int | None = None) -> str:
-    """The estimate as text, one line per quantity; raises InputError if a file cannot be used for the job."""
-    unit = job.output.length_unit
-    understood = {each.where: each.check_inputs(job.grid, unit) for each in (job.surface.whole, job.solid)}
-    total, here = estimate(job, ranks, per_node=per_node), min(per_node or ranks, ranks)
-    loads = len(job.load.targets)
-    unknown = not job.cell.domain.wraps and contact_areas(job) == [OPEN_AREA]
-    lines = {
-        "grid": size_in_words(job.cell.shape, job.cell.lengths, unit, vars(job.grid)),
-        "surface": ": ".join(filter(None, [job.surface.whole.kind, understood["surface"]])),
-        "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
-        "seeds": f"{len(job.surface.seeds)}, {rank_groups(job, ranks)} at a time" if job.surface.seeds else "",
-        "loads": f"{loads} by {job.load.control}" + f"; contact area not known, {OPEN_AREA} taken" * unknown,
-        "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} ({readable(BASE_BYTES)} for each "
-        f"rank, of which {readable(LIBRARY_BYTES)} are shared, and {bytes_per_point(job):.0f} bytes per grid point)",
-        "of a rank": f"up to {readable(total.memory)}, where what ranks of a node share counts for each" * (ranks > 1),
-        "shared": shortage(job, ranks, here),
-        "files": readable(total.files),
-        "time": f"about {duration(total.seconds)} on {counted(ranks, 'core')}",
-    }
-    width = max(map(len, lines))
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
-
-
-def shortage(job: Job, ranks: int, here: int) -> str:
-    """What happens if the memory that `here` of the ranks share on this machine is too small for their strips, else "".
-    """
-    groups = rank_groups(job, ranks)
-    points = math.prod(job.cell.n) * here / ranks * groups
-    points *= 1 if job.cell.domain.wraps else 2
-    need = WORKSPACE["blocked"] * points * (here > 1 and ranks > groups and job.solver.transform == "blocked")
-    folder, free = shared_memory()
-    return "" if need <= free else (
-        f"{folder} has {readable(free)} of about {readable(need)} that ranks of a node share: they would exchange "
-        "messages instead, which is slower; make it larger (docker run --shm-size)"
-    )  # fmt: skip
+def gain(ranks: int) -> float:
+    """Speed of ranks that share a surface over that of one."""
+    return 1.0 if ranks == 1 else SLAB_GAIN * ranks

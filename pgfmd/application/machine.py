@@ -19,7 +19,7 @@ from pathlib import Path
 
 from pgfmd import __version__
 from pgfmd.application import hdf5_slabs
-from pgfmd.application.estimate import estimate
+from pgfmd.application.estimate import Plan
 from pgfmd.application.files import FORMAT_VERSION
 from pgfmd.application.job import Job
 from pgfmd.errors import InputError
@@ -159,9 +159,9 @@ def room_per_rank(comm: MPI.Comm) -> float:
 
 
 def memory_per_rank(job: Job, comm: MPI.Comm, room: float = math.inf) -> float:
-    """Bytes that a job takes on the fullest node, over its ranks; `room` as of `estimate`.  Collective."""
+    """Bytes that a job takes on the fullest node, over its ranks; `room` as of `Plan.estimate`.  Collective."""
     fullest = max(count for _, count, _ in _nodes(comm))
-    return from_root(comm, estimate, job, comm.size, room, fullest).node / fullest  # may read the surface's table
+    return from_root(comm, Plan(job).estimate, comm.size, room, fullest).node / fullest  # may read the surface's table
 
 
 def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:

@@ -180,7 +180,7 @@ def memory(path: Path, n: int, nodes: int) -> None:
     """
     from mpi4py import MPI
 
-    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, estimate
+    from pgfmd.application.estimate import BASE_BYTES, LIBRARY_BYTES, Plan
     from pgfmd.application.job import parse
     from pgfmd.grid import transpose
     from pgfmd.grid.transfer import SubGrid
@@ -200,7 +200,7 @@ def memory(path: Path, n: int, nodes: int) -> None:
         solve_hard_wall(problem)
     share, of_node = n * n / comm.size, node.allreduce(highest.value - idle_share)
     job = parse(JOB.format(n=n, shortest=n / 64, slope=SLOPE, pressure=PRESSURE))
-    said = estimate(job, comm.size, per_node=here)
+    said = Plan(job).estimate(comm.size, per_node=here)
     empty = LIBRARY_BYTES + here * (BASE_BYTES - LIBRARY_BYTES)
     found = {
         "memory": n, "ranks": comm.size, "nodes": nodes,
