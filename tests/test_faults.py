@@ -124,11 +124,28 @@ pgfmd.solve(np.split(heights, 2)[comm.rank], 0.1, comm=comm)
 """
 
 
-def test_failure_on_one_rank_ends_a_script(mpirun, tmp_path):
+FAULTY_SEARCH = """
+import numpy as np, pgfmd
+from mpi4py.MPI import COMM_WORLD as comm
+from pgfmd.solvers.load_control import LoadControl
+original = LoadControl.solution
+def failing(self, target):
+    if comm.rank == 1 and self.grid.shape[0] == 300:
+        raise pgfmd.SolverError("the last straw")
+    return original(self, target)
+LoadControl.solution = failing
+x = np.arange(600) - 299.5
+heights = -(x[:, None] ** 2 + x**2) / 4000
+pgfmd.solve(np.split(heights, 2)[comm.rank], mean_gap=3.0, boundary="open", comm=comm)
+"""  # the first guess of a mean gap is from half as many points each way
+
+
+@pytest.mark.parametrize("script", [FAULTY_SOLVE, FAULTY_SEARCH], ids=["a solution", "the coarse grid of a search"])
+def test_failure_on_one_rank_ends_a_script(mpirun, tmp_path, script):
     """An exception of one rank in `pgfmd.solve` leaves it there, without waiting for the others, so that
     `python -m mpi4py` ends them all.
     """
-    (tmp_path / "script.py").write_text(FAULTY_SOLVE)
+    (tmp_path / "script.py").write_text(script)
     run = mpirun(2, tmp_path / "script.py", timeout=120)
     assert run.returncode != 0 and "the last straw" in run.stderr
 
