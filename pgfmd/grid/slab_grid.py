@@ -23,7 +23,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.aligned import new_field
 from pgfmd.grid.domain import PERIODIC, Domain
 from pgfmd.grid.library_transform import LibraryTransform
-from pgfmd.grid.transforms import ColumnAction, RowAction, Transform, sink, source
+from pgfmd.grid.transforms import ColumnAction, RowAction, Transform, WholeTransform, sink, source
 from pgfmd.grid.transpose import Strips, make_strips
 from pgfmd.parallel.collectives import Reduction, shared, slab, slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
@@ -35,7 +35,8 @@ BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into t
 # belongs to one grid at a time, so that threads may solve at once.
 MOST_MODES, SPARES = 1 << 16, 16
 ROOM = 1 << 20  # points of a rank whose transforms are kept, 4 or 8 MB: on many ranks shared memory is slow to make
-_spares: list[tuple[Hashable, Strips, dict[np.dtype, Transform | LibraryTransform]]] = []
+AnyTransform = Transform | WholeTransform | LibraryTransform
+_spares: list[tuple[Hashable, Strips | None, dict[np.dtype, AnyTransform]]] = []
 _lock = threading.Lock()
 
 
@@ -112,7 +113,7 @@ class SlabGrid:
         alone = comm.size == 1 and self.modes <= MOST_MODES
         self._kind: Hashable = (self.shape, self.torus, transform, self.threads.count) if alone else None
         self._strips: Strips | None = None
-        self._planned: dict[np.dtype, Transform | LibraryTransform] = {}
+        self._planned: dict[np.dtype, AnyTransform] = {}
         self.tables: dict[Hashable, np.ndarray] = {}  # symbols of solids, kept for the next load
         self._around: dict[tuple[int, int], RowPlan] = {}
 
@@ -120,13 +121,15 @@ class SlabGrid:
         """|q|² of each mode of this rank, or those of its columns first … stop−1: (columns, Nx)."""
         return self.qx**2 + self.qy[first:stop] ** 2
 
-    def transform(self, dtype: DTypeLike = np.float64) -> Transform | LibraryTransform:
+    def transform(self, dtype: DTypeLike = np.float64) -> AnyTransform:
         """The transform in that precision, planned on first use.  Collective on first use."""
         dtype = np.dtype(dtype)
-        if dtype not in self._planned and self._strips is None and self._kind is not None:
+        if self._kind is not None and not self._planned:
             self._take_spare()
         if dtype not in self._planned and self._transform_name == "mpi4py-fft" and self.shape[1] > 2:  # else it fails
             self._planned[dtype] = LibraryTransform(self.comm, self.shape, dtype, self.threads)
+        elif dtype not in self._planned and self._kind is not None and self.domain.wraps:
+            self._planned[dtype] = WholeTransform(self.shape, dtype)
         elif dtype not in self._planned:
             if self._strips is None:
                 place = self.shape[0], self.torus[1]
@@ -303,7 +306,7 @@ class SlabGrid:
         """Free the memory of the transforms, or keep them for a grid alike; the next use takes or allocates them again.
         Collective.
         """
-        if self._kind is not None and self._strips is not None:
+        if self._kind is not None and self._planned:
             with _lock:
                 _spares.append((self._kind, self._strips, self._planned))
                 del _spares[:-SPARES]

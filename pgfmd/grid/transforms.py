@@ -117,8 +117,8 @@ _planner = threading.Lock()  # pyfftw guards planning with a lock of its own, bu
 _loaded: tuple[int, int] | None = None  # inode and time of the wisdom file that was read last
 
 
-def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], None]:
-    """A function without arguments that transforms `source` into `target` along the last axis, unnormalised.
+def plan(source: np.ndarray, target: np.ndarray, forward: bool, axes: tuple[int, ...] = (1,)) -> Callable[[], None]:
+    """A function without arguments that transforms `source` into `target` along these axes, unnormalised.
 
     Real to complex, complex to complex (also in place) or complex to real, as the types say.  Planning overwrites both
     arrays; the function overwrites `source` too.  Threads may plan at once.  Raises InputError without pyfftw.
@@ -129,7 +129,7 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool) -> Callable[[], 
 
     def made(*flags: str) -> Callable[[], None]:
         flags = ("FFTW_MEASURE", "FFTW_DESTROY_INPUT", *flags)
-        return pyfftw.FFTW(source, target, axes=(source.ndim - 1,), direction=direction, flags=flags, threads=1).execute
+        return pyfftw.FFTW(source, target, axes=axes, direction=direction, flags=flags, threads=1).execute
 
     def known() -> Callable[[], None] | None:
         with contextlib.suppress(RuntimeError):  # no wisdom
@@ -304,6 +304,42 @@ class Transform:
 
     def free(self) -> None:
         """Frees nothing: the large arrays are those of the strips, which `SlabGrid` frees."""
+
+
+class WholeTransform:
+    """The same passes in one precision for a whole periodic grid (nx, ny) on one rank: one plan for both directions of
+    the grid.  On small grids the many calls for blocks take longer than passes over memory.
+    """
+
+    def __init__(self, shape: tuple[int, int], dtype: DTypeLike) -> None:
+        self.real = np.dtype(dtype)
+        self.complex, self.cost = np.result_type(self.real, np.complex64), self.real.itemsize / 8
+        self.rows = aligned(shape, self.real, pad=False)
+        self.spectrum = aligned((shape[1] // 2 + 1, shape[0]), self.complex)
+        self._forward = plan(self.rows, self.spectrum.T, True, (0, 1))
+        self._backward = plan(self.spectrum.T, self.rows, False, (0, 1))
+
+    def rows_forward(self, fill: RowAction, filled: tuple[int, int] | None = None) -> None:
+        """All rows, made by `fill(0, nx, rows)`."""
+        fill(0, len(self.rows), self.rows)
+
+    def columns(
+        self, action: ColumnAction, forward: bool = True, backward: bool = True, count: int | None = None
+    ) -> None:
+        """As of `Transform`, with all columns, or the first `count` of them, in one block."""
+        if forward:
+            self._forward()
+        block = self.spectrum[:count]
+        action(block, 0, len(block))
+        if backward:
+            self._backward()
+
+    def rows_backward(self, drain: RowAction) -> None:
+        """All rows to `drain(0, nx, rows)`."""
+        drain(0, len(self.rows), self.rows)
+
+    def free(self) -> None:
+        """Nothing is shared."""
 
 
 def _per_block(target: int, count: int, threads: int, multiple: int = 1) -> int:
