@@ -22,6 +22,7 @@ from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
 
 SURE = 0.7  # part of the tolerance of an approach that the certified error may take
+MOST = 0.98  # the same of an approach that is met better, together with its distance
 NOISE = 4.0  # error of ln p̄ for an area over √(relative error of the energy): up to 3.6 in 12 solves, 512² … 8192²
 STEP = 0.5  # largest change of ln p̄ at once; a level that falls by more may lose contact
 
@@ -62,6 +63,11 @@ class Imposed:
     compliance: float = 0.0
     area: float = 0.0
 
+    @property
+    def is_gap(self) -> bool:
+        """Whether it is a mean gap, whatever the load, where the approach counts from the mean height."""
+        return not self.area and not self.compliance and self.approach < 0
+
     def in_units(self, height: float, pressure: float, top: float) -> Imposed:
         """The same in other units, the approach counted from the mean height, which is `top` below the highest."""
         if self.area:
@@ -90,10 +96,12 @@ class Imposed:
         return abs(at.level - self.approach + self.compliance * at.pressure) / ((1 - SURE) * self.allowed)
 
     def needed(self, at: Measured) -> float:
-        """The certified error over 2 E_el with which the level is known to `SURE` of what is allowed: the error of the
-        level is at most (2√(AB) + B)/p̄ with A = E_el and B the certified error (`quantities.MeanGap.bound`).
+        """The certified error over 2 E_el with which the level is known to `SURE` of what is allowed, or to what the
+        distance to the target leaves of it: the error of the level is at most (2√(AB) + B)/p̄ with A = E_el and B the
+        certified error (`controls.MeanGap.bound`).
         """
-        return math.inf if self.area else (SURE * self.allowed / at.range / (2 + SURE)) ** 2 / 2
+        rest = max(SURE, MOST - (1 - SURE) * self.missed(at))
+        return math.inf if self.area else (rest * self.allowed / at.range / (2 + rest)) ** 2 / 2
 
 
 @dataclass

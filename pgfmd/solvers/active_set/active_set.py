@@ -123,7 +123,7 @@ class Relaxation:
         Uncertifiable if that is due to rounding in double precision.
         """
         precision, patience = self.precision, Patience(self.patience)
-        met_late = 0
+        met_late, asked = 0, tolerance
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
             if precision is np.float64:
@@ -133,9 +133,9 @@ class Relaxation:
             square = system.square + self.hidden
             estimate = raised * square / (2 * state.energy) if state.energy > 0 else math.inf
             if step == 0 and not self.exact:
-                tolerance = self.goal(estimate, tolerance, WORST if state.aim is None else MOVED)
+                tolerance = self.goal(estimate, tolerance, WORST if state.aim is None or state.clipped else MOVED)
             if self.imposed is not None and self.exact:
-                tolerance = min(tolerance, max(self.imposed.needed(self.measured(state)), LEAST))
+                tolerance = min(asked, max(self.imposed.needed(self.measured(state)), LEAST))
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
@@ -151,11 +151,11 @@ class Relaxation:
                 raise uncertifiable(rounding, tolerance)
             if not patience.take(estimate, state.error):
                 break
-            # A step divides the estimate by about 100; before rounding would show in the next one, precision changes.
-            if rounding > UNSEEN * max(tolerance, 0.01 * estimate) or patience.lost >= STUCK:
-                precision = np.float64
             enough = MARGIN[precision] * tolerance / max(estimate, tolerance)
             wanted, before = self.next_cut(estimate, before, math.sqrt(enough)), estimate
+            # Before rounding would show in the next estimate, precision changes.
+            if rounding > UNSEEN * max(tolerance, self.left(wanted, enough) * estimate) or patience.lost >= STUCK:
+                precision = np.float64
             self.improve(state, system, wanted, enough)
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
 
@@ -170,6 +170,10 @@ class Relaxation:
         elif state.base:
             state.gap += state.base
         state.level, state.base = state.level + state.base, 0.0
+
+    def left(self, wanted: float, enough: float) -> float:
+        """The part of the estimate that is left after a step with these arguments of `improve`, at least."""
+        return wanted**2
 
     @staticmethod
     def next_cut(estimate: float, before: float, last: float) -> float:

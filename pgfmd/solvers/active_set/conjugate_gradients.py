@@ -38,7 +38,7 @@ NEUTRAL, FREE = Mean(), Mean(False)
 
 class ConjugateGradients:
     """S A Sᵀ x = residual for an operator A; S restricts to a set, `Mean` says what becomes of Σ x.  square: ⟨residual,
-    M residual⟩ now, with the preconditioner M; rms: of the first residual.
+    M residual⟩ now, with the preconditioner M; rms: of the first residual; constant: what a neutral system took off it.
     """
 
     def __init__(self, residual: SetVector, operator: Operator, preconditioner: Operator, mean: Mean = NEUTRAL) -> None:
@@ -53,7 +53,8 @@ class ConjugateGradients:
         self.inverse_count, self.compliance = share * mean.neutral, mean.compliance
         self.capacity = mean.capacity * share**2
         self.z, self.mean = np.empty_like(residual.own), 0.0
-        residual.own -= residual.own.dtype.type(total * self.inverse_count)
+        self.constant = total * self.inverse_count
+        residual.own -= residual.own.dtype.type(self.constant)
         self.square = self._precondition()
 
     def solve(self, wanted: float) -> tuple[np.ndarray, int]:

@@ -27,6 +27,7 @@ from pgfmd.solvers.options import GAPS_FROM
 from pgfmd.solvers.second_order import Rounding
 from pgfmd.solvers.solution import Monitor
 
+GAP_FROM = 0.4  # `GAPS_FROM` where a mean gap is imposed
 MOST_ROWS = 512  # of which a stress is measured: a part of a hundred of a transform at 8192²
 PUNCH = 2.6  # Â(0) p̄/δ of a square punch on a half-space, 2.244 · 1.1523; 1 on a thin slab
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
@@ -171,8 +172,9 @@ class ActiveSetIteration(NestedIteration[State]):
             known = self.stresses or {problem.grid.size: 1.0}
             state.aim = state.aim or Aim(problem.imposed, known, pressure=problem.mean_pressure)
             problem = problem.imposing(None, state.aim.pressure)
-        given, most = problem.imposed is None and problem.grid.domain.wraps, GAPS_FROM * problem.grid.size
-        by_gaps = given and state.aim is None and problem.law.highest == np.inf and state.between > most
+        given, by_gap = problem.imposed is None, problem.imposed is not None and problem.imposed.is_gap
+        by_gaps = (given and state.aim is None or by_gap) and problem.law.highest == np.inf
+        by_gaps &= problem.grid.domain.wraps and state.between > (GAP_FROM if by_gap else GAPS_FROM) * problem.grid.size
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
         solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
         while True:
@@ -182,7 +184,8 @@ class ActiveSetIteration(NestedIteration[State]):
                 if not shared(problem.grid.comm, failure):
                     raise
                 solver.free()
-                if isinstance(failure, Uncertifiable) or isinstance(solver, Descent) or not given:
+                lost = isinstance(failure, Uncertifiable) or isinstance(solver, Descent)
+                if lost or not (given and problem.grid.domain.wraps):
                     raise
                 solver, state.clipped = Descent(problem, exact), False
             else:

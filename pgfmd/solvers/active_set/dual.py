@@ -4,6 +4,8 @@
 The gradient p = p̄ + K(h + g) is the pressure.  Conjugate gradients make it vanish on the open points, if few are open
 in a few iterations, as K falls off as r⁻³.  Then gaps below 0 are cut, and points in tension become unknowns.
 
+Where a mean gap is imposed, Σ g is given instead of p̄: the equation holds up to a constant, which is the change of p̄.
+
 The certificate needs a feasible pressure.  `Settling` makes one, p + c.  Its gap is g + Gc.  So the energy ½⟨c, Gc⟩
 counts as error too, and most of it lies in waves that the residual on the open points does not show.
 """
@@ -14,10 +16,11 @@ import math
 
 import numpy as np
 
+from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.solvers.active_set.active_set import Precision, Relaxation, State
-from pgfmd.solvers.active_set.conjugate_gradients import FREE, ConjugateGradients
+from pgfmd.solvers.active_set.conjugate_gradients import FREE, NEUTRAL, ConjugateGradients
 from pgfmd.solvers.active_set.particle_mesh import inner_response
 from pgfmd.solvers.active_set.settling import Settling
 from pgfmd.solvers.active_set.stencil import RADIUS, Stencil, Symbol, lattice_kernel, power_of
@@ -55,14 +58,39 @@ class GapSteps(Relaxation):
                 self.compute_gap(state, precision)
                 self.measure(state)
             self.clip_gap(state)
-        self.compute_pressure(state, precision)
-        points = Unknowns(self.grid, (state.gap, state.pressure))
-        residual = points.below(0.0, state.pressure)
+        if self.imposed is not None:
+            self._hold_mean(state)
+        shift = self.compute_pressure(state, precision)
+        points = Unknowns(self.grid, (state.gap, state.pressure), -shift)
+        residual, mean = points.below(-shift, state.pressure), FREE if self.imposed is None else NEUTRAL
+        system = ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, mean)
+        if self.imposed is not None:
+            self._move_load(state, shift + system.constant)
         work, self.squares[0], count = self.settling.settle(state.pressure, state.gap)
-        state.energy = (work - self.mean * self.problem.load) / 2
+        state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
-        return ConjugateGradients(residual, self.inner.apply, self.preconditioner.apply, FREE)
+        return system
+
+    def _hold_mean(self, state: State) -> None:
+        """Multiplies the gap to the imposed mean: what clipping adds is little.  Collective."""
+        assert self.imposed is not None
+        state.aim, gap, threads = state.aim or Aim(self.imposed), state.gap, self.grid.threads
+        parts = threads.collect(lambda a, b: float(gap[a:b].sum(dtype=np.float64)), len(gap), self.grid.band)
+        if not (total := self.grid.reduction.sum(parts)) > 0:
+            raise SolverError("contact is full; allow a larger tolerance")
+        threads.scale(gap, -self.imposed.approach * self.grid.size / total)
+
+    def _move_load(self, state: State, change: float) -> None:
+        """Adds to the mean pressure.  Collective."""
+        self.problem = self.problem.at(self.problem.mean_pressure + change)
+        self.settling.load, rows = self.problem.load, state.pressure
+        self.grid.threads.deal(lambda a, b: np.add(rows[a:b], change, out=rows[a:b], casting="same_kind"), len(rows))
+
+    def measured(self, state: State) -> Measured:
+        """As `Relaxation.measured`; the level of a clipped gap is that of its mean."""
+        found = super().measured(state)
+        return found._replace(level=-self.mean) if state.clipped else found
 
     def clip_gap(self, state: State) -> None:
         """Clips the gap (`State.clipped`)."""
@@ -74,9 +102,12 @@ class GapSteps(Relaxation):
         self.grid.threads.share(part, len(state.gap), self.grid.band)
         state.clipped, state.estimated, state.base = True, False, 0.0
 
-    def compute_pressure(self, state: State, precision: Precision) -> None:
-        """p = p̄ + K(h + g) for the state's gap, with either sign.  Collective."""
+    def compute_pressure(self, state: State, precision: Precision) -> float:
+        """p = p̄ + K(h + g) for the state's gap, with either sign.  Returns the change of p̄ that a given mean gap asks
+        for, where Σ p g = 0; else 0.  Collective.
+        """
         mean, sums = self.problem.mean_pressure, []
+        works: dict[int, tuple[float, ...]] = {}
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             displacement = self.heights[first:stop] + state.gap[first:stop]
@@ -85,10 +116,15 @@ class GapSteps(Relaxation):
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
             np.add(rows, mean, out=state.pressure[first:stop])
+            if self.imposed is not None:
+                works[first] = (float(np.vdot(rows, state.gap[first:stop])),)
 
         self.grid.convolve(fill, self.stiffness[precision], drain, precision)
         total, self.squares[1] = self.grid.reduction.sums(*np.sum(sorted(sums), axis=0)[1:])
         self.mean = float(total) / self.grid.size
+        if self.imposed is None:
+            return 0.0
+        return -float(self.grid.reduction.sums_of_blocks(works, 1)[0] / total) - mean
 
     def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
         """As `Relaxation.certify`, with the gap of the settled pressure; before the system is solved.  Collective."""

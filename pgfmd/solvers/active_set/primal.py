@@ -115,19 +115,25 @@ class PressureSteps(Relaxation):
         points = Unknowns(self.grid, (state.pressure, state.gap), touching, self.highest)
         return ConjugateGradients(points.below(level, state.gap), self.inner.apply, self.preconditioner.apply, mean)
 
+    def left(self, wanted: float, enough: float) -> float:
+        """As `Relaxation.left`.  If the part `enough` is out of reach of one step (`CLOSE`), the first of two does more
+        than half of the work.
+        """
+        if not isinstance(self.inner, MeshResponse) or self.highest < math.inf:
+            return super().left(wanted, enough)
+        return enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
+
     def improve(self, state: State, system: ConjugateGradients, wanted: float, enough: float) -> None:
         """Makes the gap constant on the unknowns; with a mesh solves for them anew as they change.  Collective.
 
-        Full transforms follow once `system.square` has probably fallen to the part `enough`.  If that is out of reach
-        of one step (`CLOSE`), the first of two does more than half of the work.
+        Full transforms follow once `system.square` has probably fallen to the part `left`.
         """
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)
             return
         if self.exact:
             self.grid.make_room()  # the peak of memory is an eighth lower, for 2 % more time
-        part = enough if enough > CLOSE else max(math.sqrt(enough) / 10, LEAST_PART)
-        goal, failures = part * system.square, 0
+        goal, failures = self.left(wanted, enough) * system.square, 0
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
