@@ -23,9 +23,9 @@ from pgfmd.theory import asperity, persson
 from pgfmd.theory.surface import SpectralMoments
 
 CAPTION = """(a) Relative contact area, corrected for the pixels, against the mean pressure. (b) Their ratio κ; open
-symbols: with the raw area; star: a published value. Full lines: the theories of Persson and of Bush, Gibson and Thomas
-(BGT) for this surface; dashed: their limits at low load. Bars: standard error over seeds; of one seed, the error that
-its run estimated."""
+symbols, of up to three settings: with the raw area; star: a published value. Black line: Persson's theory; dash-dotted,
+in the colour of the setting: that of Bush, Gibson and Thomas (BGT), which depends on the surface; dashed: their limits
+at low load. Bars: standard error over seeds; of one seed, the error that its run estimated."""
 NEEDS = ("area", "load", "roughness")
 OPTIONS = {"--area": {"type": float, "nargs": "+", "help": "contact areas at which κ is reported (default 0.08)"}}
 
@@ -42,17 +42,21 @@ def draw(
 ) -> Sheet:
     """f_c against p̄/(E'g), and κ against f_c, for each setting; beside published values: (f_c, κ, error) each."""
     sheet = Sheet(1, 2)
-    for number, group in enumerate(limited(ensembles(loads, by_load=False), sheet)):
+    shown = limited(ensembles(loads, by_load=False), sheet)
+    for number, group in enumerate(shown):
         name = group.name
         load, raw, corrected, bar, kappa, error, seeds = columns(group)
         filled, bare = style(number), style(number, filled=False)
         sheet.curve(0, load, corrected, name, error=bar, ls="none", **filled)
-        sheet.curve(1, corrected, kappa, name, error=error, ls="none", **filled)
-        sheet.curve(1, raw, raw / load, f"{name}, raw", label="raw pixels" if number == 0 else False, ls="none", **bare)
+        sheet.curve(1, corrected, kappa, name, error=error, lw=0.5, **filled)
+        if len(shown) < 4:
+            sheet.curve(1, raw, raw / load, f"{name}, raw", label=False, ls="none", **bare)
         for row in zip(load, raw, corrected, bar, kappa, error, seeds.astype(int), strict=True):
             sheet.keep("means", MEANS, (name, *row))
         report(sheet, group, area, name)
-    _draw_theory(sheet, loads)
+    _draw_theory(sheet, loads, shown)
+    if len(shown) < 4:
+        sheet.panels[1].plot([], [], ls="none", color=BLACK, marker="o", mfc="white", label="raw pixels")
     if reference:
         areas, kappas, errors = np.array(reference).T
         look = {"color": BLACK, "marker": "*", "mfc": "white", "ms": 6, "ls": "none", "zorder": 6}
@@ -134,8 +138,10 @@ def _kappa(load: Load, kind: str) -> float:
     return AREAS[kind](load) / reduced(load)
 
 
-def _draw_theory(sheet: Sheet, loads: list[Load]):
-    """Persson depends on p̄/(E'g) alone; BGT also on the bandwidth: that of the first surface whose spectrum is kept."""
+def _draw_theory(sheet: Sheet, loads: list[Load], groups: Sequence[Ensemble]):
+    """Persson depends on p̄/(E'g) alone; BGT also on the bandwidth: that of a setting's first surface whose spectrum is
+    kept.
+    """
     seen = [reduced(load) for load in loads]
     load = np.geomspace(min(seen) / 1.5, max(seen) * 1.2, 200)
     fraction = persson.contact_fraction(load, 0.5)
@@ -145,21 +151,26 @@ def _draw_theory(sheet: Sheet, loads: list[Load]):
     for name, kappa, colour in (("Persson, low load", persson.LOW_LOAD_KAPPA, BLACK),
                                 ("BGT, low load", asperity.LOW_LOAD_KAPPA_BGT, GREY)):  # fmt: skip
         sheet.curve(1, ends, [kappa, kappa], name, color=colour, ls="--", lw=0.8)
-    with_spectrum = next((case for case in loads if TESTS["spectra"][0](case)), None)
-    if with_spectrum is None:
-        sheet.notes.append("no finite-load curve of Bush, Gibson and Thomas: no spectrum of the heights was kept")
-        return
-    moments = SpectralMoments.from_spectrum(*with_spectrum.spectrum("height"))
-    if moments.alpha < 1.5:
-        sheet.notes.append("no curve of Bush, Gibson and Thomas: the surface is not isotropic and Gaussian")
-        return
-    separation = np.sqrt(moments.m0) * np.linspace(0.3, 5, 48)
-    area, pressure = asperity.bush_gibson_thomas(separation, moments, with_spectrum.modulus)
-    low = pressure / (with_spectrum.modulus * moments.rms_slope)
-    shown = (low >= load[0]) & (low <= load[-1])
-    if np.any(shown):
-        sheet.curve(0, low[shown], area[shown], "BGT", color=GREY)
-        sheet.curve(1, area[shown], (area / low)[shown], "BGT", color=GREY)
+    reasons = set()
+    for number, group in enumerate(groups):
+        case = next((each for each in group if TESTS["spectra"][0](each)), None)
+        if case is None:
+            reasons.add("no spectrum of the heights was kept")
+            continue
+        moments = SpectralMoments.from_spectrum(*case.spectrum("height"))
+        if moments.alpha < 1.5:
+            reasons.add("the surface is not isotropic and Gaussian")
+            continue
+        separation = np.sqrt(moments.m0) * np.linspace(0.3, 5, 48)
+        area, pressure = asperity.bush_gibson_thomas(separation, moments, case.modulus)
+        low = pressure / (case.modulus * moments.rms_slope)
+        seen = (low >= load[0]) & (low <= load[-1])
+        look = {"color": style(number)["color"], "ls": "-.", "lw": 0.8, "label": False}
+        sheet.curve(0, low[seen], area[seen], f"BGT, {group.name}", **look)
+        sheet.curve(1, area[seen], (area / low)[seen], f"BGT, {group.name}", **look)
+    sheet.notes += [f"no curve of Bush, Gibson and Thomas: {reason}" for reason in sorted(reasons)]
+    if not reasons:
+        sheet.panels[1].plot([], [], color=GREY, ls="-.", lw=0.8, label="BGT")
 
 
 if __name__ == "__main__":

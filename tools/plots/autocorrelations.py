@@ -56,7 +56,7 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx")
     for panel in sheet.panels:
         panel.axvline(1 / 8, color=GREY, lw=0.7, ls=":")
-    sheet.panels[1].text(0.135, 1.9, r"$\lambda_s/8$", color=GREY, va="top")
+        panel.text(0.13, 0.9, r"$\lambda_s/8$", color="0.35", transform=panel.get_xaxis_transform())
     report(sheet, list(group), x, ratio, m2)
     second = np.array([load.normalised_second_moment for load in group])
     areas = np.array([load.area for load in group])

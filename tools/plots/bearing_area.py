@@ -9,39 +9,47 @@ over the choice of the fit range.  Theory of the bearing area: μ = 2 + H.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
 from exponents import default_window
-from plotting import BLACK, BLUE, RED, Sheet, standard_error, tex
+from plotting import BLACK, BLUE, ORANGE, Sheet, standard_error, tex
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 from pgfmd.theory import bearing
 
 CAPTION = """Contact spectra of the elastic solid (open symbols) and of the bearing area (filled), scaled so that their
-sum over all q ≠ 0 is one; lines: power laws fitted over the range that they span. Bars: standard error over seeds."""
+sum over all q ≠ 0 is one; lines: power laws fitted over the range that they span, with the exponents named; dotted:
+published ones, named in brackets. Bars: standard error over seeds."""
 NEEDS = ("spectra", "bearing", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
     "--window": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "fit range in q/q_l"},
 }
-KINDS = (("contact", "elastic contact", RED, "o", "white", "-"), ("bearing", "bearing area", BLUE, "s", BLUE, "--"))
+KINDS = (("contact", "elastic contact", ORANGE, "o", "white", "-"), ("bearing", "bearing area", BLUE, "s", BLUE, "--"))
 MOST = 3
 
 
-def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] | None = None) -> Sheet:
-    """One panel for each setting and load (at most three are drawn, all are fitted)."""
+def draw(
+    loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, float] | None = None,
+    reference: Sequence[tuple[float, float, float]] = (),
+) -> Sheet:  # fmt: skip
+    """One panel for each setting and load (at most three are drawn, all are fitted); beside published exponents:
+    (H, elastic, bearing) each.
+    """
     groups = ensembles(near(loads, areas, slack=0.15) if areas else loads)
     sheet = Sheet(1, min(MOST, len(groups)), height=2.5)
     if len(groups) > MOST:
         sheet.notes.append(f"{len(groups)} settings and loads were given; the first {MOST} are drawn, all are fitted")
     for panel, group in enumerate(groups):
         name, limits = group.name, tuple(window) if window else default_window(group)
-        drawn = panel < MOST
-        for kind, title, colour, marker, fill, dashes in KINDS:
+        drawn, text = panel < MOST, group.label.split(", ")
+        published = next((each[1:] for each in reference if each[0] == group.hurst), (None, None))
+        for (kind, title, colour, marker, fill, dashes), known in zip(KINDS, published, strict=True):
             x, curves = normalised(group, kind)
             keep_exponents(sheet, group, f"μ_c {title}, {name}", x, curves, limits)
             for load, curve in zip(group, curves, strict=True):
@@ -53,29 +61,21 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
                             ls="none", ms=2.2)  # fmt: skip
                 inside = _window(x, limits, mean)
                 slope, offset = fit_power_law(x[inside], mean[inside])
-                sheet.curve(
-                    panel,
-                    x[inside],
-                    np.exp(offset[0]) * x[inside] ** slope,
-                    f"$\\mu$ = {-slope:.2f}",
-                    color=BLACK,
-                    ls=dashes,
-                    lw=1.0,
-                    zorder=5,
-                )
+                text.append(f"$\\mu$ = {-slope:.2f}, {title.split()[0]}")
+                sheet.curve(panel, x[inside], np.exp(offset[0]) * x[inside] ** slope, text[-1], label=False,
+                            color=BLACK, ls=dashes, lw=1.0, zorder=5)  # fmt: skip
+                if known is not None:
+                    text[-1] += f" ({known:g})"
+                    middle = np.exp(np.mean(np.log(x[inside])))
+                    sheet.curve(panel, x[inside], np.exp(offset[0]) * middle**slope * (x[inside] / middle) ** -known,
+                                f"published, {title}", label=False, color=BLACK, ls=":", lw=1.2)  # fmt: skip
         if group.hurst is not None:
             sheet.findings.add(f"theory 2 + H of the bearing area, {name}", bearing.spectrum_exponent(group.hurst))
         if drawn:
             quantity = r"$f_c\,|\tilde\Theta(q)|^2\,/\,[(1-f_c)\,|\tilde\Theta(0)|^2]$" if panel == 0 else ""
-            sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log", columns=1)
-            if group.label:
-                sheet.panels[panel].text(
-                    0.05,
-                    0.05,
-                    tex(group.label.replace(", ", "\n")),
-                    transform=sheet.panels[panel].transAxes,
-                    va="bottom",
-                )
+            sheet.label(panel, r"$q\,/\,q_l$", quantity, scale="log", legend="figure" if panel == 0 else False)
+            sheet.panels[panel].text(0.05, 0.04, tex("\n".join(filter(None, text))), va="bottom", fontsize=7,
+                                     transform=sheet.panels[panel].transAxes)  # fmt: skip
     return sheet
 
 

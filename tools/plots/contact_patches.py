@@ -206,10 +206,13 @@ def _draw_loads(sheet: Sheet, loads: Sequence[Load], everything: Sample, resolve
             sheet.curve(0, x[enough], y[enough], f"f_c = {group.mean('area'):.2g}", color=COLOURS[number],
                         marker=MARKERS[number], mfc="white", ls="none")  # fmt: skip
     x, y = medians_between(everything, 0, np.inf)
-    for least, most, law, text, shift in ((resolved, 1.0, 1.5, "3/2", 0.3), (0.3, np.inf, 1.0, "1", 3.0)):
+    # one guide below all medians of its range, the other one above
+    for least, most, law, text, outer, shift in ((resolved, 1.0, 1.5, "3/2", np.min, 0.3),
+                                                 (0.3, np.inf, 1.0, "1", np.max, 3.0)):  # fmt: skip
         part = (x >= least) & (x <= most)
         if np.count_nonzero(part) >= 2:
-            guide(sheet.panels[0], x[part][[0, -1]], shift * y[part][0], law, text, above=shift > 1)
+            start = shift * outer(y[part] / x[part] ** law) * x[part][0] ** law
+            guide(sheet.panels[0], x[part][[0, -1]], start, law, text, above=shift > 1)
     sheet.label(0, r"area $a_c\,/\,\lambda_s^2$", r"load $l_c\,/\,(E'\bar g\,\lambda_s^2)$", scale="log", columns=3)
 
 
@@ -237,7 +240,7 @@ def _draw_sizes(sheet: Sheet, hurst: float | None, elastic: np.ndarray, islands:
             ends = np.array([resolved, tail.max()])
             scale = len(tail) / len(islands) * (tau - 1) / resolved
             sheet.curve(
-                1, ends, scale * (ends / resolved) ** -tau, f"τ = 2 − H/2 = {tau:.2f}", color=BLACK, ls="--", lw=0.8
+                1, ends, scale * (ends / resolved) ** -tau, rf"$2 - H/2$ = {tau:.2f}", color=BLACK, ls="--", lw=0.8
             )
     sheet.panels[1].axvline(resolved, color=GREY, lw=0.7, ls=":")
     sheet.label(1, r"area $a_c\,/\,\lambda_s^2$", r"$P(a_c)\,\lambda_s^2$", scale="log", columns=2)
@@ -253,6 +256,9 @@ def _draw_law(sheet: Sheet, size: np.ndarray, least: float, most: float, name: s
     norm = np.sum((shape[1:] + shape[:-1]) / 2 * np.diff(ends))
     sheet.curve(1, ends, shape / norm * len(inside) / len(size), f"τ = {tau:.2f}, {name}", label=False,
                 color=BLACK if name == "elastic contact" else GREY, lw=0.9, zorder=5)  # fmt: skip
+    place = (-30, -11) if name == "elastic contact" else (6, 5)
+    sheet.panels[1].annotate(rf"$\tau$ = {tau:.2f}", (ends[20], shape[20] / norm * len(inside) / len(size)), place,
+                             "data", "offset points", fontsize=7, color="0.2")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -15,13 +15,13 @@ import figures
 import numpy as np
 from choosing import near
 from estimators import fit_power_law, windows, within
-from plotting import Sheet, limited, standard_error, style
+from plotting import BLACK, Sheet, limited, standard_error, style
 from reading import Load
 from samples import Ensemble, common_bins, ensembles
 
 CAPTION = """Autocorrelation of the contact less its limit at large distance, over its value at zero. Full lines: power
-laws fitted over the range that they span. Dashed: the correlation of a spectrum q^(−1−H) in the same cell, which
-falls as Δr^(−(1−H)) in an infinite one. Bars: standard error over seeds."""
+laws fitted over the range that they span, with their exponents ν. Dashed: the correlation of a spectrum q^(−1−H) in
+the same cell, which falls as Δr^(−(1−H)) in an infinite one. Bars: standard error over seeds."""
 NEEDS = ("correlations", "partial contact")
 OPTIONS = {
     "--areas": {"type": float, "nargs": "+", "help": "only the loads near these contact areas"},
@@ -38,21 +38,23 @@ def draw(loads: list[Load], areas: tuple[float, ...] = (), window: tuple[float, 
         x, decay = r / shortest(group), (contact - f**2) / (f - f**2)
         mean, error = decay.mean(axis=0), standard_error(decay)
         shown = (r > 0) & (mean > 0)
-        look, label = style(number), group.label or f"f_c = {group.mean('area'):.3g}"
-        sheet.curve(0, x[shown], mean[shown], label, error=None if error is None else error[shown], ls="none", **look)
+        label = group.label or f"f_c = {group.mean('area'):.3g}"
+        sheet.curve(0, x[shown], mean[shown], label, error=None if error is None else error[shown], ls="none",
+                    **style(number))  # fmt: skip
         report(sheet, group, r, decay, window)
         inside = within(x, window) & shown
         if np.count_nonzero(inside) >= 3:
             slope, (offset,) = fit_power_law(x[inside], mean[inside])
             ends = x[inside][[0, -1]]
             sheet.curve(0, ends, np.exp(offset) * ends**slope, f"ν = {-slope:.2f}, {group.name}", lw=0.9, label=False,
-                        color=look["color"], zorder=5)  # fmt: skip
+                        color=BLACK, zorder=5)  # fmt: skip
+            sheet.panels[0].annotate(f"{-slope:.2f}", (ends[-1], mean[inside][-1]), (0, 5), "data", "offset points")
             if group.hurst is not None:
                 law = cell_law(group, r)
                 law *= mean[inside][0] / law[inside][0]
                 shown = (r > 0) & (law > 0) & (x <= 2 * window[1])
                 sheet.curve(0, x[shown], law[shown], f"q^−(1+H) in this cell, {group.name}", label=False,
-                            color=look["color"], ls="--", lw=0.9)  # fmt: skip
+                            color=BLACK, ls="--", lw=0.9, zorder=4)  # fmt: skip
     sheet.label(0, r"$\Delta r\,/\,\lambda_s$", r"$(C_c - f_c^2)\,/\,(f_c - f_c^2)$", scale="log")
     return sheet
 

@@ -1,10 +1,10 @@
 """One number of each load against another: a column of the table of loads, a moment, an exponent, a crossover.
 
-    pgfmd plot dependence DIR… [--of q_star] [--on contact_area] [--fit FROM TO] [--level 2]
+    pgfmd plot dependence DIR… [--of q_star] [--on contact_area] [--fit FROM TO] [--level 2] [--marks 0.42]
 
 Runs that differ by the seed alone are averaged.  A curve holds the loads that differ by nothing but the seed and what
-is on the horizontal axis.  `--fit` fits a power law to the absolute means in a range of that axis; `--level` says where
-each curve reaches a value.
+is on the horizontal axis.  `--fit` fits a power law to the absolute means in a range of that axis, and draws these;
+`--level` says where each curve reaches a value; `--marks` draws values of the horizontal axis.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ import figures
 import numpy as np
 import persson_spectrum
 from estimators import band_ratio, broken_power_law, crossing, fit_power_law, tail_exponent
-from plotting import BLACK, MOST, Finding, Sheet, standard_error, style
+from matplotlib.ticker import NullLocator
+from plotting import BLACK, GREY, MOST, Finding, Sheet, standard_error, style
 from reading import Load
 from samples import Ensemble, ensembles, imposed, named_differences, setting
 
 from pgfmd.errors import InputError
 
-CAPTION = """Means over seeds with standard errors. Lines join loads that differ by nothing but what is on the
-horizontal axis; dashed: a power law, drawn over the range of its fit, or the level asked for."""
+CAPTION = """Means over seeds with standard errors (none where one seed has the number). Lines join loads that differ by
+nothing but what is on the horizontal axis. Dashed: a power law, drawn over the range of its fit, or a level. Dotted:
+values named in the text. Where a power law is fitted to absolute values, open symbols are negative ones."""
 NEEDS = ()
 OPTIONS = {
     "--of": {"nargs": "+", "help": "what is drawn: columns of the table of loads, or m2, q_star, q_star_persson, "
@@ -38,6 +40,8 @@ OPTIONS = {
                      "gap_over_range (rms gap about its mean, over ζ) (default mean_pressure)"},
     "--fit": {"type": float, "nargs": 2, "metavar": ("FROM", "TO"), "help": "range of a power law on that axis"},
     "--level": {"type": float, "help": "value that curves reach: where they do is reported"},
+    "--marks": {"type": float, "nargs": "+", "help": "places on the horizontal axis that are marked"},
+    "--expected": {"type": float, "nargs": "+", "help": "values that are marked, one for each curve or for all"},
 }  # fmt: skip
 LEVEL = 0.9  # stress spectrum over that of full contact that defines q*: there the ratio falls below this
 LEAST = 16  # pixels of the smallest patch that is fitted
@@ -145,31 +149,43 @@ def quantity(name: str, loads: list[Load]) -> Quantity:
     columns = sorted({column for load in loads for column in load.results.loads})
     if name not in columns:
         raise InputError(f"{name!r} is no column of these loads; it is one of {', '.join([*QUANTITIES, *columns])}")
-    return Quantity(name.replace("_", " "), lambda load: load.number(name))
+    axis = "contact area $f_c$" if name == "contact_area" else name.replace("_", " ")
+    return Quantity(axis, lambda load: load.number(name))
 
 
 def draw(
     loads: list[Load], of: Sequence[str] = ("mean_gap",), on: str = "mean_pressure",
-    fit: tuple[float, float] | None = None, level: float | None = None,
+    fit: tuple[float, float] | None = None, level: float | None = None, marks: Sequence[float] = (),
+    expected: Sequence[float] = (),
 ) -> Sheet:  # fmt: skip
-    """The numbers `of` against the number `on`, one curve for each setting (and load, if `on` is of the setting)."""
-    sheet, horizontal, drawn = Sheet(), quantity(on, loads), 0
+    """The numbers `of` against the number `on`, one curve for each setting (and load, if `on` is of the setting), and a
+    panel for each label of an axis.
+    """
+    horizontal, drawn = quantity(on, loads), 0
+    axes = list(dict.fromkeys(quantity(what, loads).axis for what in of))
+    sheet, names, ticks = Sheet(1, len(axes)), list(_curves(loads, horizontal)), set()
     x = cache(horizontal.value)
     for what in of:
         vertical = quantity(what, loads)
-        y = cache(vertical.value)
+        panel, y = axes.index(vertical.axis), cache(vertical.value)
+        alike = [other for other in of if quantity(other, loads).axis == vertical.axis]
         known = [load for load in loads if math.isfinite(y(load))]
         if len(known) < len(loads):
-            sheet.notes.append(f"{len(loads) - len(known)} of {len(loads)} loads have no {what}")
+            sheet.notes.append(f"{len(loads) - len(known)} of {len(loads)} loads have no {what.replace('_', ' ')}")
         for name, groups in _curves(known, horizontal).items():
-            title = ", ".join(filter(None, ([vertical.word or vertical.axis, name] if len(of) > 1 else [name])))
+            title = ", ".join(filter(None, ([vertical.word or vertical.axis, name] if len(alike) > 1 else [name])))
             points = sorted(((float(np.mean([x(load) for load in group])), group) for group in groups), key=_place)
             for place, group in points:
                 sheet.findings.add(f"{what}, {group.name}", [y(load) for load in group])
                 rows = ((what, name, group.name, load.seed, x(load), place, y(load)) for load in group)
                 sheet.keep("data", ("of", "curve", "setting", "seed", on, f"mean {on}", "value"), *rows)
-            if drawn < MOST:
-                _draw(sheet, drawn, title or what, points, y)
+            # a setting has one colour; of two numbers of one axis, the second has open symbols
+            turn = alike.index(what)
+            number = names.index(name) + len(names) * (turn // 2) if len(names) > 1 else turn
+            look = style(number, filled=len(names) == 1 or turn % 2 == 0)
+            if drawn < MOST * len(axes):
+                _draw(sheet, panel, title or what, points, (y, look, bool(fit)))
+            ticks |= {place for place, _ in points}
             seeds: dict[object, list[tuple[float, float]]] = {}
             for load in (load for _, group in points for load in group):
                 seeds.setdefault(load.seed, []).append((x(load), y(load)))
@@ -178,18 +194,34 @@ def draw(
                 places = [reached(*np.array(each).T, level) for each in seeds.values()]
                 sheet.findings.add(f"{on} where {what} reaches {level:g}{after}", places)
             if fit:
-                _fit(sheet, f"exponent of {what} against {on}{after}", list(seeds.values()), fit, drawn)
+                name = f"exponent of {what} against {on}{after}"
+                _fit(sheet, name, list(seeds.values()), fit, (panel, look["color"]))
             drawn += 1
     if not drawn:
         raise InputError(f"dependence needs a load whose {' or '.join(of)} is known")
-    if drawn > MOST:
-        sheet.notes.append(f"{drawn} curves; the first {MOST} are drawn, all are in the tables")
-    if level is not None:
-        sheet.panels[0].axhline(level, color=BLACK, ls="--", lw=0.7)
+    if drawn > MOST * len(axes):
+        sheet.notes.append(f"{drawn} curves; the first {MOST * len(axes)} are drawn, all are in the tables")
     positive = all(row[column] > 0 for row in sheet._table for column in (2, 3))
-    axes = list(dict.fromkeys(quantity(what, loads).axis for what in of))
-    sheet.label(0, horizontal.axis, axes[0] if len(axes) == 1 else "", scale=SCALES[positive])
+    for panel, axis in enumerate(axes):
+        _finish(sheet.panels[panel], (level, marks, expected), names)
+        title = f"|{axis}|" if fit else axis
+        sheet.label(panel, horizontal.axis, title, scale=SCALES[positive], columns=2 if len(axes) == 1 else 4,
+                    legend=len(axes) == 1 or panel == 0 and "figure")  # fmt: skip
+        if horizontal.of_setting and len(ticks) < 9:
+            sheet.panels[panel].set_xticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
+            sheet.panels[panel].xaxis.set_minor_locator(NullLocator())
     return sheet
+
+
+def _finish(panel, lines: tuple[float | None, Sequence[float], Sequence[float]], names: list[str]):
+    """Draw the level, the marks, and the values expected of each curve or of all."""
+    level, marks, expected = lines
+    if level is not None:
+        panel.axhline(level, color=BLACK, ls="--", lw=0.7)
+    for mark in marks:
+        panel.axvline(mark, color=GREY, ls=":", lw=0.9)
+    for number, value in enumerate(expected):
+        panel.axhline(value, color=style(number)["color"] if len(expected) == len(names) else BLACK, ls=":", lw=1.0)
 
 
 SCALES = {True: "log", False: "semilogx"}
@@ -216,12 +248,17 @@ def _curves(loads: list[Load], horizontal: Quantity) -> dict[str, list[Ensemble]
     return dict(zip(names, groups.values(), strict=True))
 
 
-def _draw(sheet: Sheet, number: int, name: str, points: list, y: Callable):
+def _draw(sheet: Sheet, panel: int, name: str, points: list, what: tuple[Callable, dict, bool]):
+    """Means with errors, NaN for a single seed; where they are absolute, negative ones have open symbols."""
+    y, look, absolute = what
     values = [[y(load) for load in group] for _, group in points]
-    errors = [standard_error(each) for each in values]
-    known = None if any(error is None for error in errors) else np.array(errors, float)
-    means = np.array([np.mean(each) for each in values])
-    sheet.curve(0, [place for place, _ in points], means, name, error=known, lw=0.7, **style(number))
+    errors = np.array([standard_error(each) for each in values], float)
+    x, means = np.array([place for place, _ in points]), np.array([np.mean(each) for each in values])
+    sheet.curve(panel, x, np.abs(means) if absolute else means, name, error=None if np.isnan(errors).all() else errors,
+                lw=0.7, **look)  # fmt: skip
+    if absolute and np.any(means < 0):
+        sheet.curve(panel, x[means < 0], -means[means < 0], f"{name}, negative", label=False, ls="none", zorder=5,
+                    **look | {"mfc": "white"})  # fmt: skip
 
 
 def reached(x: np.ndarray, y: np.ndarray, level: float) -> float:
@@ -229,20 +266,20 @@ def reached(x: np.ndarray, y: np.ndarray, level: float) -> float:
     return crossing(x, y, level) if y[0] > level else crossing(x, -y, -level)
 
 
-def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits: tuple[float, float], number: int):
+def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits: tuple[float, float], look: tuple):
     """The exponent of |mean over the seeds that have all loads| between limits; its error by leaving one out."""
 
-    def exponent(chosen: list) -> tuple[float, float, np.ndarray, float]:
+    def exponent(chosen: list) -> tuple[float, float, np.ndarray]:
         x, y = np.mean(np.array(chosen), axis=0).T
         part = (x >= limits[0]) & (x <= limits[1]) & (y != 0)
         if np.count_nonzero(part) < 3:
-            return math.nan, math.nan, x[part], 1.0
+            return math.nan, math.nan, x[part]
         slope, (offset,) = fit_power_law(x[part], np.abs(y[part]))
-        return slope, offset, x[part], float(np.sign(y[part].sum()))
+        return slope, offset, x[part]
 
     longest = max(map(len, seeds))
     whole = [each for each in seeds if len(each) == longest]
-    slope, offset, x, sign = exponent(whole)
+    slope, offset, x = exponent(whole)
     sheet.findings.add(name, slope)
     if name not in sheet.findings:
         return
@@ -251,8 +288,8 @@ def _fit(sheet: Sheet, name: str, seeds: list[list[tuple[float, float]]], limits
         error = float(np.sqrt((len(rest) - 1) / len(rest) * np.sum((rest - rest.mean()) ** 2)))
         sheet.findings[name] = Finding(slope, error, None, len(whole))
     along = np.geomspace(x[0], x[-1], 40)
-    sheet.curve(0, along, sign * np.exp(offset) * along**slope, name, label=False, color=style(number)["color"],
-                ls="--", lw=0.9)  # fmt: skip
+    panel, colour = look
+    sheet.curve(panel, along, np.exp(offset) * along**slope, name, label=False, color=colour, ls="--", lw=0.9)
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from samples import Ensemble, common_bins, ensembles
 from stress_contact_spectra import ratio_of_means
 
 CAPTION = """(a) Stress (filled symbols) and contact spectra (open), scaled so that the sum of the contact's over all
-q ≠ 0 is one, at the largest load; settings are moved apart by factors of 10; lines: joint fits over the range that
+q ≠ 0 is one, at the largest load; settings are moved apart by the factors named; lines: joint fits over the range that
 they span, drawn a factor of 1.6 above the data. (b) The ratio of the scaled spectra at the largest and the smallest
 load in octaves of q, with standard errors. (c) Exponents of the joint fit against the Hurst exponent with both
 errors, with 1 + H and published ones."""
@@ -64,7 +64,8 @@ def draw(
         points.append((group, spread))
         if group in shown:
             title = ", ".join(part for part in name.split(", ") if part not in shared) or name
-            _draw(sheet, shown.index(group), title, (x, curves), limits)
+            number = shown.index(group)
+            _draw(sheet, number, title, (x, curves), limits, (100.0 if len(shown) == 2 else 10.0) ** -number)
     for kind in ("contact", "stress"):
         sheet.findings.add(f"sum rule, {kind}, largest residual", worst_sum(loads, kind))
     _draw_exponents(sheet, points, largest)
@@ -143,6 +144,9 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple, limits: tuple[
             error = np.std(each, ddof=1) / np.sqrt(seeds) if seeds > 1 else None
             sheet.keep("table", ("setting", "hurst", "from", "to", "fit", "mu", "standard_error", "seeds"),
                        (name, group.hurst, low, high, kind, float(np.mean(each)), error, seeds))  # fmt: skip
+    smallest = {min(curves): curves[min(curves)]}
+    alone = [[exponent(x, smallest, "joint", seed, each) for seed in range(seeds)] for each in windows(limits)]
+    sheet.findings.add(f"μ at the smallest load, {name}", alone[0], [float(np.mean(each)) for each in alone[1:]])
     # the difference falls as 1/ln(window) if one decay differs from the other by a factor over the window
     scaled_difference = [[math.log(high / low) * exponent(x, curves, "difference", seed, (low, high))
                           for seed in range(seeds)] for low, high in windows(limits)]  # fmt: skip
@@ -171,7 +175,8 @@ def _compare_loads(sheet: Sheet, name: str, x: np.ndarray, curves: Curves):
         for title, part in (("q ≥ 4 q_l", middle > 4), ("q < 4 q_l", middle < 4)):
             if np.any(part):
                 worst = np.flatnonzero(part)[int(np.argmax(np.abs(np.log(ratio[part]))))]
-                found = Finding(float(ratio[worst]), None if error is None else float(error[worst]))
+                found = Finding(float(ratio[worst]), None if error is None else float(error[worst]),
+                                count=len(curves[high][kind]))  # fmt: skip
                 sheet.findings[f"{kind} spectra, largest over smallest load, farthest octave of {title}, {name}"] = (
                     found
                 )
@@ -206,11 +211,10 @@ def worst_sum(group: list[Load], kind: str) -> float:
     return max(residuals, key=abs, default=float("nan"))
 
 
-def _draw(sheet: Sheet, number: int, name: str, data: tuple, limits: tuple[float, float]):
+def _draw(sheet: Sheet, number: int, name: str, data: tuple, limits: tuple[float, float], shift: float):
     x, curves = data
     colour, marker = COLOURS[number], "os^D"[number]
     low, high = list(curves)[0], list(curves)[-1]
-    shift = 10.0**-number
     for kind, fill in (("stress", colour), ("contact", "white")):
         mean = curves[high][kind].mean(axis=0)
         moved = f" (× {shift:g})" if number else ""

@@ -96,7 +96,7 @@ def _draw_persson(sheet: Sheet, group: Ensemble):
     q = load.spectrum("height")[0]
     inside = q <= load.q_limits[1] * (1 + 1e-9)
     sheet.curve(
-        0, q[inside] / group.q_unit, persson_area(load, q[inside]), "f(q), Persson", color=BLACK, ls=":", lw=0.9
+        0, q[inside] / group.q_unit, persson_area(load, q[inside]), "$f(q)$, Persson", color=BLACK, ls=":", lw=0.9
     )
 
 

@@ -124,6 +124,8 @@ def report(sheet: Sheet, group: Ensemble, name: str, data: tuple):
     inner = (x >= INNER) & (x <= top / 2)
     others = [(x >= INNER / 2) & (x <= top / 2), (x >= INNER) & (x <= top), (x >= 2 * INNER) & (x <= top / 4)]
     add(f"contact area, {name}", [load.area for load in group])
+    if min(load.area for load in group) == 1:
+        add(f"largest |ratio − 1| of a bin in full contact, {name}", np.abs(curves - 1).max(axis=1))
     if not np.any(inner):
         return
 

@@ -24,11 +24,12 @@ from scipy import stats
 COLUMN, PAGE = 3.4, 7.0  # inches
 ROW = 0.13  # inches that a row of the legend takes above the panels
 
-# Okabe & Ito, Color Universal Design (2008), for colour-blind readers; in grey, line styles and markers differ.
+# Okabe & Ito, Color Universal Design (2008), for colour-blind readers; the first three also differ in grey, the others
+# by their markers.
 BLACK, BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GREY = (
     "#000000", "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#7F7F7F",
 )  # fmt: skip
-COLOURS = (BLUE, RED, GREEN, ORANGE, PURPLE, SKY, BLACK)
+COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 MOST = 7  # ensembles in one panel: as many as there are colours and markers
 

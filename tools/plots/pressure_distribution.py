@@ -53,6 +53,9 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
         if not one:
             label = tex(shown[panel].label.replace(", ", "\n"))
             sheet.panels[panel].text(0.06, 0.05, label, transform=sheet.panels[panel].transAxes, va="bottom")
+    low, high = np.transpose([panel.get_ylim() for panel in sheet.panels[: len(shown)]])
+    for panel in sheet.panels[: 0 if one else len(shown)]:
+        panel.set_ylim(low.min(), high.max())
     return sheet
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from choosing import near
 from plotting import BLACK, GREY, Sheet, limited, style
 from reading import Load
-from samples import Ensemble, common_bins, ensembles
+from samples import Ensemble, common_bins, ensembles, setting
 
 CAPTION = """(a) Stress spectrum over σ_c² against the contact spectrum, one symbol for each bin of |q|, with the bounds
 1 (full line) and 2 (dashed). (b) Their ratio, with the bounds 1 and 2; bars: standard error over seeds. Dotted: the
@@ -29,20 +29,23 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
     """|σ̃|²/σ_c² against |Θ̃|², and their ratio against q."""
     sheet = Sheet(1, 2, height=2.9)
     groups = limited(ensembles(near(loads, areas) if areas else loads), sheet)
+    settings = list(dict.fromkeys(str(setting(group.loads[0])) for group in groups))
     ends: list[float] = []
     for number, group in enumerate(groups):
         name, label = group.name, group.label or f"f_c = {group.mean('area'):.3g}"
         x, count, stress, contact = samples(group)
         ratio, error = ratio_of_means(stress, contact)
         below = contact.mean(axis=0)
-        drawn = {**style(number, filled=number % 2 == 0), "ls": "none", "ms": 2.4}
-        sheet.curve(0, below, stress.mean(axis=0), label, **drawn)
+        # two loads of each setting: its colour, filled and open
+        look = style(number, filled=number % 2 == 0) if len(groups) != 2 * len(settings) else style(
+            settings.index(str(setting(group.loads[0]))), filled=number % 2 == 0)  # fmt: skip
+        sheet.curve(0, below, stress.mean(axis=0), label, ls="none", ms=2.4, **look)
         ends += [below.min(), below.max()]
-        sheet.curve(1, x, ratio, name, error=error, lw=0.7, ms=2, **style(number, filled=number % 2 == 0))
+        sheet.curve(1, x, ratio, name, error=error, lw=0.7, ms=2, **look)
         report(sheet, group, name, (x, count, stress, contact, ratio))
     for value, dashes in ((1, "-"), (2, "--")):
         span = np.array([min(ends), max(ends)])
-        sheet.curve(0, span, value * span, f"{value} × contact", label=False, color=BLACK, lw=0.7, ls=dashes, zorder=5)
+        sheet.curve(0, span, value * span, f"bound {value}", color=BLACK, lw=0.7, ls=dashes, zorder=5)
         sheet.panels[1].axhline(value, color=BLACK, lw=0.7, ls=dashes)
     for edge in {np.pi / max(group.spacings) / group.q_unit for group in groups}:
         sheet.panels[1].axvline(edge, color=GREY, lw=0.7, ls=":")
