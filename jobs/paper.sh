@@ -101,6 +101,11 @@ limits() {
                 "surface.seed=$seed load.pressure=$(pressures $h 1)" \
                 'output.observables=["histogram","spectra","patches","bearing"]'
         done
+        for seed in $(seq 5 32); do
+            echo "limit-bearing-h$h-s$seed jobs/paper/exponents.toml $(size 8192 1) surface.hurst=$h surface.seed=$seed" \
+                "load.pressure=[$([ "$h" = 0.3 ] && echo 0.00245 || echo 0.00316)]" \
+                'output.observables=["spectra","patches","bearing"]'
+        done
         for n in 8192 4096 1024; do
             for seed in $(seq $((n == 8192 ? 2 : n == 4096 ? 4 : 16))); do
                 echo "limit-kappa-n$n-h$h-s$seed jobs/paper/loads.toml $(size $n 16) surface.hurst=$h surface.seed=$seed" \

@@ -27,7 +27,7 @@ import tempfile
 import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -60,6 +60,9 @@ td, th { border-bottom: 1px solid #ddd; padding: .2rem .7rem .2rem 0; text-align
 td.n { white-space: nowrap; font-variant-numeric: tabular-nums; } .v { font-weight: 600; white-space: nowrap; }
 .agrees { color: #005b96; } .differs { color: #b34700; } .identity, .cannot { color: #555; }
 .violated, .not { color: #b00020; } .small { color: #555; font-size: .9em; } td .small { font-size: 1em; }
+.runs { font-size: .75em; } .runs td:nth-child(-n+6), .runs td:nth-last-child(-n+3) { white-space: nowrap; }
+.narrow { display: grid; grid-template: auto 1fr / max-content 1fr; column-gap: 1.5rem; }
+.narrow > :nth-child(2) { grid-column: 1; grid-row: 1 / 3; } .narrow > :not(:nth-child(2)) { grid-column: 2; }
 th.part { width: 36%; } th.paper { width: 12%; } th.number { width: 22%; }
 @page { size: A4; margin: 14mm; }
 @media print { body { font-size: 9pt; max-width: none; margin: 0; padding: 0; } img, tr, .top { break-inside: avoid; }
@@ -96,10 +99,10 @@ def read_figures(path: Path) -> list[Figure]:
     return [Figure(**table) for table in tables]
 
 
-def read_departures(path: Path) -> list[str]:
-    """How the runs depart from the paper."""
+def read_words(path: Path, name: str) -> list[str]:
+    """Sentences of a file such as tools/paper/claims.toml: "history" of the rules, or "departures" from the paper."""
     with open(path, "rb") as file:
-        return tomllib.load(file).get("departures", [])
+        return tomllib.load(file).get(name, [])
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,7 @@ def write_page(output: Path, source: Path = CLAIMS, *, small: bool = False, miss
         _summary(asked, findings),
         *(_section(figure, runs, drawn, asked, findings, output) for figure in plan),
         _method(source),
-        _departures(read_departures(source)),
+        _departures(read_words(source, "departures")),
         _second_reader(source.with_name("second_reader.toml"), asked, findings),
         _runs(runs),
         "</html>\n",
@@ -297,16 +300,18 @@ contact are correlated in space. {found}</p>
 <p>The paper makes {len(asked)} claims that can be tested, and {len(runs)} runs of pgfmd {html.escape(versions)} test
 them. Of its {counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one
 conjecture. Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at
-the accuracy that it gives or with which its figures can be read. A column of its own says what better numbers show.</p>
+the accuracy that it gives or with which its figures can be read. A column of its own says what stands beside a verdict,
+and what larger cells and better estimators show.</p>
 <p class="small">{units} <code>jobs/paper.sh --full</code> makes the figures of the limits; a report without its runs
 takes them from <code>jobs/paper/results</code>. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
 
 
 def _news(news: list[claims.Result], findings: dict[str, Findings]) -> str:
     """What the runs show beyond the paper, each with its numbers."""
-    lines = ["<h2>What is new</h2>"] if news else []
+    said = "Errors are standard errors over surfaces; the tables below also give the spread over fit ranges."
+    lines = [f'<h2>What is new</h2><p class="small">{said}</p>'] if news else []
     for result in news:
-        numbers = "; ".join(f"{marked(part.what)}: {_number(part, findings)}" for part in result.parts)
+        numbers = "; ".join(f"{marked(part.what)}: {_number(part, findings, short=True)}" for part in result.parts)
         lines.append(
             f"<p><b>{marked(result.title)}</b> {marked(result.text)} "
             f'<a href="#{html.escape(result.figure)}">Figure</a>. <span class="small">{numbers}.</span></p>'
@@ -321,7 +326,7 @@ def _summary(asked: list[Claim], findings: dict[str, Findings]) -> str:
         mine = [claim for claim in asked if claim.kind == kind]
         if not mine:
             continue
-        heads = '<th>no.<th class="part">the paper<th class="number">under its conditions<th>in the limit'
+        heads = '<th>no.<th class="part">the paper<th class="number">its conditions<th>beside it, and in the limit'
         lines += [f"<h3>{title}</h3>", f"<table><tr>{heads}</tr>"]
         for claim in mine:
             verdict = claim.verdict(findings)
@@ -337,11 +342,18 @@ def _summary(asked: list[Claim], findings: dict[str, Findings]) -> str:
 
 
 def _worst(claim: Claim, findings: dict[str, Findings]) -> str:
-    """The deciding number that lies farthest out, in half widths of what the paper says, and what the paper says."""
+    """The deciding number of the worst verdict that lies farthest out, in half widths of what the paper says, and what
+    the paper says.
+    """
 
-    def distance(part: claims.Part) -> float:
+    def distance(part: claims.Part) -> tuple[int, float]:
         number = part.measured(findings)
-        return part.outside(number) if number else -math.inf
+        low, high = (part.number[0] - part.number[1], part.number[0] + part.number[1]) if part.number else (
+            part.range or part.beyond or (0.0, 2.0))  # fmt: skip
+        width = (high - low) / 2 if math.isfinite(high - low) else 1.0
+        rank = (claims.AGREES, claims.CANNOT_TELL, claims.DIFFERS)
+        verdict = part.verdict(number)
+        return rank.index(verdict) if verdict in rank else 3, part.outside(number) / width if number else -math.inf
 
     parts = [part for part in claim.parts if part.column == "paper" and part.expectation()]
     if not parts:
@@ -350,9 +362,12 @@ def _worst(claim: Claim, findings: dict[str, Findings]) -> str:
     return f"{marked(part.what)}: {_number(part, findings)} ({marked(part.expectation())})"
 
 
-def _number(part: claims.Part, findings: dict[str, Findings]) -> str:
+def _number(part: claims.Part, findings: dict[str, Findings], short: bool = False) -> str:
+    """A part's number with its errors; `short`: without the spread over choices."""
     number = part.measured(findings)
-    return marked(number.text()) if number else "not run"
+    number = replace(number, choices=None) if number and short else number
+    few = f" ({number.count} surfaces)" if number and number.seeds and number.count < 4 else ""
+    return marked(number.text()) + few if number else "not run"
 
 
 def _reason(claim: Claim, verdict: str) -> str:
@@ -360,24 +375,10 @@ def _reason(claim: Claim, verdict: str) -> str:
 
 
 def _method(source: Path) -> str:
-    """How verdicts are found, and the commit that fixed the rules."""
+    """How verdicts are found, and which commits fixed the rules."""
     rules = "\n".join((claims.__doc__ or "").strip().splitlines()[3:])
-    commit = _commit_of(source)
-    fixed = f" Numbers and ranges were last changed in commit {html.escape(commit)}." if commit else ""
-    text = f"They were fixed before the runs that they judge, but for `only`, which a second reading asked for.{fixed}"
+    text = " ".join(map(marked, read_words(source, "history")))
     return f"<h2>The rules</h2><p>{text}</p><pre>{html.escape(rules)}</pre>"
-
-
-def _commit_of(source: Path) -> str:
-    """The last commit that changed a rule: a number, range or finding of a part, with its date; empty outside of a
-    repository.
-    """
-    words = ["git", "log", "-1", "--format=%h of %cs", "-G", r"(number|range|beyond|identity) = \[", "--", source.name]
-    try:
-        done = subprocess.run(words, cwd=source.parent, capture_output=True, text=True, timeout=60, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return done.stdout.strip()
 
 
 def _verdict(verdict: str) -> str:
@@ -404,10 +405,10 @@ def _section(figure: Figure, runs: list[dict], drawn: dict[str, Drawn], asked, f
     return "\n".join(
         [
             title,
-            f'<div class="top"><p>{marked(figure.text)}</p>',
+            f'<div class="top{" narrow" * (width < 4)}"><p>{marked(figure.text)}</p>',
             f'<p><img alt="{html.escape(figure.title)}" style="--width: {width:.2f}in" '
-            f'src="data:image/png;base64,{base64.b64encode(picture).decode()}"></p></div>',
-            f'<p class="small">{marked(caption)}{notes}</p>',
+            f'src="data:image/png;base64,{base64.b64encode(picture).decode()}"></p>',
+            f'<p class="small">{marked(caption)}{notes}</p></div>',
             _table_one(figure, findings) if figure.key == "T1" else "",
             _claims(mine, findings),
             f'<p class="small">tools/plots/{html.escape(figure.tool)}.py; data in {html.escape(figure.picture)}*.csv. '
@@ -435,7 +436,7 @@ def _claims(mine: list[Claim], findings: dict[str, Findings]) -> str:
         )
         lines.append(
             '<table><tr><th class="part">number<th class="paper">the paper<th class="number">under its conditions'
-            '<th class="number">in the limit<th>verdict</tr>'
+            '<th class="number">beside it, and in the limit<th>verdict</tr>'
         )
         for part in claim.parts:
             cells = [_number(part, findings), ""]
@@ -475,7 +476,8 @@ def _runs(runs: list[dict]) -> str:
     lines = [
         "<h2>Runs</h2>",
         f"<p>{len(runs)} runs, {_duration(runs)} together, listed in runs.csv.</p>",
-        f"<table><tr><th>runs<th>surfaces<th>grid<th>{marked('H')}<th>{marked('λ_s/a')}<th>wall<th>contact areas"
+        '<table class="runs">'
+        f"<tr><th>runs<th>surfaces<th>grid<th>{marked('H')}<th>{marked('λ_s/a')}<th>wall<th>contact areas"
         f"<th>{marked('10³ p̄')}<th>certified<th>transforms<th>time</tr>",
     ]
     groups = defaultdict(list)
@@ -496,7 +498,7 @@ def _runs(runs: list[dict]) -> str:
 
 
 def _second_reader(path: Path, asked: list[Claim], findings: dict[str, Findings]) -> str:
-    """Verdicts of a reader who saw the paper's words and the tables, not the report, beside its own."""
+    """Verdicts of a reader beside those of the report."""
     if not path.exists():
         return ""
     with open(path, "rb") as file:
