@@ -1,4 +1,4 @@
-"""Open patches by this program, ASPHER and ContactMechanics: equal pressures, areas, and processor time on one core.
+"""Open patches by this program and its peers: equal pressures, areas, and processor time on one core.
 
     python tools/bench/open_peers.py equal --n 512 1024  # pressures, with the peers' symbol (Love 1929) in ours
     python tools/bench/open_peers.py area --n 512 1024 2048 4096  # area, approach and mean gap against finer grids
@@ -135,6 +135,36 @@ def contact_mechanics(heights: np.ndarray, load: float, tolerance: float, watch=
     return taken[1], taken[0]
 
 
+def tamaas(heights: np.ndarray, load: float, tolerance: float, watch=lambda pressure: None):
+    """(pressure, iterations) by tamaas' Polonsky–Keer–Rey; without `setIntegralOperator` the problem is periodic."""
+    import tamaas as peer
+
+    peer.set_log_level(peer.LogLevel.error)
+    taken = [0, heights]
+
+    class Watch(peer.Functional):
+        def computeF(self, variable, dual):  # noqa: N802 (their name)
+            return 0.0
+
+        def computeGradF(self, variable, gradient):  # noqa: N802
+            taken[:] = taken[0] + 1, np.asarray(variable).reshape(heights.shape)
+            watch(taken[1])
+
+    model = peer.Model(peer.model_type.basic_2d, [SIDE, SIDE], list(heights.shape))
+    model.E, model.nu = 1.0, 0.0
+    peer.ModelFactory.registerNonPeriodic(model, "open")
+    solver, functional = peer.PolonskyKeerRey(model, heights, tolerance), Watch()  # it must live as long as the solver
+    solver.setIntegralOperator("open")
+    solver.addFunctionalTerm(functional)
+    solver.max_iter = 20_000
+    with contextlib.suppress(Enough):
+        solver.solve(load)
+    return np.array(taken[1]), taken[0]
+
+
+WATCHED = {"ContactMechanics": contact_mechanics, "tamaas": tamaas}
+
+
 def error_of(pressure: np.ndarray, reference: np.ndarray) -> float:
     return float(np.linalg.norm(pressure - reference) / np.linalg.norm(reference))
 
@@ -155,7 +185,7 @@ def equal(case: dict, heights: np.ndarray, program: str) -> dict:
     if program == "ASPHER":
         found, _ = aspher(heights, case["load"], 1e-11, "fft auto double")
     else:
-        found, _ = contact_mechanics(heights, case["load"], 1e-11)
+        found, _ = WATCHED[program](heights, case["load"], 1e-11)
     return {"pressure_error": error_of(found, known), "area": float(np.mean(found > 0))}
 
 
@@ -172,7 +202,7 @@ def speed(case: dict, heights: np.ndarray, program: str, setting: str, budget: f
     with contextlib.nullcontext() if program == "pgfmd" else love():
         known = ours(heights, case["load"], 1e-14).pressure
     row: dict = {}
-    if program == "ContactMechanics":
+    if program in WATCHED:
         spent = [0.0]
 
         def watch(pressure) -> None:
@@ -183,7 +213,7 @@ def speed(case: dict, heights: np.ndarray, program: str, setting: str, budget: f
                 raise Enough
 
         began = time.process_time()
-        _, row["work"] = contact_mechanics(heights, case["load"], 1e-14, watch)
+        _, row["work"] = WATCHED[program](heights, case["load"], 1e-14, watch)
         return row | {"cpu": time.process_time() - began - spent[0]}
     for tolerance in (10.0 ** (-0.5 * k) for k in range(4 if program == "pgfmd" else 10, 24)):
         began = time.process_time()
@@ -199,7 +229,7 @@ def speed(case: dict, heights: np.ndarray, program: str, setting: str, budget: f
 
 
 PARTS = {"equal": equal, "area": area, "speed": speed}
-PROGRAMS = {"equal": ["ASPHER", "ContactMechanics"], "area": ["pgfmd", "Love"]}
+PROGRAMS = {"equal": ["ASPHER", *WATCHED], "area": ["pgfmd", "Love"]}
 PROGRAMS["speed"] = ["pgfmd", *PROGRAMS["equal"]]
 
 
@@ -209,7 +239,7 @@ def main() -> int:
     parser.add_argument("--n", type=int, nargs="+", default=[512])
     parser.add_argument("--surfaces", nargs="+", default=["rough:.8:=16"])
     parser.add_argument("--area", type=float, nargs="+", default=[0.02], help="contact areas of rough surfaces, about")
-    parser.add_argument("--programs", nargs="+", help="of pgfmd, ASPHER, ContactMechanics, Love; all by default")
+    parser.add_argument("--programs", nargs="+", help="all of the part if left out; Love: ours, the peers' symbol")
     parser.add_argument("--settings", nargs="+", default=["fft auto float"], help="of ASPHER: backend engine precision")
     parser.add_argument("--budget", type=float, default=600.0, help="seconds of processor time of one solution")
     parser.add_argument("--csv", type=Path, default=Path(__file__).parents[2] / "jobs" / "benchmark" / "open.csv")
