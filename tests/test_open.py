@@ -444,7 +444,7 @@ def test_what_open_boundaries_do_not_have_is_refused_by_name():
     """Observables of a period, dynamics, other transforms and refinement: one line that names them."""
     heights = rough(16)
     contact = solved(heights, 1.0)
-    for name in ("acf", "gap_spectrum", "lowpass", "discretisation", "stiffness", "percolation", "gap_slope"):
+    for name in ("acf", "gap_spectrum", "lowpass", "discretisation", "subsurface", "percolation", "gap_slope"):
         with pytest.raises(InputError, match=f"{name} needs a period"):
             contact.observables(name)
     for options in ({"method": "gfmd"}, {"refine": 2}, {"thickness": 5.0, "base": "free"}):

@@ -15,9 +15,12 @@ from pgfmd.application import job
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
+from pgfmd.grid.domain import OPEN, PERIODIC
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.grid.transforms import sink, source
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.observables.stiffness import Stiffness
+from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
 from pgfmd.physics.laws.hard import HardWall
@@ -26,9 +29,9 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.fixed_contact import increment
 
 
-def stiffness_of(comm, pressure, law=None, width=1e-3):
+def stiffness_of(comm, pressure, law=None, width=1e-3, domain=PERIODIC):
     """The increment of a whole pressure (nx, ny), cut into slabs."""
-    grid = SlabGrid(comm, pressure.shape)
+    grid = SlabGrid(comm, pressure.shape, domain=domain)
     flat = np.zeros(grid.local_shape)
     problem = ContactProblem(grid, flat, elastic(1.0), law or HardWall(), pressure.mean())
     found = increment(problem, pressure[grid.rows].copy(), width)
@@ -36,13 +39,18 @@ def stiffness_of(comm, pressure, law=None, width=1e-3):
     return found
 
 
-def dense(pressure, law):
+def dense(pressure, law, domain):
     """K by dense algebra; E' = 1."""
-    nx, ny = pressure.shape
-    q = 2 * np.pi * np.hypot(np.fft.fftfreq(nx)[:, None], np.fft.fftfreq(ny)[None])
-    kernel = np.fft.ifft2(np.divide(2, q, out=np.zeros_like(q), where=q > 0)).real
+    (nx, ny), open_ = pressure.shape, domain is OPEN
+    if open_:  # the response of a loaded corner
+        grid, corner, kernel = SlabGrid(ALONE, (nx, ny), domain=OPEN), np.zeros((nx, ny)), np.empty((nx, ny))
+        corner[0, 0] = 1
+        grid.convolve(source(corner), elastic(1.0).apply_compliance(grid, np.float64, 1 / grid.modes), sink(kernel))
+    else:
+        q = 2 * np.pi * np.hypot(np.fft.fftfreq(nx)[:, None], np.fft.fftfreq(ny)[None])
+        kernel = np.fft.ifft2(np.divide(2, q, out=np.zeros_like(q), where=q > 0)).real
     i, j = np.divmod(np.arange(nx * ny), ny)
-    compliance, p = kernel[(i[:, None] - i) % nx, (j[:, None] - j) % ny], pressure.ravel()
+    compliance, p = kernel[abs(i[:, None] - i), abs(j[:, None] - j)], pressure.ravel()
     if isinstance(law, ExponentialWall):  # (G + ζ/p)x = 1, symmetric in x/√p
         root = np.sqrt(p)
         return root @ np.linalg.solve(law.zeta * np.eye(len(p)) + root[:, None] * compliance * root, root) / len(p)
@@ -54,7 +62,8 @@ def dense(pressure, law):
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("law", [HardWall(), Hardness(hardness=2.0), ExponentialWall(zeta=0.05)], ids=lambda x: x.kind)
-def test_bounds_enclose_dense_algebra(comm, law):
+@pytest.mark.parametrize("domain", [PERIODIC, OPEN], ids=lambda x: x.name)
+def test_bounds_enclose_dense_algebra(comm, law, domain):
     """The bounds enclose K of dense algebra, and are as near as asked; 1e-11: rounding of the dense solution."""
     rng = np.random.default_rng(8)
     for _ in range(6):
@@ -63,9 +72,9 @@ def test_bounds_enclose_dense_algebra(comm, law):
             pressure[rng.random(pressure.shape) < rng.uniform(0.1, 0.9)] = 0
             pressure[rng.random(pressure.shape) < 0.1] = min(law.highest, 2.0)
             np.minimum(pressure, law.highest, out=pressure)
-        exact = dense(pressure, law)
+        exact = dense(pressure, law, domain)
         for width in (1e-2, 1e-6):
-            found = stiffness_of(comm, pressure, law, width)
+            found = stiffness_of(comm, pressure, law, width, domain)
             assert found.lower * (1 - 1e-11) <= exact <= found.upper * (1 + 1e-11)
             assert found.upper <= found.lower * (1 + 1.01 * width)
 
@@ -74,7 +83,7 @@ def test_bounds_enclose_dense_algebra(comm, law):
 def test_bounds_of_an_unfinished_solution(comm, monkeypatch):
     """Under an exponential wall the bounds enclose K after any number of iterations, though they are far apart."""
     law, pressure = ExponentialWall(zeta=1e-4), np.random.default_rng(2).exponential(size=(12, 9))
-    exact = dense(pressure, law)
+    exact = dense(pressure, law, PERIODIC)
     for most in (1, 2, 5, 20):
         monkeypatch.setattr("pgfmd.solvers.fixed_contact.MOST_ITERATIONS", most)
         found = stiffness_of(comm, pressure, law, 1e-9)
@@ -91,12 +100,15 @@ def disc(n, radius):
 @pytest.mark.parametrize("radius", [8.0, 20.0])
 def test_round_contact(comm, radius):
     """A round contact of radius a in a cell L has 1/(K L²) = 1/2a − 3.900265/(πL) + .9585 a²/L³ (E' = 1): the
-    flat punch, its square lattice of images, and their effect on it.  Pixels: a = √(N/π) − .129, ± .006 at 8.
+    flat punch, its square lattice of images, and their effect on it; on an open patch the first term only.  Pixels: a =
+    √(N/π) − .129, ± .006 at 8.
     """
     mask, count = disc(128, radius)
     found, a, length = stiffness_of(comm, mask), math.sqrt(count / math.pi) - 0.129, 128
     expected = 1 / (2 * a) - 3.900265 / (math.pi * length) + 0.9585 * a**2 / length**3
     slack = 0.006 * 8 / radius / (2 * a**2)
+    assert 1 / (found.upper * length**2) <= expected + slack and expected - slack <= 1 / (found.lower * length**2)
+    found, expected = stiffness_of(comm, mask, domain=OPEN), 1 / (2 * a)
     assert 1 / (found.upper * length**2) <= expected + slack and expected - slack <= 1 / (found.lower * length**2)
 
 
@@ -127,9 +139,13 @@ def test_secants_lie_between():
 
 
 def test_without_and_with_full_contact(comm):
-    """No contact: K = 0.  Contact everywhere: K is infinite, as the mean mode deforms nothing."""
+    """No contact: K = 0.  Contact everywhere: K is infinite, as the mean mode deforms nothing; of an open patch it is
+    that of a square punch, 1.1523 E' times its side n − .378.
+    """
     assert stiffness_of(comm, np.zeros((8, 8))).upper == 0
     assert stiffness_of(comm, np.ones((8, 8))).lower == math.inf
+    punch = stiffness_of(comm, np.ones((128, 128)), domain=OPEN)
+    assert punch.lower * 128**2 == pytest.approx(1.1523 * (128 - 0.378), rel=1e-3)
 
 
 def test_conductance_of_a_spot():
@@ -169,6 +185,8 @@ def test_refused(comm):
     slab = ContactProblem(grid, np.zeros(grid.local_shape), elastic(1.0, 3.0), HardWall())
     with pytest.raises(InputError, match="half-spaces"):
         RoughSurface(slab, [Stiffness(conductivities=(1.0, 1.0))])
+    with pytest.raises(InputError, match="half_grid needs a period"):
+        Stiffness(half_grid=True).check_in(OPEN)
     with pytest.raises(InputError, match='observable "stiffness"'):
         job.parse(rough_job(8, load={"pressure": [0.1]}, output={"fields": ["current_density"]}))
     with pytest.raises(InputError, match="hard, hardness and exponential"):

@@ -19,10 +19,10 @@ from pgfmd import plugins as user_plugins
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.observables.adhesive_state import Adhesion
-from pgfmd.observables.closing_load import ClosingLoad
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.observable_kinds import OBSERVABLES
+from pgfmd.observables.percolation import ClosingLoad
 from pgfmd.observables.schema import FIELDS
 from pgfmd.options.rules import assignment, choice, many, number, text
 from pgfmd.options.section import Kinds, Section, build, key, wrong

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pgfmd.observables.adhesive_state import Adhesion
 from pgfmd.observables.bearing_area import Bearing
-from pgfmd.observables.closing_load import ClosingLoad
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.discretisation import Discretisation
 from pgfmd.observables.gap_slope import GapSlope
@@ -13,7 +12,7 @@ from pgfmd.observables.leakage import Leakage
 from pgfmd.observables.lowpass import Lowpass
 from pgfmd.observables.observable import OBSERVABLES, layout_of
 from pgfmd.observables.partial_slip import PartialSlip
-from pgfmd.observables.percolation import Percolation
+from pgfmd.observables.percolation import ClosingLoad, Percolation
 from pgfmd.observables.pressure_skewness import PressureSkewness
 from pgfmd.observables.schema import GroupLayout
 from pgfmd.observables.spectra import Acf, GapSpectrum, Spectra

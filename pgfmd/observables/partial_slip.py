@@ -21,7 +21,6 @@ from pgfmd.physics.solids.solid import Solid
 
 if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
-    from pgfmd.solvers.solution import ContactSolution
 
 TOLERANCE = 1e-12  # of the second contact: the stick area of rough contacts then moves as one to 1e-6 of the shift
 MOST_TRIALS, ENOUGH = 12, 1e-6  # contacts until a shift is met, and its relative error
@@ -43,7 +42,6 @@ class PartialSlip(Observable):
     where = "output.partial_slip"
     fields = ("traction",)
     attraction = False
-    needs_period = "from the modes of the cell"
     layout = {
         TABLE: {
             "tangential_traction": Dataset("{pressure}", "mean tangential traction, Q over the area of the cell"),
@@ -84,38 +82,30 @@ class PartialSlip(Observable):
         from pgfmd.solvers.options import Solver
 
         problem, grid, mu = contact.problem, contact.grid, float(self.friction or 0.0)
-        nu, mean, gap = float(problem.solid.poisson or 0.0), contact.mean_pressure, contact.mean_gap
-        kappa = (2 - nu) / (2 - 2 * nu)
-
-        def solve(load: float) -> tuple[ContactSolution, float] | None:
-            options, other = Solver(method=problem.law.methods[0], tolerance=TOLERANCE), problem.at(load)
-            copy = other.on(grid, problem.heights.copy())  # the solver may overwrite it
-            found = contact.surface.solve(copy, start=None, options=options)
-            if found is None:
-                return None
-            bounds = increment(other, found.pressure, 1e-3)
-            return found, (bounds.lower + bounds.upper) / 2
-
-        load, target = (1 - self.load_share) * mean, math.nan
-        for _ in range(MOST_TRIALS if self.shift is not None else 1):
-            if (solved := solve(load)) is None:  # the log says why
+        nu, mean, load = float(problem.solid.poisson or 0.0), contact.mean_pressure, math.nan
+        ratio = (2 - nu) / (2 - 2 * nu) * mu  # of a shift to an approach
+        options = Solver(method=problem.law.methods[0], tolerance=TOLERANCE)
+        for trial in range(MOST_TRIALS):
+            other = problem.at((1 - self.load_share) * mean if trial == 0 else load)
+            # a copy of the heights: the solver may overwrite them
+            found = contact.surface.solve(other.on(grid, problem.heights.copy()), start=None, options=options)
+            if found is None:  # the log says why
                 return {TABLE: {name: np.array(math.nan) for name in self.layout[TABLE]}}
-            found, stiffness = solved
-            if self.shift is not None:
-                target = gap + self.shift / (kappa * mu)
-                if abs(found.mean_gap - target) <= ENOUGH * self.shift / (kappa * mu):
-                    break
-                load = min(max(load + stiffness * (found.mean_gap - target), load / 4), (load + mean) / 2)
+            lower, stiffness = found.mean_pressure, sum(increment(other, found.pressure, 1e-3)[1:3]) / 2
+            shift = ratio * (contact.approach - found.approach)
+            if self.shift is None or abs(missed := shift - self.shift) <= ENOUGH * self.shift:
+                break
+            load = min(max(lower + stiffness * missed / ratio, lower / 4), (lower + mean) / 2)
         else:
-            if self.shift is not None:
-                raise InputError(f"output.partial_slip.shift = {self.shift:g}: all of the contact slips before that")
-        total, lower = mu * (mean - found.mean_pressure), found.mean_pressure
-        shift = kappa * mu * (found.mean_gap - gap)
-        # ∫ approach dp̄ from the lower load to the upper one follows from the energies: dE_el = −p̄ dḡ
-        work = found.elastic_energy - contact.elastic_energy + found.mean_gap * lower - gap * mean
-        loss = 4 * total * shift - 8 * kappa * mu * (-gap * total - mu * work)
-        traction = mu * (contact.pressure - found.pressure)
-        stick = found.pressure > 0
+            raise InputError(f"output.partial_slip.shift = {self.shift:g}: all of the contact slips before that")
+        total = mu * (mean - lower)
+        # ∫ approach dp̄ from the lower load to the upper one follows from the energies: dE_el = p̄ d(approach)
+        work = contact.approach * mean - found.approach * lower - contact.elastic_energy + found.elastic_energy
+        loss = 4 * total * shift - 8 * ratio * (contact.approach * total - mu * work)
+        stick, traction = found.pressure > 0, found.pressure
+        del found, other
+        np.subtract(contact.pressure, traction, out=traction)
+        traction *= mu
         contact.keep("traction", traction)
         counts = grid.reduction.sums(*(float(np.count_nonzero(each)) for each in (stick, contact.pressure > 0)))
         columns = {
@@ -123,7 +113,7 @@ class PartialSlip(Observable):
             "stick_area": counts[0] / grid.size,
             "slip_area": (counts[1] - counts[0]) / grid.size,
             "tangential_shift": shift,
-            "tangential_stiffness": stiffness / kappa,
+            "tangential_stiffness": stiffness * mu / ratio,
             "cycle_loss": loss,
             "stick_violation": self._variation(problem, traction, stick) / shift if shift else math.nan,
         }
@@ -131,25 +121,16 @@ class PartialSlip(Observable):
 
     @staticmethod
     def _variation(problem: ContactProblem, traction: np.ndarray, stick: np.ndarray) -> float:
-        """Rms variation of the relative displacement over the stick area: of traction along x a mode q moves the
-        surfaces by 2/(E'(1 − ν)q) (1 − ν q_x²/q²) along x and −2ν q_x q_y/(E'(1 − ν)q³) along y.  Collective.
-        """
+        """Rms variation of the relative displacement over the stick area.  Collective."""
         from pgfmd.grid.transforms import sink, source
+        from pgfmd.physics.solids.open_kernel import tangential_action
 
-        grid, nu = problem.grid, float(problem.solid.poisson or 0.0)
-        scale = 2 / (problem.solid.contact_modulus * (1 - nu) * grid.size)
-        displacement, variance = grid.new_field(), 0.0
+        grid, nu, variance = problem.grid, float(problem.solid.poisson or 0.0), 0.0
+        displacement = grid.new_field()
         for along in (True, False):
-
-            def act(block: np.ndarray, first: int, stop: int, along: bool = along) -> None:
-                square, qx, qy = grid.q_squared(first, stop), grid.qx, grid.qy[first:stop]
-                safe = np.where(square > 0, square, 1.0)
-                share = 1 - nu * qx**2 / safe if along else -nu * qx * qy / safe
-                block *= np.where(square > 0, scale * share / np.sqrt(safe), 0.0)
-
-            grid.convolve(source(traction), act, sink(displacement))
+            grid.convolve(source(traction), tangential_action(grid, nu, along), sink(displacement))
             values = displacement[stick]
             total, count = grid.reduction.sums(float(values.sum()), len(values))
             centred = values - total / max(count, 1)
             variance += grid.reduction.dot(centred, centred) / max(count, 1)
-        return math.sqrt(variance)
+        return math.sqrt(variance) / (problem.solid.contact_modulus * (1 - nu))

@@ -1,4 +1,4 @@
-"""Whether the contact and the gap percolate, and the narrowest place of the widest path through the gap."""
+"""Whether contact and gap percolate, the narrowest place of the widest path through the gap, and where it closes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.observables.observable import Observable
@@ -67,3 +68,25 @@ class Percolation(Observable):
             for place, index in zip(("row", "column"), open_.point, strict=True):
                 at[f"constriction_{axis}_{place}"] = np.array(index)
         return {TABLE: {name: np.array(float(value)) for name, value in numbers.items()}, "percolation": at}
+
+
+COLUMNS = {
+    "closing_pressure_lower": Dataset("{pressure}", "highest mean pressure found at which the gap percolates"),
+    "closing_pressure_upper": Dataset("{pressure}", "lowest mean pressure found at which it does not"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosingLoad(Observable):
+    """The loads between which the gap ceases to percolate; in every run that imposes load.percolation."""
+
+    name = "closing_load"
+    where = "output.closing_load"
+    needs_period = "paths wind around the cell"
+    layout = {TABLE: COLUMNS}
+
+    def measure(self, contact: Contact) -> Groups:
+        """As the search found."""
+        if not contact.details.keys() >= COLUMNS.keys():
+            raise InputError("output.observables: closing_load is that of load.percolation, which is not imposed")
+        return {TABLE: {name: np.array(contact.details[name]) for name in COLUMNS}}

@@ -10,6 +10,7 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
+from pgfmd.grid.domain import Domain
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.observables.observable import Observable, is_rough
 from pgfmd.observables.schema import TABLE, Dataset, Groups
@@ -28,18 +29,19 @@ UNIT, CONDUCTANCE = "{pressure}/({length})", "conductivity/({length})"
 class Stiffness(Observable):
     """K = −dp̄/dḡ, pressure per change of the mean gap, while the contact stays as it is; bounded from both sides.
 
+    On an open patch K = dp̄/d(approach); times its area, force per length.
+
     With conductivities σ₁ and σ₂ of the two bodies, the constriction of current in the contact has the conductance
     2K/(E'(1/σ₁ + 1/σ₂)) per area (Barber 2003, doi:10.1098/rspa.2002.1038), in units of a conductivity per length.
     """
 
     name = "stiffness"
     attraction = False
-    needs_period = "its bounds use the modes of the cell"
     where = "output.stiffness"
     fields = ("current_density",)
     layout = {
         TABLE: {
-            "stiffness": Dataset(UNIT, "K = −dp̄/d(mean gap) at fixed contact, the middle of its bounds"),
+            "stiffness": Dataset(UNIT, "K = −dp̄/d(mean gap) at fixed contact (open: dp̄/d(approach)), middle of bounds"),
             "stiffness_error": Dataset(UNIT, "half the width of its bounds; with half_grid the pixel's error as well"),
             "stiffness_with_bulk": Dataset(UNIT, "dp̄/d(displacement): in series with the mean mode of a slab"),
             "conductance": Dataset(CONDUCTANCE, "of the constriction, per area; NaN without conductivities"),
@@ -66,6 +68,11 @@ class Stiffness(Observable):
         """
         return Cost(transforms=(20.0 if is_rough(cell, cutoff) else 8.0) + 5.0 * self.half_grid, memory=20.0)
 
+    def check_in(self, domain: Domain) -> None:
+        """Raises InputError for a half grid of an open patch."""
+        if self.half_grid and not domain.wraps:
+            raise InputError('output.stiffness.half_grid needs a period, not boundary = "open": its heights are waves')
+
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError for walls without a stiffness, and for a conductance of what is no half-space."""
         if law.kind not in ("hard", "hardness", "exponential"):
@@ -91,7 +98,8 @@ class Stiffness(Observable):
                 lambda coarse, solution: increment(coarse, solution.pressure, self.width).lower,
             )
             error += abs(value - (math.nan if other is None else other))
-        bulk, modulus = problem.solid.mean_stiffness(), problem.solid.contact_modulus
+        modulus = problem.solid.contact_modulus
+        bulk = problem.solid.mean_stiffness() if grid.domain.wraps else 0.0  # an open approach contains it
         factor = 2 / (modulus * sum(1 / each for each in self.conductivities)) if self.conductivities else math.nan
         columns = {
             "stiffness": value,

@@ -1,8 +1,8 @@
 """The response of a contact to a small further load while its contact set stays: stiffness, bounded from both sides.
 
-With G the compliance without the mean mode and C the points with 0 < p < σ_Y, the change of the pressure per change of
-its mean is the x that minimises ⟨x, Gx⟩/N among those with x = 0 outside C and mean 1.  Its minimum is 1/K, with
-K = −dp̄/dḡ (ḡ: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
+With G the compliance (in a cell without the mean mode) and C the points with 0 < p < σ_Y, the change of the pressure
+per change of its mean is the x that minimises ⟨x, Gx⟩/N among those with x = 0 outside C and mean 1.  Its minimum is
+1/K, with K = dp̄/d(approach), in a cell −dp̄/dḡ (ḡ: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
 
     S − ⟨ε, G⁻¹ε⟩/N ≤ 1/K ≤ S,        ε = Gx − S on C,
 
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,10 +45,9 @@ CROWDED = 0.8  # share of points in contact from which the uniform x is a better
 SINGLE_FROM = 1e-4  # width of the bounds from which transforms in single precision suffice
 
 
-@dataclass(frozen=True)
-class Increment:
-    """x (nx_local, ny), the change of the pressure per change of its mean, 0 outside the contact; bounds of K =
-    −dp̄/dḡ, pressure per length; transform pairs.
+class Increment(NamedTuple):
+    """x (nx_local, ny), the change of the pressure per change of its mean, 0 outside the contact; bounds of K, pressure
+    per length; transform pairs.
     """
 
     pressure: np.ndarray
@@ -75,14 +74,15 @@ class FixedContact(Relaxation):
         self.points = Unknowns(grid, (self.place, gap), 0.0, self.highest)
         gap[self.place == 0], gap[self.place == 2] = HUGE, -HUGE  # no limit there on the continued ε
         self.state = State(self.place, gap)
-        self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, self.compliance[np.float32])
+        mean, action = float(solid.modes(grid, 0, 1)[0, 0]) if grid.comm.rank == 0 else 0.0, self.compliance[np.float32]
+        self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, action, mean)
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 
     def solve(self) -> Increment:
         """The x whose bounds are as near as asked.  Collective."""
         grid, points, reduction = self.grid, self.points, self.grid.reduction
         before, count = grid.transforms, int(reduction.sum(self.points.count))
-        if count in (0, grid.size):  # no contact, or nothing but the mean mode
+        if count == 0 or count == grid.size and grid.domain.wraps:  # no contact, or nothing but the mean mode
             stiffness = math.inf if count else 0.0
             return Increment(np.full(grid.local_shape, count / grid.size), stiffness, stiffness, 0.0)
         operators, x = (self.inner.apply, self.preconditioner.apply), np.ones(points.count)
@@ -136,7 +136,7 @@ def wall_increment(problem: ContactProblem, pressure: np.ndarray, width: float) 
     before, size, unit = grid.transforms, grid.size, problem.mean_pressure / law.zeta
     solid = problem.solid.in_units(law.zeta, problem.mean_pressure)  # displacements over ζ, which may be tiny
     respond, stiffness = (
-        apply(grid, real, 1 / size)
+        apply(grid, real, 1 / grid.modes)
         for apply, real in ((solid.apply_compliance, np.float64), (solid.apply_stiffness, np.float32))
     )
     alpha = local_compliance(dataclasses.replace(problem, solid=solid), PIXELS)

@@ -1,6 +1,7 @@
 """Open patches by this program and its peers: equal pressures, areas, and processor time on one core.
 
     python tools/bench/open_peers.py equal --n 512 1024  # pressures, with the peers' symbol (Love 1929) in ours
+    python tools/bench/open_peers.py slip --n 128 512  # friction .3 at ν = 0, half of the sliding load, against ASPHER
     python tools/bench/open_peers.py area --n 512 1024 2048 4096  # area, approach and mean gap against finer grids
     python tools/bench/open_peers.py speed --n 2048 --programs pgfmd ASPHER  # to a pressure error of 1e-4
 
@@ -189,6 +190,36 @@ def equal(case: dict, heights: np.ndarray, program: str) -> dict:
     return {"pressure_error": error_of(found, known), "area": float(np.mean(found > 0))}
 
 
+def slip(case: dict, heights: np.ndarray, program: str) -> dict:
+    """Processor time for the contact and its partial slip, with the peer's symbol; how far its traction is from ours,
+    over ours, and its tangential shift (column `approach`).
+    """
+    import pgfmd
+    from pgfmd.observables.contact import Contact
+    from pgfmd.observables.partial_slip import PartialSlip
+    from pgfmd.observables.rough_surface import RoughSurface
+    from pgfmd.physics.solids.homogeneous import Homogeneous
+
+    n, solid, began = len(heights), Homogeneous(contact_modulus=1.0, poisson=0.0), time.process_time()
+    with love():
+        found = pgfmd.solve(heights, case["load"], spacing=SIDE / n, boundary="open", solid=solid, tolerance=1e-12,
+                            threads=1)  # fmt: skip
+        contact = Contact.of(RoughSurface(found.problem, [PartialSlip(friction=0.3)], fields=["traction"]), found)
+        numbers = contact.measure()["loads"]
+    traction, cpu = contact.fields(("traction",), 8)["traction"], time.process_time() - began
+    if program == "pgfmd":
+        return {"cpu": cpu, "area": float(numbers["stick_area"]), "approach": float(numbers["tangential_shift"])}
+    import aspher as peer
+
+    began = time.process_time()
+    solver = peer.FrictionSolver(n, SIDE, 1.0, 0.0, peer.CoulombFriction(0.3))
+    solver.set_gap(-heights)
+    step = solver.step(p_bar=case["load"], q_bar=(0.15 * case["load"], 0.0), tol_normal=1e-10, tol_tangential=1e-7)
+    row = {"cpu": time.process_time() - began, "work": step.normal_iters + step.tangential_iters}
+    row |= {"area": step.n_stick / n**2, "approach": float(step.delta_t[0])}
+    return row | {"pressure_error": error_of(np.asarray(step.qx).reshape(n, n), traction)}
+
+
 def area(case: dict, heights: np.ndarray, program: str) -> dict:
     """Raw and corrected area, approach and mean gap, with our symbol or (program "Love") that of the peers."""
     with love() if program == "Love" else contextlib.nullcontext():
@@ -228,8 +259,8 @@ def speed(case: dict, heights: np.ndarray, program: str, setting: str, budget: f
     return row
 
 
-PARTS = {"equal": equal, "area": area, "speed": speed}
-PROGRAMS = {"equal": ["ASPHER", *WATCHED], "area": ["pgfmd", "Love"]}
+PARTS = {"equal": equal, "slip": slip, "area": area, "speed": speed}
+PROGRAMS = {"equal": ["ASPHER", *WATCHED], "slip": ["pgfmd", "ASPHER"], "area": ["pgfmd", "Love"]}
 PROGRAMS["speed"] = ["pgfmd", *PROGRAMS["equal"]]
 
 

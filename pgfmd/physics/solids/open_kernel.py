@@ -51,14 +51,61 @@ class Layer(Protocol):
 
 def half_space_table(grid: SlabGrid) -> np.ndarray:
     """E' Â(q) of a half-space for the modes of this rank with kx ≥ 0: (nky_local, Nx // 2 + 1).  Collective."""
-    alpha = SPLIT / max(grid.spacing)
-    table = cosine_transform(grid, lambda x, y: _long_ranged(x, y, alpha))
+    return _table(grid, SPLIT / max(grid.spacing), 0.0, True)
+
+
+def tangential_action(grid: SlabGrid, poisson: float, along: bool) -> ColumnAction:
+    """Column action: E'(1 − ν)/N times the displacement along x or, unless `along`, along y, of a half-space under a
+    traction along x.  Collective.
+    """
+    # In a cell α is so small that the long-ranged part is left out.
+    alpha = 0.05 / max(grid.period) if grid.domain.wraps else SPLIT / max(grid.spacing)
+    table, sign = _table(grid, alpha, poisson, along), 1 if along else -1
+    table /= grid.modes
+    most = table.shape[1]
+
+    def act(block: np.ndarray, first: int, stop: int) -> None:
+        block[:, :most] *= table[first:stop]
+        block[:, most:] *= sign * table[first:stop, block.shape[1] - most : 0 : -1]
+
+    return act
+
+
+def _table(grid: SlabGrid, alpha: float, poisson: float, along: bool) -> np.ndarray:
+    """The symbol of `tangential_action`; at ν = 0 along x, E' Â(q).  Collective.
+
+    Kernels over π: (1 − ν)/r + νx²/r³ and νxy/r³ (Johnson, Contact Mechanics, 1985, section 3.6): 1/r − ν∂²r/∂x² and
+    −ν∂²r/∂x∂y.  With r erf(α r) + exp(−α²r²)/√π α for the long-ranged part ϱ of r
+
+        ∂²ϱ/∂x² = g x²/r² + erf(α r) y²/r³,        g = (2α/√π) exp(−α²r²),
+
+    and ϱ leaves of r the modes −s/q², s = (2/q) erf(q/2α) − (2/√π α) exp(−q²/4α²).
+    """
     from scipy.special import erf  # slow to import
 
+    def kernel(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        far = _long_ranged(x, y, alpha)
+        if not poisson:
+            return far
+        square = x**2 + y**2
+        near, origin = 2 * alpha / math.sqrt(math.pi) * np.exp(-(alpha**2) * square), square == 0
+        change = near * x**2 + far * (y**2 + origin) if along else (near - far) * x * y
+        return far * along - poisson * change / (square + origin)
+
+    most = grid.torus[0] // 2 + 1
+    if grid.domain.wraps or not (along or poisson):
+        table = np.zeros((grid.spectral_shape[0], most))
+    else:
+        table = cosine_transform(grid, kernel, odd=not along)
     for first in range(0, len(table), BAND):
-        q = np.sqrt(half_q_squared(grid, first, min(first + BAND, len(table))))
-        near = np.full(q.shape, 2 / (math.sqrt(math.pi) * alpha))
-        table[first : first + BAND] += np.divide(2 * erf(q / (2 * alpha)), q, out=near, where=q > 0)
+        part = slice(first, min(first + BAND, len(table)))
+        qx, qy = grid.qx[:, :most], grid.qy[part]
+        q = np.sqrt(np.maximum(qx**2 + qy**2, (1e-8 * alpha) ** 2))
+        near = 2 * erf(q / (2 * alpha)) / q
+        table[part] += near * along
+        if poisson:
+            near -= 2 / math.sqrt(math.pi) / alpha * np.exp(-((q / (2 * alpha)) ** 2))
+            table[part] -= poisson * near * qx * (qx if along else qy) / q**2
     return table
 
 
@@ -123,9 +170,11 @@ def half_q_squared(grid: SlabGrid, first: int = 0, stop: int | None = None) -> n
     return grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2
 
 
-def cosine_transform(grid: SlabGrid, kernel: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """aₓ a_y/π Σ kernel(x, y) cos(q·r) over the torus, (nky_local, Nx // 2 + 1), by a quadrant; kernel: at rows x
-    (count, 1) and columns y (1, Ny // 2 + 1).  Collective.
+def cosine_transform(
+    grid: SlabGrid, kernel: Callable[[np.ndarray, np.ndarray], np.ndarray], odd: bool = False
+) -> np.ndarray:
+    """aₓ a_y/π Σ kernel(x, y) exp(−iq·r) over the torus, (nky_local, Nx // 2 + 1), by a quadrant; kernel: at rows x
+    (count, 1) and columns y (1, Ny // 2 + 1), even in x and in y, or odd in both.  Collective.
     """
     starts = slab_starts(grid.torus[0] // 2 + 1, grid.comm.size)
     x = np.arange(starts[grid.comm.rank], starts[grid.comm.rank + 1])[:, None] * grid.spacing[0]
@@ -134,7 +183,8 @@ def cosine_transform(grid: SlabGrid, kernel: Callable[[np.ndarray, np.ndarray], 
     for first in range(0, len(x), BAND):
         part = slice(first, first + BAND)
         np.multiply(kernel(x[part], y), grid.pixel_area / math.pi, out=rows[part])
-    return _cosines(grid, rows, y.size)
+    sums = _cosines(grid, rows, y.size, odd)
+    return -sums if odd else sums
 
 
 def cropped_table(wide: SlabGrid, grid: SlabGrid, table: np.ndarray) -> np.ndarray:
@@ -146,13 +196,12 @@ def cropped_table(wide: SlabGrid, grid: SlabGrid, table: np.ndarray) -> np.ndarr
     return _cosines(grid, entries, counts[1])
 
 
-def _cosines(grid: SlabGrid, rows: np.ndarray, count: int) -> np.ndarray:
+def _cosines(grid: SlabGrid, rows: np.ndarray, count: int, odd: bool = False) -> np.ndarray:
     """Σ f(i, j) cos(π i k/I) cos(π j m/J) over −I < i ≤ I, −J < j ≤ J of an even f, (count split over the ranks, I + 1)
-    with m first, of which the first `count`; rows: (I + 1 split over the ranks, J + 1), overwritten.  Collective.
+    with m first, of which the first `count`; sines of an odd f; rows: (I + 1 split over the ranks, J + 1), overwritten.
+    Collective.
     """
-    from scipy.fft import dct
-
-    rows = dct(rows, type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
+    rows = _along_rows(rows, grid.threads.count, odd)
     starts = slab_starts(count, grid.comm.size)
     if (comm := grid.comm).size > 1:  # counted in numbers: bytes may be more than 2³¹
         parts = [rows[:, first:stop].copy() for first, stop in zip(starts[:-1], starts[1:], strict=True)]
@@ -161,7 +210,18 @@ def _cosines(grid: SlabGrid, rows: np.ndarray, count: int) -> np.ndarray:
         MPI.Request.Waitall(requests + [comm.Isend([part, item], rank) for rank, part in enumerate(parts)])
         rows = np.concatenate(pieces)
     turned = np.ascontiguousarray(rows[:, : starts[grid.comm.rank + 1] - starts[grid.comm.rank]].T)
-    return dct(turned, type=1, axis=1, workers=grid.threads.count, overwrite_x=True)
+    return _along_rows(turned, grid.threads.count, odd)
+
+
+def _along_rows(rows: np.ndarray, workers: int, odd: bool) -> np.ndarray:
+    """Σ rows[:, j] cos(π j m/J) over −J < j ≤ J, or with sines; the rows are overwritten."""
+    from scipy.fft import dct, dst
+
+    if not odd:
+        return np.asarray(dct(rows, type=1, axis=1, workers=workers, overwrite_x=True))
+    rows[:, [0, -1]] = 0
+    rows[:, 1:-1] = dst(rows[:, 1:-1], type=1, axis=1, workers=workers)
+    return rows
 
 
 def positive(grid: SlabGrid, table: np.ndarray) -> np.ndarray:
