@@ -2,14 +2,9 @@
 
 **Grid.** Each number is the mean of a field F over the surface, and its error has two parts,
 
-    error² = (ΔF̃_0/(2^q − 1))² + c² mean_{1 ≤ k ≤ MODES} |ΔF̃_k|²,        ΔF̃_k = F̃_k − F̃'_k − s (p̃_k − p̃'_k),
+    error² = (b ΔF̃_0)² + c² mean_{1 ≤ k ≤ MODES} |ΔF̃_k|²,        ΔF̃_k = F̃_k − F̃'_k − s (p̃_k − p̃'_k),
 
-F̃_k the coefficient of the wave number 2πk/lx along x, primed on the coarse grid.
-
-The first part has one sign everywhere and the order q in a.  In a strip of width a along the edges of contacts,
-pressures (∝ √d, d: distance to the edge) and gaps differ from those of the continuum: q = 2.  The energy at given load
-is least at the solution, so that only the energy of the strip is missing, pressure times displacement (∝ a²) times
-width: q = 3.
+F̃_k the coefficient of the wave number 2πk/lx along x, primed on a grid with half as many points each way.
 
 The second part is random, since edges lie anywhere between the points: local errors have either sign, and partly cancel
 in the mean.  Their spectrum is white, so that long waves show the typical size of their sum, while the change of the
@@ -17,34 +12,48 @@ mean alone is often small by chance.  The mean load is imposed, that of a region
 until their gaps fit the elastic deformation, and F changes with it, by the slope s = Σ Re p̃_k* F̃_k / Σ |p̃_k|²,
 1 ≤ k ≤ MODES.  The term with s takes that change out.
 
+In a strip of width a along the edges of contacts, pressures (∝ √d, d: distance to the edge) and gaps differ from those
+of the continuum.  The energy at given load is least at the solution, so that only the energy of the strip is missing,
+pressure times displacement (∝ a²) times width: a³, and at random places a^(5/2).  Of the change between both grids
+1/√(1 + 2⁵) is then the error of the finer one, and 1.96 times this is .34; c is a tenth more, as MODES numbers do not
+give an exact size, and b = 0.
+
 The field of the mean gap is d − (pd + w)/p̄, with w that of the elastic energy and d the plastic depth, which is 0
 except where a wall of limited hardness yields.  Reason: with g' = g − d, the mean of w + pd + p̄g' is, up to constants,
 the least energy, of order 3, while w + pd and p̄g' have opposite errors of order 5/2, like its derivatives by the load:
 edges that move with the load pass points.  At λ_s = 4a, 8a, 16a, 32a, the measured errors of the sum are .57, .46, .29,
 .26 of those of w (rms).  At f_c = .02, the gap's own long waves change half as much as its mean.
 
-c is from contacts of 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; 16 λ_s across; λ_s = 4a, 8a, 16a,
-for 38 of them 32a), compared with λ_s = 64a, for 32a with 128a, such that the error is large enough in 19 cases of 20;
-that of the perimeter, which was .9, from 320 others, half of them slabs (`tools/bench/error_bars.py held`, seeds
-20261125 and 20261126), of which .9 held 91 %.
+⟨p²⟩ and the perimeter also have errors of one sign, of second order: b = 1/3.  Their c are such that the error is large
+enough in 19 cases of 20: of ⟨p²⟩ for 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; λ_s = 4a to 32a), of
+the perimeter for 320 others, half of them slabs (`tools/bench/error_bars.py held`, seeds 20261125 and 20261126).
 
 **Band.** Where roughness reaches the pixel, the coarser grid lacks a part of it.  The errors against the same heights,
-interpolated onto a grid eight times finer, are then estimated from the roughness s of the surface (`rough_surface`) and
-the number e of edges per pixel in contact: BAND times s³ E_el and s³ E_el/p̄ (mean gap), (s e)^1.5 ⟨p²⟩, and the
-perimeter.  BAND: so that errors are smaller in 19 of 20 of 213 contacts with λ_s = 1 … 3 pixels.
+interpolated onto a grid eight times finer, are then estimated from the contact.  The energy that the grid may miss is
+the elastic energy of single pixels at edges, Σ p²/K(π/a) over all edges between a pixel in contact and one that is not
+(under laws by which everything touches, over all pixels); the errors of E_el and of the mean gap times p̄ are up to BAND
+of it.  That of ⟨p²⟩ is estimated by (s e)^1.5 ⟨p²⟩, s the roughness of the surface (`rough_surface`), e the number of
+edges per pixel in contact.  BAND: so that errors are smaller in 19 of 20 of 213 contacts with λ_s = 1 … 3 pixels;
+those of E_el and of the gap in 62 of 64, half of them slabs.
 
-**Solver.** With the certified energy error B, the mean gap is right to b/p̄ and the elastic energy to b,
-b = 2√(B(E_el + ζp̄/2)) + B (`solvers.controls`); the errors are that large if the error of the pressure has the shape of
-the pressure itself.  It is rougher.  So ⟨p²⟩, too, is right to far less than 2η⟨p²⟩, η the relative error of the
-pressure.  A share η of the points at the edges is on the wrong side, at random, each with a length of about two pixels.
-SOLVER: so that errors are smaller in 19 of 20 of 825 solutions (165 surfaces with H = .3, .5 and .8, λ_s from 1 to 64
-pixels and f_c from .01 to .8, to 1e-4 … 1e-8, against 1e-12).
+**Solver.** In contact the solver leaves a residual r = g − λ, whose mean with the weights p is 0.  Let w be the change
+of the pressure with the load, which moves gaps in contact by a constant.  If e is the error of the pressure, of sum 0,
+⟨w, Ge⟩ = 0: so the level λ is wrong by the mean of r with the weights w.  So is the mean gap, and the elastic energy by
+p̄ times as much, as E_el + p̄ḡ is of second order.  w is the change on the half grid when the load falls by LESS.  In 320
+solutions (those of the perimeter) the error had the sign of this estimate in 95 % and was 1.1 times as large in the
+median, at most LEVEL times in 92 %.  Without such a w, the mean gap is right to B/p̄ and the elastic energy to B,
+B = 2√(C(E_el + ζp̄/2)) + C with the certified energy error C (`solvers.controls`), times SOLVER.
+
+⟨p²⟩ is right to far less than 2η⟨p²⟩, η the relative error of the pressure.  A share η of the points at the edges is on
+the wrong side, at random, each with a length of about two pixels.  SOLVER: so that errors are smaller in 19 of 20 of
+825 solutions (165 surfaces with H = .3, .5 and .8, λ_s from 1 to 64 pixels and f_c from .01 to .8, to 1e-4 … 1e-8,
+against 1e-12).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -53,7 +62,8 @@ import numpy as np
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.grid.transfer import SubGrid, restrict
+from pgfmd.grid.transfer import SubGrid, restrict, restrict_locally
+from pgfmd.grid.transforms import source
 from pgfmd.observables.contact_area import Area, ContactLine, contact_line
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
@@ -69,11 +79,10 @@ if TYPE_CHECKING:
 class Discretisation(Observable):
     """Estimated errors of the numbers of a load, by the grid and by the solver.
 
-    That of the area follows from the contact itself (`contact_area`).  The grid's part of the others comes
-    from a second contact on a grid with half as many points each way or, where the grid does not resolve the surface,
-    from its spectrum (see above).  An estimate is no bound.  On surfaces with many contacts it is at
-    least as large as the true error in nine cases of ten (area: 19 of 20), and the median ratio is about three.  With
-    a single contact, both grids may agree by chance.
+    That of the area follows from the contact itself (`contact_area`).  The others compare with contacts on a grid with
+    half as many points each way; where the grid does not resolve the surface, its part follows from the pressures at
+    edges (see above).  An estimate is no bound.  On rough surfaces it is at least as large as the true error in 19
+    cases of 20, and about three times as large in the median.  With a single contact, both grids may agree by chance.
     """
 
     name = "discretisation"
@@ -93,20 +102,30 @@ class Discretisation(Observable):
     }
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A contact on a quarter of the points: up to 20 transforms and 60 bytes per point there."""
-        return Cost(transforms=5.0, memory=15.0)
+        """Two contacts on a quarter of the points and a residual, as measured at 1024² and 2048²."""
+        return Cost(transforms=6.0, memory=15.0)
 
     def measure(self, contact: Contact) -> Groups:
-        """Solves the second contact, if there is one to compare with.  Collective."""
+        """Solves the contacts to compare with.  Collective."""
         problem, area, square = contact.problem, contact.area, contact.mean_square_pressure
-        if contact.surface.is_smooth:
-            errors = grid_errors(problem, contact, contact.line, contact.surface.solve)
-        else:
-            errors = band_errors(problem.grid, contact, area, contact.surface.roughness, square)
-        others = solver_errors(problem, contact, area, contact.likely_pressure_error, square)
+        smooth = contact.surface.is_smooth
+        line = contact.line if smooth else None
+        count = max(1, min(MODES, (contact.grid.shape[0] + 1) // 4 - 1))
+        fine = long_waves(problem, contact, line, count)
+
+        def compare(coarse: ContactProblem, found: ContactSolution, *rest: np.ndarray) -> tuple[Waves, float]:
+            other = None if line is None else contact_line(coarse.grid, found.pressure, found.gap, line.solid)
+            waves = long_waves(coarse, found, other, count)
+            return waves, level_shift(coarse, found, contact.surface.solve, *rest) if rest else math.nan
+
+        fields = residual(problem, contact) if problem.law.reach == 0 and contact.mean_pressure > 0 else ()
+        found = on_half_grid(problem, contact.surface.solve, compare, fields) if smooth or fields else None
+        waves, shift = found or (None, math.nan)
+        errors = grid_errors(fine, waves, line) if smooth else band_errors(contact, area, square)
+        others = solver_errors(problem, contact, area, (contact.likely_pressure_error, square), shift)
         both = {name: math.hypot(error, others[name]) for name, error in errors.items()}
         per_area = contact.kappa / (area.fraction or math.nan)
-        found = {
+        numbers = {
             "contact_area_corrected_error": contact.area_error,
             "contact_perimeter_error": both["perimeter"],
             "kappa_error": per_area * (abs(area.fraction - area.corrected) + contact.area_error),
@@ -115,77 +134,120 @@ class Discretisation(Observable):
             "mean_square_pressure": square,
             "mean_square_pressure_error": both["mean_square_pressure"],
         }
-        return {"discretisation": {name: np.array(value) for name, value in found.items()}}
+        return {"discretisation": {name: np.array(value) for name, value in numbers.items()}}
 
 
 T = TypeVar("T")
 
-MODES = 8  # long waves taken
+MODES = 16  # long waves taken, but for small grids: below the shortest one of the half grid
 FACTORS = {
     "perimeter": (1 / 3, 1.2),
-    "mean_gap": (1 / 7, 0.35),
-    "elastic_energy": (1 / 7, 0.35),
+    "mean_gap": (0.0, 0.38),
+    "elastic_energy": (0.0, 0.38),
     "mean_square_pressure": (1 / 3, 0.78),
 }
-"""1/(2^q − 1) and c of each number."""
+"""b and c of each number."""
 
-BAND = {"perimeter": 0.25, "mean_gap": 0.0019, "elastic_energy": 0.0015, "mean_square_pressure": 0.015}
-SOLVER = {"perimeter": 2.2, "mean_gap": 0.32, "elastic_energy": 0.32, "mean_square_pressure": 0.21}
-"""Of the number of points that change sides, to the power ½, of b, and of 2η⟨p²⟩."""
+BAND = {"perimeter": 0.25, "mean_gap": 0.026, "elastic_energy": 0.026, "mean_square_pressure": 0.015}
+LESS = 0.05  # of the load, by which it falls for the weights of the level
+LEVEL = 2.5
+SOLVER = {"perimeter": 2.2, "energy": 0.32, "mean_square_pressure": 0.21}
+"""Of the number of points that change sides, to the power ½, of B, and of 2η⟨p²⟩."""
+
+Waves = dict[str, np.ndarray]  # of `long_waves`
 
 
-def band_errors(
-    grid: SlabGrid, solution: ContactSolution, area: Area, roughness: float, square: float
-) -> dict[str, float]:
-    """Estimated errors by the grid of the numbers of FACTORS where it does not resolve the surface.
+def band_errors(contact: Contact, area: Area, square: float) -> dict[str, float]:
+    """Estimated errors by the grid of the numbers of FACTORS where it does not resolve the surface.  Collective.
 
-    roughness: s, radians per pixel;  square: ⟨p²⟩
+    square: ⟨p²⟩
     """
-    energy = roughness**3 * solution.elastic_energy
+    grid, pressure, roughness = contact.grid, contact.pressure, contact.surface.roughness
+    above = grid.fetch(pressure, grid.rows.start - 1, grid.rows.start)
+
+    def at_edges(first: int, stop: int) -> float:
+        """Σ p² over edges; one of both pressures is 0."""
+        rows = np.concatenate([above, pressure[:stop]]) if first == 0 else pressure[first - 1 : stop]
+        here = rows[1:]
+        return math.fsum(
+            float(np.sum(np.square(here + other), where=(here > 0) != (other > 0)))
+            for other in (rows[:-1], np.roll(here, 1, axis=1))
+        )
+
+    total = grid.reduction.sum(math.fsum(grid.threads.collect(at_edges, len(pressure), grid.band))) / grid.size
+    if not contact.problem.law.releases:  # no pressure is 0
+        total = square
+    energy = total / float(contact.problem.solid.stiffness(np.array(math.pi / math.sqrt(grid.pixel_area))))
     scales = {
         "perimeter": area.perimeter / math.prod(grid.lengths),
-        "mean_gap": energy / (solution.mean_pressure or math.nan),
+        "mean_gap": energy / (contact.mean_pressure or math.nan),
         "elastic_energy": energy,
         "mean_square_pressure": (roughness * area.edges / max(area.pixels, 1)) ** 1.5 * square,
     }
     return {name: BAND[name] * scale for name, scale in scales.items()}
 
 
-def solver_errors(
-    problem: ContactProblem, solution: ContactSolution, area: Area, pressure_error: float, square: float
-) -> dict[str, float]:
-    """Estimated errors by the solver of the numbers of FACTORS.  pressure_error: η;  square: ⟨p²⟩
+def residual(problem: ContactProblem, solution: ContactSolution) -> Iterator[np.ndarray]:
+    """1 where 0 < p < σ_Y and 0 elsewhere; then, in the same array, g − λ there: (nx_local, ny).  Collective."""
+    grid, pressure = problem.grid, solution.pressure
+    between = (pressure > 0) & (pressure < problem.law.highest)
+    field = between.astype(float)
+
+    def gaps(first: int, stop: int, rows: np.ndarray) -> None:
+        field[first:stop] *= rows - problem.heights[first:stop]
+
+    yield field
+    load = grid.reduction.dot(field, pressure)
+    grid.convolve(source(pressure), problem.solid.apply_compliance(grid, np.float64, 1 / grid.modes), gaps)
+    level = grid.reduction.dot(field, pressure) / (load or math.nan)
+    yield np.subtract(field, level, out=field, where=between)
+
+
+def level_shift(
+    problem: ContactProblem, found: ContactSolution, solve: Solve, between: np.ndarray, rest: np.ndarray
+) -> float:
+    """Error of the level by the residual on the finer grid, see above; NaN if it is not known.  Collective.
+
+    problem, found: the contact on the half grid, where heights may be overwritten; between, rest: `residual` there.
     """
-    grid, energy = problem.grid, solution.elastic_energy
-    bound = 2 * energy * solution.certified_error
-    mean = solution.mean_pressure
+    options = Solver(method=problem.law.methods[0])
+    less = solve(problem.at((1 - LESS) * problem.mean_pressure), start=None, options=options)
+    if less is None:
+        return math.nan
+    change = found.pressure - less.pressure
+    shift, weight = (problem.grid.reduction.dot(change, field) for field in (rest, between))
+    return shift / weight if weight > 0 else math.nan
+
+
+def solver_errors(
+    problem: ContactProblem, solution: ContactSolution, area: Area, relative: tuple[float, float], shift: float
+) -> dict[str, float]:
+    """Estimated errors by the solver of the numbers of FACTORS.
+
+    relative: η and ⟨p²⟩; shift: error of the level, NaN if not known
+    """
+    (pressure_error, square), grid, energy = relative, problem.grid, solution.elastic_energy
+    bound, mean = 2 * energy * solution.certified_error, solution.mean_pressure
     soft = problem.law.range_at(mean) * mean if mean > 0 else 0.0
-    work = 2 * math.sqrt(bound) * math.sqrt(energy + soft / 2) + bound
-    scales = {
-        "perimeter": math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths),
+    work = SOLVER["energy"] * (2 * math.sqrt(bound) * math.sqrt(energy + soft / 2) + bound)
+    if not math.isnan(shift):
+        work = LEVEL * abs(shift) * mean
+    edges = math.sqrt(pressure_error * area.edges * grid.pixel_area) / math.prod(grid.lengths)
+    return {
+        "perimeter": SOLVER["perimeter"] * edges,
         "mean_gap": work / (mean or math.nan),
         "elastic_energy": work,
-        "mean_square_pressure": 2 * pressure_error * square,
+        "mean_square_pressure": SOLVER["mean_square_pressure"] * 2 * pressure_error * square,
     }
-    return {name: SOLVER[name] * scale for name, scale in scales.items()}
 
 
-def grid_errors(
-    problem: ContactProblem, solution: ContactSolution, line: ContactLine | None, solve: Solve
-) -> dict[str, float]:
+def grid_errors(fine: Waves, coarse: Waves | None, line: ContactLine | None) -> dict[str, float]:
     """Estimated errors by the grid of the numbers of FACTORS; NaN of the perimeter without a line, of the mean gap
-    without load, and of all without the second contact.  Collective.
+    without load, and of all without the second contact.
     """
-    fine = long_waves(problem, solution, line)
-
-    def measure(coarse: ContactProblem, found: ContactSolution) -> dict[str, np.ndarray]:
-        other = None if line is None else contact_line(coarse.grid, found.pressure, found.gap, line.solid)
-        return long_waves(coarse, found, other)
-
-    waves = on_half_grid(problem, solve, measure)
     errors = {}
     for name, (systematic, random) in FACTORS.items():
-        squares = np.abs(change_at_equal_load(fine, waves, name)) ** 2 if waves else np.full(1 + MODES, np.nan)
+        squares = np.full(2, np.nan) if coarse is None else np.abs(change_at_equal_load(fine, coarse, name)) ** 2
         errors[name] = float(np.sqrt(systematic**2 * squares[0] + random**2 * np.mean(squares[1:])))
     if line is None:
         errors["perimeter"] = np.nan
@@ -193,33 +255,34 @@ def grid_errors(
 
 
 def on_half_grid(
-    problem: ContactProblem, solve: Solve, measure: Callable[[ContactProblem, ContactSolution], T]
+    problem: ContactProblem, solve: Solve, measure: Callable[..., T], fields: Iterable[np.ndarray] = ()
 ) -> T | None:
-    """What `measure` finds on the contact of a grid with half as many points each way; None if that is not solved.
-    Collective.
+    """What `measure` finds on the contact of a grid with half as many points each way, given its problem, solution, and
+    these fields (nx_local, ny) there; None if that is not solved.  Collective.
     """
     coarse = SubGrid.coarse(problem.grid)
+    given = [restrict_locally(problem.grid, coarse, field) for field in fields]
     heights = restrict(problem.grid, coarse, problem.heights)
     options = Solver(method=problem.law.methods[0])
 
     def work(grid: SlabGrid) -> T | None:
         found = solve(problem.on(grid, heights.copy()), start=None, options=options)
-        return None if found is None else measure(problem.on(grid, heights), found)
+        return None if found is None else measure(problem.on(grid, heights), found, *given)
 
     value = coarse.on_all(work)
     coarse.free()
     return value
 
 
-def change_at_equal_load(fine: dict[str, np.ndarray], coarse: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """ΔF̃_k, k = 0 … MODES, from the `long_waves` of both grids."""
+def change_at_equal_load(fine: Waves, coarse: Waves, name: str) -> np.ndarray:
+    """ΔF̃_k, k = 0, 1 …, from the `long_waves` of both grids."""
     load, field = fine["load"][1:], fine[name][1:]
     slope = np.vdot(load, field).real / (np.vdot(load, load).real or np.inf)
     return fine[name] - coarse[name] - slope * (fine["load"] - coarse["load"])
 
 
-def long_waves(problem: ContactProblem, solution: ContactSolution, line: ContactLine | None) -> dict[str, np.ndarray]:
-    """(1/N) Σ F exp(−2πikx/lx), k = 0 … MODES, of the fields of the numbers of FACTORS and of the pressure, "load".
+def long_waves(problem: ContactProblem, solution: ContactSolution, line: ContactLine | None, count: int) -> Waves:
+    """(1/N) Σ F exp(−2πikx/lx), k = 0 … count, of the fields of the numbers of FACTORS and of the pressure, "load".
     Collective.
     """
     grid, pressure, gap, plastic = problem.grid, solution.pressure, solution.gap, solution.plastic_depth
@@ -238,7 +301,7 @@ def long_waves(problem: ContactProblem, solution: ContactSolution, line: Contact
     if line is not None:
         rows["perimeter"] += line.of_rows()[1] / grid.pixel_area
     place = np.arange(grid.rows.start, grid.rows.stop) / grid.shape[0]
-    waves = np.exp(-2j * np.pi * np.outer(np.arange(MODES + 1), place))
+    waves = np.exp(-2j * np.pi * np.outer(np.arange(count + 1), place))
     sums = np.array([waves @ row for row in rows.values()]) / grid.size
-    total = grid.reduction.sums(*sums.real.ravel(), *sums.imag.ravel()).reshape(2, len(rows), MODES + 1)
+    total = grid.reduction.sums(*sums.real.ravel(), *sums.imag.ravel()).reshape(2, len(rows), count + 1)
     return dict(zip(rows, total[0] + 1j * total[1], strict=True))
