@@ -294,7 +294,8 @@ def _surface(values: Any, given: Any) -> np.ndarray:
     if heights.ndim != 2 or heights.size == 0:
         raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
     if not np.isfinite(heights).all() and not is_topography(given):
-        raise InputError("heights: all must be finite")
+        at = ", ".join(map(str, np.argwhere(~np.isfinite(heights))[0]))
+        raise InputError(f"heights: [{at}] is {heights[~np.isfinite(heights)][0]}; all must be finite")
     return _kept(heights, values)
 
 

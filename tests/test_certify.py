@@ -214,7 +214,8 @@ def test_the_command_line_certifies(files, capsys):
 @pytest.mark.parametrize(
     ("pressure", "words"),
     [
-        ("small.npy", "7 x 6 points, the grid has 8 x 6"), ("nan.npy", "not finite"), ("tension.npy", "mean is -"),
+        ("small.npy", "small.npy: holds 7 x 6 pressures, the heights are 8 x 6"), ("nan.npy", "not finite"),
+        ("tension.npy", "mean is -"),
         ("scaled.npy", "1e+03 times these"), ("none.npy", "no such file"), ("results:3", "no such file"),
     ],
 )  # fmt: skip
@@ -238,3 +239,4 @@ def test_results_are_certified_on_their_own_grid(tmp_path, capsys, key):
 def test_an_error_that_is_not_known_is_left_out():
     """"0.8 ± nan" is no statement."""
     assert with_error(0.8, math.nan) == "0.80000" and with_error(0.8, 1e-3) == "0.80000 ± 0.00100"
+    assert with_error(0.8, 2.3e-6) == "0.80000 ± 2e-06" and with_error(0.0, 0.0) == "0.00000 ± 0.00000"

@@ -454,7 +454,8 @@ def test_points_in_another_unit_than_the_job(comm, shared_tmp_path, header, unit
     ("content", "words"),
     [
         (SDF.read_bytes()[:5000], "cannot be read by SurfaceTopography"),
-        (b"neither heights nor anything else\n", "cannot be read by SurfaceTopography"),
+        (b"neither heights nor anything else\n", "read by SurfaceTopography: .* numbers, but .* begin with #$"),
+        (b"", "is empty$"),
         (SDF.read_bytes()[:81] + 6000 * b"\0\0\xc0\x7f" + SDF.read_bytes()[24081:], "6000 of 12288 points .* too many"),
         ("\n".join(f"{x} {x % 3}" for x in range(20)).encode(), "line scan"),
     ],

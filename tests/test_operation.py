@@ -63,19 +63,22 @@ def test_the_modulus_is_said(comm, shared_tmp_path, capsys, caplog):
 
 
 @pytest.mark.mpi
-def test_a_table_without_effect_is_named(comm, tmp_path, capsys, caplog):
-    """[output.lowpass] where lowpass is not measured: a warning of the run, a line of `check`."""
+def test_what_is_hardly_meant_is_named(comm, tmp_path, capsys, caplog):
+    """[output.lowpass] where lowpass is not measured, a pressure above E': a warning of the run, a line of `check`."""
     output, line = {"observables": ["patches"], "lowpass": {"q": [1.0]}}, "output.lowpass: has no effect"
+    large = "load.force: the mean pressure is 3 E'; are both in the same unit?"
     job = {"grid": {"n": 8}, "surface": {"kind": "sinusoid", "amplitude": 1.0}, "solid": {"contact_modulus": 1.0},
-           "load": {"pressure": 1.0}, "output": output}  # fmt: skip
+           "load": {"force": [64.0, 192.0]}, "output": output}  # fmt: skip
     pgfmd.run(job, comm=comm)
     (tmp_path / "job.toml").write_text(tables_as_toml(job))
     assert main(["check", str(tmp_path / "job.toml")]) == 0
-    assert line in capsys.readouterr().out and (line in caplog.text or comm.rank)
+    out = capsys.readouterr().out
+    assert all(each in out and (each in caplog.text or comm.rank) for each in (line, large))
     output["observables"].append("lowpass")
+    job["load"] = {"force": 64.0}
     caplog.clear()
     pgfmd.run(job, comm=comm)
-    assert line not in caplog.text
+    assert line not in caplog.text and large not in caplog.text
 
 
 @pytest.mark.parametrize("control", ["pressure", "contact_area"])

@@ -180,7 +180,7 @@ def _check(options: argparse.Namespace) -> str:
     size = plan.estimate(options.ranks, here / options.ranks, options.ranks_per_node).node
     limit = "" if size <= here else f", but too large for this machine, which has {readable(here)}"
     report = plan.report(options.ranks, options.ranks_per_node)  # opens the files that the job names
-    against = "".join(f"\n{line}" for line in job.output.idle + doubts(job))
+    against = "".join(f"\n{line}" for line in job.doubts + doubts(job))
     return f"{options.job}: valid{limit}{against}\n{report}"
 
 

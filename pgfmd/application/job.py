@@ -155,7 +155,7 @@ class Job:
     def __post_init__(self) -> None:
         self.surface.whole.check_in(self.grid)
         self.solver.check_law(self.wall)
-        self.imposed.check_law(self.wall)
+        self.load.check_law(self.wall, math.prod(self.grid.lengths))
         self.load.check_domain(self.grid.domain)
         if not self.wall.convex:
             self._of_attraction()
@@ -190,6 +190,13 @@ class Job:
     def imposed(self) -> Load:
         """What is imposed, forces as mean pressures."""
         return self.load.in_pressure(self.grid.lengths)
+
+    @property
+    def doubts(self) -> list[str]:
+        """A line for each thing that is allowed but hardly meant: options without effect, pressures above E'."""
+        times = max(self.imposed.pressure or (0.0,)) / self.solid.contact_modulus
+        units = f"load.{self.load.control}: the mean pressure is {times:.3g} E'; are both in the same unit?"
+        return self.output.idle + [units] * (times > 1)
 
     @property
     def cell(self) -> Cell:
@@ -314,6 +321,9 @@ def _change(entry: str) -> tuple[str, Any, str]:
         parsed: Any = table["value"] if len(table) == 1 else value.strip()
     except (ValueError, RecursionError):
         parsed = value.strip()
+        if parsed[:1] == "[":
+            quoted = f"""texts need quotes: '{dotted}=["…"]'"""
+            raise InputError(f"--set {printable(entry, 200)}: not TOML; {quoted}") from None
     return dotted.strip(), parsed, entry
 
 

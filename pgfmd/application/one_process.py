@@ -21,6 +21,7 @@ from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.surfaces.file import ORDERS, FromFile, Source, fill_missing, jumps, read_heights, subtract_trend
+from pgfmd.surfaces.readers import opened
 from pgfmd.surfaces.rigid_surface import refined_heights
 
 
@@ -48,6 +49,10 @@ def certify_file(job: Job, path: str, mean_pressure: float | None = None) -> Cer
         job.solid.prepare(grid)
         heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
         turned = getattr(job.surface, "first_axis", "x") == "y"
+        with opened(*_source(path)) as found:
+            if (shape := found.shape[:: -1 if turned else 1]) != grid.shape:
+                needed = " x ".join(map(str, grid.shape))
+                raise InputError(f"holds {shape[0]} x {shape[1]} pressures, the heights are {needed}")
         given, _ = read_heights(grid, _source(path), turned, 1, None)
         if not np.isfinite(given).all():
             at = ", ".join(map(str, np.argwhere(~np.isfinite(given))[0]))

@@ -87,7 +87,7 @@ def simulate(
             job.solid.prepare(grid)
         machine.report(comm, memory)  # only now: after a wrong input the error is the only line
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
-        for line in job.output.idle if comm.rank == 0 else ():
+        for line in job.doubts if comm.rank == 0 else ():
             log.warning("%s", line)
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         cutoff = from_root(comm, job.surface.whole.cutoff, job.grid)  # a table may have to be read

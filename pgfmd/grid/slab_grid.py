@@ -25,6 +25,7 @@ from pgfmd.grid.domain import PERIODIC, Domain
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import ColumnAction, RowAction, Transform, WholeTransform, sink, source
 from pgfmd.grid.transpose import Strips, make_strips
+from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import Reduction, shared, slab, slab_starts
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan
 from pgfmd.parallel.mpi import MPI
@@ -79,7 +80,7 @@ class SlabGrid:
         if min(nx, ny) < 1:
             raise InputError(f"grid: {nx} × {ny} points, at least 1 × 1 are needed")
         if comm.size > nx:
-            raise InputError(f"grid: {comm.size} ranks for {nx} rows of points; use at most one rank per row")
+            raise InputError(f"grid: {comm.size} ranks for {counted(nx, 'row')} of points; at most one rank per row")
         self.comm, self.shape = comm, (nx, ny)
         self.reduction = Reduction(comm)
         self.lengths = (float(nx), float(ny)) if lengths is None else (float(lengths[0]), float(lengths[1]))

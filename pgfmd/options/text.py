@@ -45,8 +45,9 @@ def duration(seconds: float) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """ "0.80000 ± 0.00100", or "0.80000" if the error is not known."""
-    return f"{value:.5f}" + (f" ± {error:.5f}" if np.isfinite(error) else "")
+    """ "0.80000 ± 0.00100" ("± 2e-06" where five decimals show nothing), or "0.80000" if the error is not known."""
+    shown = f"{error:.5f}" if error >= 1e-5 or error == 0 else f"{error:.0e}"
+    return f"{value:.5f}" + (f" ± {shown}" if np.isfinite(error) else "")
 
 
 def assignments(table: Mapping[str, Any]) -> str:

@@ -216,20 +216,22 @@ class Load(Section):
             object.__setattr__(self, given[0], self.targets + self.targets[-2::-1])
             object.__setattr__(self, "cycle", False)
 
-    def check_law(self, law: ContactLaw) -> None:
-        """Raises InputError for targets that a law cannot have."""
+    def check_law(self, law: ContactLaw, cell: float = 1.0) -> None:
+        """Raises InputError for targets that a law cannot have.  cell: its area, by which forces are divided."""
         kind = show(law.kind)
         if self.contact_area or self.percolation:
             if not law.releases:
                 raise wrong(self, self.control, f"cannot be imposed with wall.kind = {kind}, which touches everywhere")
             if not law.convex:
                 raise wrong(self, self.control, f"cannot be imposed with wall.kind = {kind}: the area is not monotonic")
-        if self.pressure and min(self.pressure) < law.lowest:
-            raise wrong(self, "pressure", f"must be a number ≥ {law.lowest:g} with wall.kind = {kind}")
-        if not law.releases and 0.0 in (self.pressure or ()):
-            raise wrong(self, "pressure", f"must be > 0 with wall.kind = {kind}, which touches everywhere")
-        if self.pressure and not max(self.pressure) < law.highest:
-            raise wrong(self, "pressure", f"must be below {law.highest:g}, the most the wall bears")
+        lowest, highest = (limit * (cell if self.force else 1.0) for limit in (law.lowest, law.highest))
+        if loads := self.pressure or self.force:
+            if min(loads) < lowest:
+                raise wrong(self, self.control, f"must be a number ≥ {lowest:g} with wall.kind = {kind}")
+            if not law.releases and 0.0 in loads:
+                raise wrong(self, self.control, f"must be > 0 with wall.kind = {kind}, which touches everywhere")
+            if not max(loads) < highest:
+                raise wrong(self, self.control, f"must be below {highest:g}, the most the wall bears")
         loading = sorted(self.targets, reverse=self.control == "mean_gap")
         if law.highest < math.inf and list(self.targets) != loading:
             back = "rise" if self.control == "mean_gap" else "fall"

@@ -193,9 +193,10 @@ def _lattice(values: np.ndarray) -> tuple[np.ndarray, float]:
 HDF5_SUFFIXES, TIFF_SUFFIXES, PACKED_SUFFIXES = (".h5", ".hdf5"), (".tif", ".tiff"), (".gz", ".zip")
 NO_UNIT = ("", "1", "length")  # "length" is written by jobs without a unit
 PARK_SYSTEMS = 50432  # tag of a TIFF in which Park Systems' microscopes keep heights
+NO_TABLE = "in a text all lines must be numbers, but those that begin with #"
 MISSING = (
-    "is neither .npy nor HDF5 with a two-dimensional dataset; instruments' formats are read by SurfaceTopography, "
-    "which is not installed here: run tools/setup.sh surfaces (or pip install SurfaceTopography)"
+    f"is neither .npy nor HDF5 with a two-dimensional dataset; {NO_TABLE}; instruments' formats are read by "
+    "SurfaceTopography, which is not installed here: run tools/setup.sh surfaces (or pip install SurfaceTopography)"
 )
 
 
@@ -243,6 +244,8 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
 @contextmanager
 def _read(path: str, dataset: str | None) -> Iterator[Measurement]:
     """The heights in a file that is not packed."""
+    if not os.path.getsize(path):
+        raise InputError("is empty")
     if path.lower().endswith(TIFF_SUFFIXES):
         yield _tiff(path)
     elif not is_array(path, dataset):
@@ -250,7 +253,7 @@ def _read(path: str, dataset: str | None) -> Iterator[Measurement]:
     elif path.endswith(".npy"):
         if dataset is not None:
             raise InputError(f"holds no dataset {printable(dataset)!r}: .npy files are one array")
-        yield _checked(Measurement(np.load(path, mmap_mode="r", allow_pickle=False), "NumPy array"))
+        yield _checked(Measurement(np.lib.format.open_memmap(path, mode="r"), "NumPy array"))
     else:
         import h5py
 
@@ -353,7 +356,11 @@ def _instrument(path: str, channel: str | None) -> Measurement:
     except ImportError:
         raise InputError(MISSING) from None
     with damage_reported("cannot be read by SurfaceTopography"), warnings.catch_warnings(action="ignore"):
-        with SurfaceTopography.open_topography(_source(path)) as reader:
+        try:
+            reader = SurfaceTopography.open_topography(_source(path))
+        except SurfaceTopography.Exceptions.CannotDetectFileFormat:  # it lists what each of its readers found
+            raise ValueError(f"of no format that it knows, or damaged; {NO_TABLE}") from None
+        with reader:
             names = {each.name: each for each in reader.channels if each.dim == 2}
             if channel is not None and channel not in names:
                 raise InputError(f"holds no channel {printable(channel)!r}; found: {printable(', '.join(names), 300)}")
