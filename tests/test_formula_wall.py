@@ -273,6 +273,8 @@ WRONG = {
     "1 +": "must be a formula of gap",
     "1) + (2": "must be a formula of gap",
     "(" * 300 + "gap" + ")" * 300: "must be a formula of gap",
+    "gap**" + "-" * 990 + "1": "must be a formula of gap",  # signs nested deeper than Python's stack
+    "gap**" + "-" * 1200 + "1": "must be a formula of gap",
     3: "must be a formula of gap",
 }
 

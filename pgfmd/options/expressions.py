@@ -34,13 +34,13 @@ def formula(variable: str) -> Rule:
 
 @cache
 def function(written: str, variable: str) -> Callable[[float], float]:
-    """The function of one real number that a formula says, for Python and for numba; raises ValueError."""
+    """A formula as a function of one real number, for Python and for numba; raises ValueError."""
     made: Callable[[float], float] = eval(_code(written, variable), dict(NAMES))
     return made
 
 
 def value(of: Callable[[float], float], at: float) -> float:
-    """What compiled code would return: infinite or NaN where Python raises an error or leaves the real numbers."""
+    """of(at) as compiled code gives it: infinite or NaN where Python raises an error or leaves the real numbers."""
     try:
         result = of(at)
         return float(result) if isinstance(result, int | float) else math.nan
@@ -55,11 +55,16 @@ def _code(written: str, variable: str) -> CodeType:
     """The code of the function; raises ValueError for what is no formula."""
     function = ast.parse(f"lambda {variable}: 0", mode="eval")
     function.body.body = tree(written, variable)  # type: ignore[attr-defined]
-    return compile(function, "<formula>", "eval")
+    try:
+        return compile(function, "<formula>", "eval")
+    except RecursionError:
+        raise ValueError from None
 
 
 def tree(written: str, variable: str) -> ast.expr:
     """The syntax tree; raises ValueError for what is no formula."""
+    if len(written) > LONGEST:
+        raise ValueError
     try:
         parsed = ast.parse(written.strip(), mode="eval")
     except (SyntaxError, RecursionError, MemoryError):
@@ -68,7 +73,7 @@ def tree(written: str, variable: str) -> ast.expr:
     operations = [node for node in ast.walk(parsed) if isinstance(node, ast.BinOp)]
     exponents = {id(_unsigned(node.right)) for node in operations if isinstance(node.op, ast.Pow)}
     for node in ast.walk(parsed):
-        if len(written) > LONGEST or not _is_allowed(node, variable, id(node) in called):
+        if not _is_allowed(node, variable, id(node) in called):
             raise ValueError
         if isinstance(node, ast.Constant):
             node.value = _number(node.value, id(node) in exponents)
@@ -76,8 +81,10 @@ def tree(written: str, variable: str) -> ast.expr:
 
 
 def _unsigned(node: ast.AST) -> ast.AST:
-    """What a sign stands before."""
-    return _unsigned(node.operand) if isinstance(node, ast.UnaryOp) else node
+    """An operand without the signs before it."""
+    while isinstance(node, ast.UnaryOp):
+        node = node.operand
+    return node
 
 
 def _number(constant: Any, is_exponent: bool) -> int | float:
