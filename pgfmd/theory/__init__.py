@@ -6,8 +6,10 @@
 - `bearing`: contact by cutting a Gaussian surface at a height
 - `exponential`: linear response of an exponential wall
 - `hertz`: one parabolic asperity, free and on a periodic cell
+- `adhesion`: one parabolic asperity that sticks (JKR, DMT, Maugis), and whether a rough surface does
 - `exact`: exact solutions of periodic contact (Westergaard, strip punch); limits and a table for the 2-D sinusoid
 - `lattice_edge`: the edge of a contact between the points of a grid
+- `reference_set`: numbers of self-affine contacts with their errors
 
 A spectrum is handed over as in the result files: wave numbers q (m,), ascending; `power` (m,), the mean |h̃|² of a mode
 (h̃ the Fourier coefficient, so that a sum over all modes is a mean over the surface); and `count` (m,), the number of
@@ -23,7 +25,8 @@ from typing import Any, TypeAlias
 Reals: TypeAlias = Any
 """What the formulas take and give: a float or an array; several arguments broadcast against each other."""
 
-__all__ = ["asperity", "bearing", "exact", "exponential", "hertz", "lattice_edge", "persson", "surface"]
+__all__ = ["adhesion", "asperity", "bearing", "exact", "exponential", "hertz", "lattice_edge", "persson"]
+__all__ += ["reference_set", "surface"]
 
 
 def __getattr__(name: str) -> ModuleType:
