@@ -8,11 +8,11 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-IN_PLACE = SUM = MAX = MIN = LOR = DOUBLE = COMM_TYPE_SHARED = None
+IN_PLACE = SUM = MAX = MIN = LOR = None
 
 
 def Get_library_version() -> str:
-    """In place of name and version of a library."""
+    """There is no library."""
     return "none"
 
 
@@ -20,7 +20,7 @@ class Request:
     """A communication that is complete."""
 
     def Test(self) -> bool:
-        """Whether it is."""
+        """True."""
         return True
 
     @staticmethod
@@ -33,21 +33,17 @@ class Comm:
 
     rank, size = 0, 1
 
-    def allgather(self, value: Any) -> list:
-        """What each rank gave."""
-        return [value]
-
     def allreduce(self, value: Any, op: Any = None) -> Any:
-        """The value itself, as of any reduction."""
+        """The value itself: any reduction over one rank, and what rank 0 sends to all."""
         return value
 
-    def bcast(self, value: Any, root: int = 0) -> Any:
-        """The value."""
-        return value
+    bcast = allreduce
 
-    def gather(self, value: Any, root: int = 0) -> list:
-        """What each rank gave."""
+    def allgather(self, value: Any) -> list:
+        """A list of the value of each rank."""
         return [value]
+
+    gather = allgather
 
     def Allreduce(self, send: Any, receive: Any, op: Any = None) -> None:
         """Copies `send`, unless the reduction is in place."""
@@ -74,11 +70,7 @@ class Comm:
         return Request()
 
     def Dup(self) -> Comm:
-        """The same."""
-        return self
-
-    def Split_type(self, kind: Any) -> Comm:
-        """The same."""
+        """This communicator."""
         return self
 
     def Abort(self, code: int = 0) -> NoReturn:

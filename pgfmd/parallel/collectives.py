@@ -22,7 +22,7 @@ from pgfmd.parallel.mpi import MPI, patiently
 T = TypeVar("T")
 
 BUSY_WAIT = 0.05  # seconds for which a rank polls without sleeping
-SLEEP, LONGEST_SLEEP = 0.02, 0.05  # of the time waited; seconds.  A barrier may be late by log₂ P sleeps
+SLEEP, LONGEST_SLEEP = 0.02, 0.05  # part of the time waited so far; seconds.  A barrier is late by log₂ P sleeps
 
 FAILED = 32000  # tag of messages between ranks that have failed, below the least upper bound in the MPI standard
 
@@ -125,21 +125,21 @@ def mark_shared(comm: MPI.Comm, error: Exception) -> Exception:
 
 def shared(comm: MPI.Comm, error: BaseException) -> bool:
     """Whether all ranks of `comm` raise this error, so that they may handle it by collective calls.  If not, the caller
-    must raise it on: the other ranks may wait in a collective call, from which only an abort of the run frees them.
+    must let it propagate: other ranks may be blocked in a collective call, which only an abort of the run ends.
 
-    Errors of `raise_together` and `from_root` are shared.  An InputError or SolverError without their mark may follow
-    from numbers that all ranks have: the ranks compare its text, if all arrive here while they wait `patiently`.  Any
-    other error belongs to the rank that raises it.
+    Errors of `raise_together` and `from_root` carry the mark of shared errors.  An InputError or SolverError without it
+    may follow from numbers that all ranks have: it is shared if all ranks call this with the same text within their
+    patience (`patiently`).  Any other error belongs to the rank that raises it.
     """
     ranks = vars(error).get("ranks", 1)
     if 0 < ranks < comm.size and isinstance(error, (InputError, SolverError)):
         ranks = comm.size if _all_raise(comm, f"{type(error).__name__}: {error}") else 0
-        vars(error)["ranks"] = ranks  # 0: alone; nobody need wait for the others again
+        vars(error)["ranks"] = ranks  # 0: not shared; a second call does not wait again
     return comm.size == 1 or ranks >= comm.size
 
 
 def _all_raise(comm: MPI.Comm, text: str) -> bool:
-    """Whether all ranks call this, with the same text.  If not, some rank never calls it, or waits in vain."""
+    """Whether all ranks call this with the same text: rank 0 compares checksums, and answers only if they agree."""
     own = crc32(text.encode())
     if comm.rank > 0:
         request = comm.isend(own, 0, FAILED)
@@ -163,7 +163,7 @@ def _for_others(failure: Exception, rank: int) -> Exception:
 def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
     """Call `function(*arguments)` on rank 0; return its value, or raise its error, on every rank.  Collective.
 
-    Of an error that cannot be sent the others raise what `_for_others` makes of it.
+    If the error cannot be pickled, the other ranks raise `_for_others` of it.
     """
     value: Any = None
     failure: Exception | None = None
@@ -180,11 +180,11 @@ def from_root(comm: MPI.Comm, function: Callable[..., T], *arguments: Any) -> T:
 
 
 def _sendable(failure: Exception | None) -> Exception | None:
-    """The error, if it can be pickled and made again; else `_for_others`."""
+    """The error if it survives pickling, else `_for_others` of it."""
     try:
         pickle.loads(pickle.dumps(failure))
         return failure
-    except Exception:  # whatever a class does that is not made for it
+    except Exception:  # a class may fail at this in any way
         assert failure is not None
         return _for_others(failure, 0)
 
@@ -201,6 +201,7 @@ def _key() -> int:
 
 
 def _once(comm: MPI.Comm, name: object, make: Callable[[], MPI.Comm | None]) -> MPI.Comm | None:
+    """`make()`, kept as an attribute of `comm` under that name, and freed with it."""
     kept: Any = comm.Get_attr(_key())
     if kept is None:
         kept = {}
@@ -235,8 +236,8 @@ def node_of(comm: MPI.Comm) -> MPI.Comm:
 
 
 def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm | None:
-    """The ranks that have the same place in their nodes, one of each node; None if the nodes have different numbers of
-    ranks, or the ranks of a node do not follow each other.  Collective on first use.
+    """One rank of each node: those with the same rank in their `node`.  None if nodes have different numbers of ranks,
+    or if the ranks of a node are not consecutive.  Collective on first use.
     """
 
     def make() -> MPI.Comm | None:

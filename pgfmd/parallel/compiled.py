@@ -1,13 +1,15 @@
 """`compiled`: numba's decorator for the loops of this package.  One process compiles a loop, others load it.
 
 A loop is compiled at its first call with arguments of new types, once for a machine; a default job needs some thirty.
-Numba's own cache would not do.  It has one index of a loop's types, which processes that compile the same loop for
-different types overwrite, so that code for other types is loaded; it runs code whose helpers in other files have
-changed; each process compiles; a full disk ends the run; and a start with a first solve takes 1.22 s of processor time,
-not .93 s.
+Numba's own cache does not serve:
 
-The content of the folder that keeps compiled loops and FFTW's wisdom is executed.  So the user must own it, and nobody
-else may be able to write in it or to replace it.  The first of these that can be made, with mode 0700, is used:
+- processes that compile a loop for different types overwrite its index of types, and then load code for other types
+- it loads code although a loop that this calls, in another file, has changed
+- every process compiles, and a full disk ends the run
+- a start with a first solve takes 1.22 s of processor time, not .93 s
+
+Compiled loops and FFTW's wisdom are executed.  So the user must own the folder that keeps them, and nobody else may
+write in it or replace it.  The first of these that can be made, with mode 0700, is used:
 
     $PGFMD_CACHE/pgfmd, $XDG_CACHE_HOME/pgfmd, ~/.cache/pgfmd
     pgfmd-UID in the folder of temporary files, then in /dev/shm    (a container's user may have no home)
@@ -39,8 +41,8 @@ from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
 LONGEST, PAUSE = 60.0, 0.01
-"""Seconds that a process waits at most for another one, which may have been stopped (a loop compiles in 1 to 5), and
-between its first looks."""
+"""Longest wait for a lock, whose holder may have been suspended (a loop compiles in 1 to 5 s), and first pause between
+attempts, in seconds."""
 DIGEST = 32  # bytes of the checksum before the content of a file
 
 log = logging.getLogger("pgfmd")
@@ -48,7 +50,7 @@ log = logging.getLogger("pgfmd")
 
 @functools.cache
 def private_folder() -> Path | None:
-    """The folder, made if missing; None if there is no private one.  The log says why $PGFMD_CACHE is not taken."""
+    """The folder described above, made if missing; None if none is private.  Logs why $PGFMD_CACHE is not used."""
     for folder in _candidates():
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -74,8 +76,8 @@ def kept(path: Path | None) -> bytes | None:
 
 
 def keep(path: Path | None, content: bytes) -> None:
-    """Write a file by a rename, so that no reader sees half of it.  Where that fails, as on a full disk, the log says
-    so once for a folder, and nothing is left there.
+    """Write a file and rename it into place, so that no reader sees half of it.  A failure, as on a full disk, is
+    logged once for a folder, and leaves nothing there.
     """
     if path is None:
         return
@@ -90,9 +92,8 @@ def keep(path: Path | None, content: bytes) -> None:
 
 
 def locked(path: Path | None) -> IO | None:
-    """Waits until no other process holds the lock that belongs to this path, at most LONGEST, and takes it.  The lock
-    ends when the returned file is closed or the process ends.  None where there is no lock to be had: then go on
-    without.  After it, look again before making a file.
+    """Takes the lock of this path; waits at most LONGEST for a process that holds it, which may then have made the
+    file.  The lock ends when the returned file is closed or the process ends.  None if it cannot be had: go on without.
     """
     with contextlib.suppress(OSError):
         if path is not None:
@@ -103,7 +104,7 @@ def locked(path: Path | None) -> IO | None:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                     return file
                 except BlockingIOError:
-                    time.sleep(max(PAUSE, waited / 10))  # a file server is not to be asked too often
+                    time.sleep(max(PAUSE, waited / 10))  # longer and longer, to spare a file server
     return None
 
 
@@ -124,7 +125,7 @@ def is_private(folder: Path) -> bool:
 
 
 def _others_write(status: os.stat_result) -> bool:
-    """Write permission for others, or for a group that is not the user's own (the one with the user's number)."""
+    """Whether others may write, or a group that is not the user's own (the one with the user's number)."""
     mode = status.st_mode
     return bool(mode & stat.S_IWOTH or mode & stat.S_IWGRP and status.st_gid != os.geteuid())
 
@@ -143,9 +144,8 @@ def _candidates() -> Iterator[Path]:
 def compiled(**options: Any) -> Callable[[Callable], Any]:
     """A decorator: the function is compiled, and releases the GIL.
 
-    options: of `numba.njit`.  To compile faster: inline="always" for a function that loops call in one place each.
+    options: of `numba.njit`; inline="always" compiles faster where each loop calls the function in one place.
     """
-
     settings: dict[str, Any] = {"nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"} | options
 
     def decorate(function: Callable) -> Any:
@@ -205,13 +205,13 @@ class _Cache(NullCache):
 
     def unlock(self) -> None:
         """Let other processes load or compile the loop."""
-        lock, self._lock = self._lock, None  # at once: threads may end at the same time
+        lock, self._lock = self._lock, None  # one statement: several threads may get here at once
         if lock is not None:
             lock.close()
 
 
 def _content(loop: Any) -> Iterator[object]:
-    """What a loop compiles to, but for the types: its options, byte code, constants and the loops that it calls."""
+    """What compiled code depends on besides types: options, byte code, constants, and the loops that the loop calls."""
     function = loop.py_func
     code, names = function.__code__, function.__globals__
     options = {name: sorted(value) if isinstance(value, set) else value for name, value in loop.targetoptions.items()}
@@ -220,7 +220,7 @@ def _content(loop: Any) -> Iterator[object]:
     for value in map(names.get, code.co_names):
         if isinstance(value, Dispatcher):
             yield from _content(value)
-        elif not isinstance(value, ModuleType):  # of NumPy and Python; constants are to be imported by name
+        elif not isinstance(value, ModuleType):  # modules are not looked into: constants must be imported by name
             yield value
 
 

