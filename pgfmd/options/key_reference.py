@@ -58,7 +58,7 @@ def _schema(table: type[Section] | Kinds) -> dict[str, object]:
 
 
 def _of_kind(section: type[Section], named: bool) -> dict[str, object]:
-    """The schema of a section; named: the table must say its kind.  A file of heights may say what [grid] lacks."""
+    """The schema of a section; named: the table must say its kind.  [grid] requires no key: a file may give it."""
     properties: dict[str, object] = {"kind": {"const": section.kind}} if section.kind else {}
     for field in dataclasses.fields(section):
         rule, about = field.metadata["rule"], f"{_in_brackets(field.metadata['unit'])}{field.metadata['about']}"
@@ -104,8 +104,8 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
 
 
 def _entry(field: dataclasses.Field, shown: bool) -> str:
-    """The line of one key: its example if it is needed or shown; else, commented out, its default (its example if the
-    default is None).
+    """The line of one key: its example if it is needed or shown; else, as a comment, its default or, if that is None,
+    its example.
     """
     example = field.metadata["example"]
     value = example if field.default is None else field.default

@@ -24,9 +24,7 @@ SEEDS = {
 
 @dataclass(frozen=True)
 class Rule:
-    """Which values are allowed, in words and as JSON Schema, and their conversion, which raises ValueError for any
-    other value.
-    """
+    """Which values are allowed, in words and as JSON Schema; `convert` raises ValueError for any other value."""
 
     allowed: str
     convert: Callable[[Any], Any]
@@ -184,6 +182,6 @@ def interval() -> Rule:
 
 
 def _entries(value: Any) -> list:
-    """The entries of a list; any other value, also an array without axes, is the only one."""
+    """The entries of a list; [value] for any other value, also an array without axes."""
     several = isinstance(value, (list, tuple)) or isinstance(value, np.ndarray) and value.ndim > 0
     return list(value) if several else [value]

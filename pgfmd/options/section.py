@@ -27,9 +27,9 @@ def key(
 ) -> Any:
     """A dataclass field with its rule.
 
-    about: what the key means, for the reference.  unit: of a real number ("1": it has none), "" for other values.
-    needed: the key must be given; the reference shows the example.  Any other key may be left out: it then has the
-    default, and None stands for no value.
+    about: what the key means, for the reference.  unit: of a real number ("1": a pure number), "" for other values.
+    needed: the key must be given; the reference shows the example.  Any other key that is left out has the default;
+    None means no value.
     """
     metadata = {"rule": rule, "needed": needed, "about": about, "unit": unit, "example": example}
     if isinstance(rule, type):
@@ -84,8 +84,8 @@ class Kinds:
     """The sections that one table may be.
 
     where: the name of the table.  choices: the sections; several may share a kind if their needed keys differ.
-    default: the section of a table that is left out; None: the table and its `kind` are needed.  added: choices of a
-    user, which only their `kind` chooses.
+    default: the section of a table that is left out; None: the table and its `kind` are needed.  added: choices of
+    plugins, taken only if the table names their `kind`.
     """
 
     where: str
@@ -107,9 +107,9 @@ class Kinds:
     def choose(self, table: Mapping[str, Any]) -> type[Section]:
         """The section for the keys of a table; raises InputError for a kind that is unknown or missing.
 
-        Candidates are the choices of the table's kind; all choices if it names none and there is a default.  The one
-        that has most of the table's keys is taken, of equals the one with fewest keys, then the default; those with a
-        needed key missing come last.
+        Candidates are the choices of the table's kind; if it names none and there is a default, all but those of
+        plugins.  Taken is the one that knows most of the table's keys; among equals the one with the fewest keys, then
+        the default.  Candidates for which a needed key is missing come last.
         """
         if "kind" in table:
             candidates = [choice for choice in self.choices if choice.kind == table["kind"]]
@@ -142,7 +142,7 @@ def _fits(section: type[Section], table: Mapping[str, Any]) -> int:
 
 
 def wrong(section: Section, name: str, message: str) -> InputError:
-    """The error for one key, made of its name, its value, and what is wrong with it or allowed."""
+    """The error for one key: its name, its value, and the message, which says what is wrong or allowed."""
     return InputError(f"{section.where}.{name} = {show(getattr(section, name))}: {message}")
 
 
@@ -168,7 +168,7 @@ def build(section: type[Section] | Kinds, table: Any) -> Section:
 
 
 def in_words(section: Section) -> str:
-    """The keys of a section that have a value, on one line."""
+    """The keys of a section that are not None, with their values, on one line."""
     return assignments({name: getattr(section, name) for name in _names(type(section))})
 
 

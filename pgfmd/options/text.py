@@ -51,7 +51,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def assignments(table: Mapping[str, Any]) -> str:
-    """Names and values of what has one, on one line: "young = 2.0, poisson = 0.3"."""
+    """The entries that are not None, on one line: "young = 2.0, poisson = 0.3"."""
     return ", ".join(f"{name} = {show(value)}" for name, value in table.items() if value is not None)
 
 
