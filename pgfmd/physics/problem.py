@@ -1,7 +1,7 @@
 """What is to be solved: a rough surface pressed against an elastic solid at a mean pressure, an area or an approach.
 
-For an approach the solver prescribes the level λ of contact, the value of g = u − h there, and reads off the load.  For
-an area it prescribes a load, and corrects it.  Heights are counted from their mean, so that the mean gap is −λ.
+To impose an approach, the solver prescribes the level λ, the value of g = u − h at points in contact, and the load
+follows.  To impose an area, it prescribes a load and corrects it.  Heights have mean 0: so the mean gap is −λ.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
 
-SURE = 0.7  # part of the tolerance of an approach that the certified error may take
+SURE = 0.7  # part of the tolerance of an approach that is left to the certified error
 MOST = 0.98  # the same of an approach that is met better, together with its distance
-NOISE = 4.0  # error of ln p̄ for an area over √(relative error of the energy): up to 3.6 in 12 solves, 512² … 8192²
-STEP = 0.5  # largest change of ln p̄ at once; a level that falls by more may lose contact
+NOISE = 4.0  # error of ln p̄ at an imposed area over √(relative energy error): up to 3.6 in 12 solves, 512² … 8192²
+STEP = 0.5  # largest change of ln p̄ in one step: a level that falls by more may lose contact
 
 
 class Measured(NamedTuple):
@@ -47,15 +47,15 @@ class Measured(NamedTuple):
 
     @property
     def log_load(self) -> float:
-        """ln of the mean pressure of Persson's theory for the area, area = erf(p̄/√2 s), up to a constant."""
+        """ln(p̄/s) for which Persson's theory, area = erf(p̄/√2 s), gives the measured area."""
         return math.log(quantile(self.contact / self.size, self.size))
 
 
 @dataclass(frozen=True)
 class Imposed:
-    """The target: an approach to `allowed`, level + compliance · p̄ with the level counted from first contact; or a
-    relative area, to the part `allowed` of it or to one pixel.  compliance: of the mean mode, displacement per mean
-    pressure.
+    """The target: an approach, level + compliance · p̄, the level counted from first contact, within `allowed`; or, if
+    `area` is not 0, a relative area, within the part `allowed` of it or one pixel.  compliance: of the mean mode,
+    displacement per mean pressure.
     """
 
     allowed: float
@@ -69,14 +69,14 @@ class Imposed:
         return not self.area and not self.compliance and self.approach < 0
 
     def in_units(self, height: float, pressure: float, top: float) -> Imposed:
-        """The same in other units, the approach counted from the mean height, which is `top` below the highest."""
+        """The target in these units, the approach counted from the mean height, `top` units below the highest."""
         if self.area:
             return self
         return Imposed(self.allowed / height, self.approach / height - top, self.compliance * pressure / height)
 
     def guess(self, stress: float, rms: float, size: int) -> float:
-        """A mean pressure to begin with, from the rms stress of full contact: Persson's theory; or its logarithm falls
-        about linearly with the gap over the rms height.
+        """A mean pressure to begin with.  stress: rms of full contact; rms: of the heights.  An area by Persson's
+        theory; for an approach ln p̄ is linear in approach over rms, roughly.
         """
         if self.area:
             return stress * quantile(self.area, size)
@@ -84,21 +84,21 @@ class Imposed:
 
     @property
     def tolerance(self) -> float:
-        """The error of the energy over 2 E_el with which an area is known to half of what is allowed (`NOISE`); no
-        certificate tells that.  At least 1e-8, from where on single points change.
+        """Energy error over 2 E_el at which an area is known to half of what is allowed: a measured rule (`NOISE`), no
+        bound.  At least 1e-8: below, only single points change.
         """
         return max((self.allowed / 2 / NOISE) ** 2, 1e-8) if self.area else math.inf
 
     def missed(self, at: Measured) -> float:
-        """Distance to the target over what is allowed beside the certified error."""
+        """Distance from the target over the part of `allowed` that is not left to the certified error: met up to 1."""
         if self.area:
             return abs(at.contact / at.size - self.area) / max(self.allowed * self.area, 1 / at.size)
         return abs(at.level - self.approach + self.compliance * at.pressure) / ((1 - SURE) * self.allowed)
 
     def needed(self, at: Measured) -> float:
-        """The certified error over 2 E_el with which the level is known to `SURE` of what is allowed, or to what the
-        distance to the target leaves of it: the error of the level is at most (2√(AB) + B)/p̄ with A = E_el and B the
-        certified error (`controls.MeanGap.bound`).
+        """Certified error over 2 E_el that bounds the error of the level by `SURE` allowed, or by what the distance to
+        the target leaves of `allowed`: that error is at most (2√(AB) + B)/p̄ with A = E_el and B the certified error
+        (`controls.MeanGap.bound`).
         """
         rest = max(SURE, MOST - (1 - SURE) * self.missed(at))
         return math.inf if self.area else (rest * self.allowed / at.range / (2 + rest)) ** 2 / 2
@@ -106,10 +106,10 @@ class Imposed:
 
 @dataclass
 class Aim:
-    """What is prescribed in place of a given load while a target is sought: the level, or for an area a mean pressure.
+    """What a solver prescribes while it seeks a target: the level for an approach, the mean pressure for an area.
 
-    stresses: rms stress of full contact (Persson's s), up to a factor, by the number of points of a grid, at least of
-    this and of the finest.  solved: `Aim.loaded` at the end of each coarser one.
+    stresses: number of points of a grid → rms stress of full contact there (Persson's s), up to a common factor; of
+    this grid and the finest at least.  solved: `Aim.loaded` at the end of each coarser grid.
     """
 
     target: Imposed
@@ -119,15 +119,15 @@ class Aim:
     solved: Sequence[float] = ()
 
     def follow(self, at: Measured, least: float) -> None:
-        """Sets the level of an imposed approach, which depends on the load at most; at least to `least`."""
+        """Sets the level of the imposed approach at this load, at least `least`, lowered by at most `STEP` · range."""
         level = self.target.approach - self.target.compliance * at.pressure
         self.level = max(least, level, at.level - STEP * at.range)
 
     def moves(self, at: Measured, error: float) -> bool:
-        """Changes the mean pressure if the area misses its target, and is known well enough; returns whether.
+        """Changes the mean pressure if the area misses its target by more than its uncertainty; returns whether it did.
 
-        error: of the energy, relative to 2 E_el.  An area that may be right stays; a change shall leave it right, or a
-        fifth as far off.
+        error: of the energy, over 2 E_el.  The uncertainty must also be small enough that the change meets the target,
+        or leaves a fifth of the distance.
         """
         change, unsure = self._change(at), NOISE * math.sqrt(error)
         allowed = self.target.allowed
@@ -144,14 +144,14 @@ class Aim:
         return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)])
 
     def loaded(self, at: Measured) -> float:
-        """ln of the mean pressure of Persson's theory, area = erf(p̄/√2 s), for this area over the one there is: the
-        same on all grids, but for what pixels change.
+        """ln of the mean pressure at which Persson's theory gives the measured area, over the actual one: the same on
+        all grids up to the error of discretisation.
         """
         return at.log_load + math.log(self.stresses[at.size] / at.pressure)
 
     def _change(self, at: Measured) -> float:
-        """The change of ln p̄ to where the finest grid has the area, if `loaded` changes further as it did over coarser
-        grids; at most `STEP`.
+        """Change of ln p̄, at most `STEP`, by which the finest grid gets the area, with `loaded` extrapolated from the
+        coarser grids.
         """
         values, size = [*self.solved, self.loaded(at)], max(self.stresses)
         changes = [b - a for a, b in itertools.pairwise(values)]
@@ -169,7 +169,7 @@ def quantile(area: float, size: int) -> float:
 @dataclass(frozen=True)
 class ContactProblem:
     """A rigid surface of `heights` (nx_local, ny) on `grid`, pressed at `mean_pressure` against an elastic `solid`;
-    `law` relates pressure and gap.  imposed: what the solver meets instead; `mean_pressure` is then a guess.
+    `law` relates pressure and gap.  imposed: the target in place of `mean_pressure`, which is then a guess.
     """
 
     grid: SlabGrid
@@ -184,7 +184,7 @@ class ContactProblem:
         return dataclasses.replace(self, mean_pressure=mean_pressure)
 
     def imposing(self, imposed: Imposed | None, guess: float) -> ContactProblem:
-        """The same surface where something else is imposed, with a guess of the mean pressure."""
+        """The same surface with that target (None: the mean pressure) and a guess of the mean pressure."""
         return dataclasses.replace(self, mean_pressure=guess, imposed=imposed)
 
     def on(self, grid: SlabGrid, heights: np.ndarray) -> ContactProblem:
@@ -202,7 +202,7 @@ class ContactProblem:
 
     @property
     def least_area(self) -> float:
-        """p̄ over the largest pressure that the law admits: the relative contact area is at least that."""
+        """A lower bound of the relative contact area: p̄ over the largest pressure that the law admits."""
         return max(self.mean_pressure, 0.0) / self.law.highest
 
     def check(self) -> None:
