@@ -1,8 +1,8 @@
 """Walls that attract: an energy per area W(g) of the gap g, with the pressure p = −W'(g), negative where it attracts.
 
-The gap is at least `least`, where the wall is hard; there the pressure may be any above −W'.  The energy of a contact,
-½⟨u, Ku⟩ + ΣW(g), has several minima.  To solvers, gaps are in units of the range ρ and pressures in units of σ₀ = w/ρ,
-w the work of adhesion.
+The gap is at least `least`, where the wall is hard; there any pressure above −W' is admissible.  The energy of a
+contact, ½⟨u, Ku⟩ + ΣW(g), has several minima.  Solvers see gaps in units of the range ρ, and pressures in units of
+σ₀ = w/ρ, w the work of adhesion.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ NODES = 20001  # of the spline through a formula, which is the law
 
 @dataclass(frozen=True, kw_only=True)
 class AttractiveWall(ContactLaw):
-    """What laws that attract have in common.  least: the smallest gap over ρ, where the wall is hard.
-    farthest: gap over ρ beyond which it is not felt.  steep: gap over ρ where −W'' is largest.
+    """Base of the laws that attract.  least: the smallest gap over ρ, where the wall is hard.  farthest: gap over ρ
+    beyond which the attraction is neglected.  steep: gap over ρ where −W'' is largest.
     """
 
     methods: ClassVar[tuple[str, ...]] = ("adhesive",)
@@ -41,7 +41,7 @@ class AttractiveWall(ContactLaw):
 
     @property
     def lowest(self) -> float:
-        """No limit: a job may ask for any mean tension, and learns whether a contact bears it."""
+        """No limit: a job may ask for any mean tension, and the run finds out whether a contact bears it."""
         return -math.inf
 
     @property
@@ -66,7 +66,7 @@ class AttractiveWall(ContactLaw):
         raise NotImplementedError
 
     def steepest(self, gap: np.ndarray, distance: float) -> np.ndarray:
-        """The largest −W''ρ/σ₀ within a distance of gaps, if it falls to both sides of `steep`."""
+        """The largest −W''ρ/σ₀ within `distance` of each gap, provided that it falls on both sides of `steep`."""
         return -self.curvature(np.clip(self.steep, np.maximum(gap - distance, self.least), gap + distance))
 
 
@@ -120,7 +120,7 @@ class Dugdale(RangedWall):
     )
 
     def _across(self, gap: np.ndarray) -> np.ndarray:
-        """The place in the edge, 0 … 1."""
+        """Position across the edge, from 0 to 1."""
         return np.clip((gap - 1) / self.edge + 0.5, 0.0, 1.0)
 
     def energy(self, gap: np.ndarray) -> np.ndarray:
@@ -145,7 +145,7 @@ class Dugdale(RangedWall):
         return -6 / self.edge * x * (1 - x)
 
     def steepest(self, gap: np.ndarray, distance: float) -> np.ndarray:
-        """The same; where the traction jumps, a number that no stiffness reaches."""
+        """As of `AttractiveWall`; where the traction jumps, 1e9, which no stiffness reaches."""
         if self.edge == 0:
             return np.where(np.abs(gap - 1) <= distance, 1e9, 0.0)
         return super().steepest(gap, distance)
@@ -167,7 +167,7 @@ class Potential(AttractiveWall):
     )
 
     def check(self) -> None:
-        """The formula is finite between the gaps, and attracts somewhere."""
+        """Raises InputError unless the formula is finite between the gaps, and attracts somewhere."""
         try:
             found = _spline(self.pressure, self.gaps)
         except ValueError as error:
@@ -217,7 +217,9 @@ class Potential(AttractiveWall):
 
 @cache
 def _spline(written: str, gaps: tuple[float, float]) -> tuple[PPoly, float, float]:
-    """The cubic spline through the formula, in units of the law, and these; raises ValueError."""
+    """The cubic spline through the formula in units of the law, and these units, 0 if it attracts nowhere.  Raises
+    ValueError where it is not finite.
+    """
     from scipy.interpolate import CubicSpline
 
     of, nodes = formula.function(written, "gap"), np.linspace(*gaps, NODES)

@@ -25,11 +25,13 @@ LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln
 ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
 LEAST = -708.0  # below, the exponential counts as 0; from −708.4 down it is not a normal number
 MOST = 709.0  # above, it counts as infinite; from 709.8 up it is
+UNDERFLOW = 800.0  # gap over ζ at which the pressure underflows
+LAST = 2 * np.finfo(np.float64).eps  # relative error of a logarithm and of its argument
 # Coefficients from the highest power down: 2/(2n + 1) for zⁿ⁻¹, and 1/n! for rⁿ⁻².
 LOGARITHM = tuple(2 / (2 * n + 1) for n in range(10, 0, -1))
 EXPONENTIAL = tuple(1 / math.factorial(n) for n in range(13, 1, -1))
 
-_inlined = compiled(inline="always")
+_jit, _inlined = compiled(), compiled(inline="always")
 
 
 @_inlined
@@ -72,12 +74,6 @@ def exponential(x: float) -> float:
     power = np.int64((np.int64(k) + 1023) << 52).view(np.float64)
     value = (1 + (r + r * r * series)) * power if x >= LEAST else 0.0
     return value if x <= MOST else np.inf
-
-
-UNDERFLOW = 800.0  # gap over ζ at which the pressure underflows
-LAST = 2 * np.finfo(np.float64).eps  # relative error of a logarithm and of its argument
-
-_jit = compiled()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,9 +147,9 @@ class ExponentialWall(ContactLaw):
         return finish_rows(pressure, gap, self.zeta, level, units)
 
 
-@compiled(inline="always")
+@_inlined
 def wright_omega(z: float) -> float:
-    """ω with ω + ln ω = z, to a few units of the last place; 0 below `elementary.LEAST`.
+    """ω with ω + ln ω = z, to a few units of the last place; 0 below `LEAST`.
 
     Iteration of Fritsch, Shafer and Crowley 1973, doi:10.1145/361952.361970, without branches, so that loops over it
     are vectorised: 10 ns a point, where one with branches took 40 (AVX-512).
@@ -220,11 +216,10 @@ def excess(
     pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, zeta: float, level: float
 ) -> float:
     """residual = compliance · (p̂ − p̂⁺), where compliance · p̂⁺ + ζ ln p̂⁺ = compliance · p̂ − (g − level); returns
-    ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ).
+    ζ Σ relative_entropy(p̂, −(g − level − residual)/ζ) and its rounding error.
 
-    The residual also equals g − level + ζ ln p̂⁺, which has more digits where compliance · p̂ is large.  The error that
-    rounding of the two logarithms may leave in the relative entropy, p |1 − e^−t| δ + p δ² at a difference t that is
-    right to δ, is added to it.
+    The residual also equals g − level + ζ ln p̂⁺, which has more digits where compliance · p̂ is large.  A difference t
+    of logarithms with the error δ changes the relative entropy by at most p |1 − e^−t| δ + p δ².
     """
     b = zeta / compliance
     shift = -math.log(b)

@@ -1,11 +1,12 @@
 """A user-defined wall: any pressure that decreases with the gap, as a formula.
 
-Between two gaps the graph is the function; at the smaller gap it rises to any pressure (a hard wall), at the larger one
-it falls to 0.  So it is maximal monotone: each line a p − b g = t with a, b ≥ 0, not both 0, meets it once.  A table
-whose pressures fall by at most 5 % from node to node brackets a point and interpolates; one step of Newton's method,
-with the formula itself, then gives it to the last digits.  The excess of the certificate,
-the integral of p − P(g) over g from the gap at p to g' (P: the formula), is bounded by |p − P(g')| |g' − gap(p)|, as P
-decreases: at most twice the excess where P is linear between.
+The law is a graph of p over g: the formula between two gaps, a vertical line upwards at the smaller one (a hard wall),
+and one down to p = 0 at the larger one.  It is maximal monotone: each line a p − b g = t with a, b ≥ 0, not both 0,
+meets it in one point.  A table whose pressures fall by at most 5 % from node to node brackets the point and
+interpolates; one step of Newton's method on the formula then gives it to the last digits.
+
+The excess of the certificate is the integral of p − P(g) over g from the gap at p to g' (P: the formula).  As P
+decreases, |p − P(g')| |g' − gap(p)| bounds it; where P is linear, the bound is twice the excess.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ if TYPE_CHECKING:
     from pgfmd.physics.solids.solid import Solid
 
 FALL = 1.05  # largest ratio of pressures at neighbouring nodes
-NODES, ROUNDS = 256, 60  # equal intervals to begin with; halvings of one of them, which end at its last digits
+NODES, ROUNDS = 256, 60  # equal intervals to begin with; most halvings of one: then its ends differ by a last digit
 NEGLIGIBLE = 1e-290  # pressures below it need not decrease: they underflow
-APART = 1e-6  # of the range of gaps: nodes closer than this may differ by rounding only
-CLOSE = 3e-6  # parts of the width between nodes: after so short a step, of second order, the error is a last digit
+APART = 1e-6  # of the range of gaps: pressures of nodes closer than this may be equal, or rise by rounding
+CLOSE = 3e-6  # of the width between nodes: the error after so short a Newton step, of second order, is a last digit
 BLOCK = 8192  # points at a time, so that arrays stay in cache
 
 Line = tuple[float, float]
@@ -61,7 +62,7 @@ class Graph:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The smallest gap, and the largest with a pressure, or the node after it."""
+        """The smallest gap, and the first node without pressure, or the last node."""
         bearing = int(np.count_nonzero(self._physical[1] > NEGLIGIBLE))
         return float(self.gaps[0]), float(self.gaps[min(bearing, len(self.gaps) - 1)])
 
@@ -87,7 +88,7 @@ class Graph:
         return found
 
     def _table(self, line: Line) -> tuple[np.ndarray, ...]:
-        """t, gap and dt/dg at the nodes, the first filled up to a power of 2 with −inf."""
+        """t, gap and dt/dg at the nodes; t is filled up with −inf to a power of 2."""
         if line not in self._tables:
             (a, b), size = line, 1 << len(self.gaps).bit_length()
             keys = np.full(size, -math.inf)
@@ -102,8 +103,8 @@ class Graph:
 def _guess(
     target: np.ndarray, line: Line, table: tuple[np.ndarray, ...], gap: np.ndarray, bracket: np.ndarray
 ) -> None:
-    """Brackets the points by nodes, and interpolates between these by cubic polynomials.  bracket: the lower node, the
-    upper one, and their distance (3, m); a point at an end of the graph has both there.
+    """Brackets the points by nodes, and interpolates between them by cubic polynomials.  bracket: gap of the lower
+    node, of the upper one, and their distance (3, m); at an end of the graph both are the end.
     """
     (_, b), (keys, gaps, rates), (low, high, width) = line, table, bracket
     last = gaps.size - 1
@@ -132,8 +133,8 @@ def _guess(
 
 @_jit
 def _correct(target: np.ndarray, line: Line, bracket: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """One step of Newton's method for each point, from the function at its gap; a half of the bracket where that leaves
-    it.  found: pressure, gap and dp/dg (3, m).  Returns which points need another step (m,).
+    """One step of Newton's method for each point, from the function at its gap; bisection where the step leaves the
+    bracket.  found: pressure, gap and dp/dg (3, m).  Returns which points need another step (m,).
     """
     (a, b), (low, high, width), (pressure, gap, slope) = line, bracket, found
     more = np.zeros(target.size, np.bool_)
@@ -176,7 +177,8 @@ def response(line: Line, pressure: np.ndarray, slope: np.ndarray) -> tuple[float
 
 @cache
 def tabulate(written: str, ends: tuple[float, float]) -> Graph:
-    """The graph of a formula between two gaps; raises InputError where it is not finite, negative, or does not fall."""
+    """The graph of a formula between two gaps; raises InputError if it is not finite, negative, or does not decrease.
+    """
     function = expressions.function(written, "gap")
 
     def at(gaps: np.ndarray) -> np.ndarray:
@@ -198,7 +200,7 @@ def tabulate(written: str, ends: tuple[float, float]) -> Graph:
 
 
 def _check(gaps: np.ndarray, pressures: np.ndarray) -> None:
-    """Raises InputError for pressures that no wall has."""
+    """Raises InputError for pressures that are not finite, negative, rise with the gap, or begin with 0."""
     wrong = ~(np.isfinite(pressures) & (pressures >= 0))
     if wrong.any():
         first = int(np.argmax(wrong))
@@ -237,7 +239,7 @@ class FormulaWall(ContactLaw):
     )
 
     def check(self) -> None:
-        """The formula decreases between the gaps."""
+        """Raises InputError unless the formula decreases between the gaps."""
         try:
             _ = self.graph
         except InputError as error:
@@ -255,7 +257,7 @@ class FormulaWall(ContactLaw):
 
     @property
     def reach(self) -> float:
-        """From the smallest gap to the largest."""
+        """The largest gap with pressure less the smallest."""
         return self.ends[1] - self.ends[0]
 
     def softness(self, pressure: np.ndarray) -> float:
@@ -276,13 +278,13 @@ class FormulaWall(ContactLaw):
 
 
 class _InUnits(ContactLaw):
-    """The law of a graph between p̂ and ĝ."""
+    """The law of a graph between p̂ and ĝ; the methods are those of `ContactLaw`."""
 
     kind, releases = FormulaWall.kind, FormulaWall.releases
 
     def __init__(self, graph: Graph, units: Units) -> None:
         self.whole, self.graph, self.units = graph, graph.scaled(units), units
-        self.away = abs(units.offset) / units.height  # of ĝ = 0 from the gap 0, from where rounding counts
+        self.away = abs(units.offset) / units.height  # of ĝ = 0 from gap 0: rounding errors scale with it
 
     def softness(self, pressure: np.ndarray) -> float:
         """From the formula."""
@@ -293,7 +295,7 @@ class _InUnits(ContactLaw):
         return _InUnits(self.whole, self.units._replace(height=self.units.height / factor))
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
-        """Where p = 0 the least of the gaps."""
+        """As `ContactLaw.gap_and_slope`; where p = 0, the smallest gap without pressure."""
         for rows, own, rate in _of_pressures(self.graph, pressure):
             np.minimum(own, self.graph.ends[1], out=gap[rows])
             np.negative(rate, out=slope[rows])
@@ -321,8 +323,8 @@ class _InUnits(ContactLaw):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """ε is the distance of g − level from the gap of p⁺, so that the excess lies between two points of the graph;
-        what rounding may leave in both factors of its bound is added to them.
+        """ε = g − level − gap(p⁺): so the excess is one between two points of the graph.  Both factors of its bound
+        include their rounding errors.
         """
         total, digits = 0.0, 8 * LAST
         for rows, own, slope in _of_pressures(self.graph, pressure):

@@ -104,8 +104,8 @@ def excess(
 
 @_jit
 def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float) -> float:
-    """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest |gap − level|
-    where p > 0 and level − gap elsewhere, as they were.
+    """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest violation
+    before: |gap − level| where p > 0, level − gap elsewhere.
     """
     largest = 0.0
     for i in range(gap.shape[0]):

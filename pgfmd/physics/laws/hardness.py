@@ -1,10 +1,10 @@
 """The wall of limited hardness: 0 ≤ p ≤ σ_Y, as if asperities yielded, and gap = 0 where p > 0.
 
 The pressure minimises the same energy as under the hard wall, over 0 ≤ p ≤ σ_Y, where φ(p) = 0.  Where p = σ_Y the
-wall gives way: there u − h ≤ 0, and its opposite is the plastic depth.  To solvers this is a gap ≤ 0; a solution has
-it as a field of its own.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
+wall yields: there u − h ≤ 0, and h − u is the plastic depth.  Solvers treat it as a negative gap; a solution has a
+field of its own for it.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
 
-That is right while the load increases.  A wall that has yielded keeps its shape, heights less plastic depth: under a
+This holds while the load increases.  A wall that has yielded keeps its shape, heights less plastic depth: under a
 lower load it is this shape that touches, without further yielding up to the largest load so far.
 """
 
@@ -48,7 +48,8 @@ class Hardness(HardWall):
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
         """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is σ_Y.
 
-        σ_Y is then exact to the last digit: as the gap is not 0 there, energies are of first order in its error.
+        Yielded points get σ_Y to the last digit: their gap is not 0, so that an error there is of first order in
+        energy.
         """
         yields = pressure >= self.hardness
         violation = finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)

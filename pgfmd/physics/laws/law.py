@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from pgfmd.physics.solids.solid import Solid
 
 SHARE = 0.01
-"""Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  On rough surfaces of which a hard wall touches f_c = .09 to .11,
-f_c here differs from that by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, by 12 to 17 % at 5e-3,
-and is twice as large at .05 (`tests/test_exponential`)."""
+"""Least pressure of a point in contact over ⟨p²⟩/⟨p⟩.  Under an exponential wall the area so counted differs from that
+of a hard wall (.09 to .11) by 0 to 1 % at ζ = 5e-5 and 5e-4 rms heights, 12 to 17 % at 5e-3, and is twice as large at
+.05 (`tests/test_exponential`).
+"""
 
 
 class Units(NamedTuple):
@@ -47,9 +48,9 @@ class ContactLaw(Section):
     releases: whether the mean pressure may be 0; otherwise it must be positive.
     effort: time of dynamics under this law over that under a hard wall, for `pgfmd check`.
     newton_effort: time of Newton's method under this law over that under an exponential wall.
-    convex: whether the energy of every contact is convex, so that it has one minimum, whose distance a certificate
-    bounds, and quantities that are monotonic in the load.  Without that, and with pressures below 0 (`lowest`), a law
-    needs a solver of its own, and none of what follows.
+    convex: whether the energy of every contact is convex.  Then it has one minimum, a certificate bounds the distance
+    to it, and the area and the gap are monotonic in the load.  A law that is not convex, or admits pressures below 0
+    (`lowest`), needs a solver of its own, and of the methods below only `contact_above`.
 
     `respond`, `moments`, `excess` and `finish` are called on the law that `in_units` returns: p and g are then p̂ and ĝ.
     """
@@ -78,7 +79,7 @@ class ContactLaw(Section):
 
     @property
     def reach(self) -> float:
-        """By how much the gaps of two points that bear pressure may differ; 0 for a wall that is hard."""
+        """Largest difference between gaps of points that bear pressure; 0 for a hard wall."""
         return 0.0
 
     @property
@@ -97,7 +98,7 @@ class ContactLaw(Section):
         return self.softness(np.full((1, 1), pressure)) / pressure
 
     def up_to(self, pressure: float) -> ContactLaw:
-        """A law that is the same up to that pressure; a simpler one if there is one."""
+        """A law that agrees with this one up to that pressure: a simpler one if there is one, else itself."""
         return self
 
     def gap(self, pressure: float, solid: Solid) -> float:
@@ -105,7 +106,7 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def pressure_at(self, gap: float, solid: Solid) -> float:
-        """The pressure that a point bears at a gap, to begin a search; 0 for a wall that is hard."""
+        """The pressure that a point bears at a gap, to begin a search; 0 for a hard wall."""
         return 0.0
 
     def in_units(self, units: Units) -> ContactLaw:
@@ -119,7 +120,7 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def softer(self, factor: float) -> ContactLaw:
-        """Of a law in units: the same with gaps ĝ that are larger by that factor."""
+        """The same law, which is one in units, with gaps ĝ larger by that factor."""
         raise NotImplementedError
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
@@ -137,7 +138,7 @@ class ContactLaw(Section):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """The part of these rows in the certificate: fills `residual` with ε = compliance · (p − p⁺), p⁺ from
+        """The share of these rows in the certificate: fills `residual` with ε = compliance · (p − p⁺), p⁺ from
         compliance · p⁺ − gap(p⁺) = compliance · p − (g − level); returns the sum of the excess (defined in
         `solvers.second_order`; 0 where the law is obeyed) of pressures p and gaps g − level − ε.
         """
@@ -147,9 +148,9 @@ class ContactLaw(Section):
         """The pressure above which a point counts as in contact.  mean, mean_square: averages of p and p² over all
         points.
 
-        0 where the wall releases points.  Else all bear pressure: 1 % (`SHARE`) of ⟨p²⟩/⟨p⟩, the mean of the pressure
-        weighted with the pressure.  As the range of the law → 0 the points above it become those in contact with a hard
-        wall, except the 0.2 to 0.8 % of them that bear less there.
+        0 where the wall releases points.  Else all points bear pressure, and the threshold is `SHARE` of ⟨p²⟩/⟨p⟩, the
+        mean pressure weighted with the pressure.  As the range of the law → 0, the points above it become those in
+        contact with a hard wall, except the 0.2 to 0.8 % of them that bear less there.
         """
         return 0.0 if self.releases else SHARE * mean_square / mean
 

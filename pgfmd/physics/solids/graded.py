@@ -1,4 +1,4 @@
-"""Solids whose stiffness is given as a table: graded ones, and any other that is alike in all directions."""
+"""Solids whose stiffness is given as a table: graded ones, and any other that is isotropic along its surface."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from pgfmd.options.section import path_key
 from pgfmd.options.text import printable
+from pgfmd.parallel.collectives import from_root
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.surfaces.readers import read_curve
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
 log = logging.getLogger("pgfmd")
-SAME = 1e-9  # a wave number this close to an end of the table, relatively, belongs to it
+SAME = 1e-9  # relative distance from an end of the table within which a wave number belongs to it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +58,6 @@ class Graded(Solid):
         return f"table of {len(q)} entries, {ends}"
 
     def prepare(self, grid: SlabGrid) -> None:
-        from pgfmd.parallel.collectives import from_root
-
         q, factor = vars(self)["table"] = from_root(grid.comm, lambda: self.table)
         lowest, highest = 2 * math.pi / max(grid.lengths), math.hypot(*(math.pi / step for step in grid.spacing))
         if grid.comm.rank == 0 and not q[0] * (1 - SAME) <= lowest <= highest <= q[-1] * (1 + SAME):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.grid.transforms import ColumnAction
 
-SERIES, TERMS = 1.5, 12  # t below which series take over, and their terms after the first: the next is below 1e-17
+SERIES, TERMS = 1.5, 12  # t below which series are summed, and their terms after the first: the next is below 1e-17
 THICK = 25.0  # t from which F is 1 to the last digit
 Pair = tuple[float, float] | np.ndarray
 
@@ -90,13 +90,11 @@ class Homogeneous(Solid):
         return self.contact_modulus * uniaxial / self.thickness
 
     def open_table(self, grid: SlabGrid) -> np.ndarray:
-        from pgfmd.physics.solids.open_kernel import half_space_table, layer_table, positive
+        from pgfmd.physics.solids.open_kernel import half_space_table, kept_table, layer_table
 
         name = self.thickness, self.base, self.poisson if self.needs_poisson else None
-        if name not in grid.tables:
-            table = layer_table(grid, self) if math.isfinite(self.thickness) else half_space_table(grid)
-            grid.tables[name] = positive(grid, table)
-        return grid.tables[name]
+        layer = math.isfinite(self.thickness)
+        return kept_table(grid, name, lambda: layer_table(grid, self) if layer else half_space_table(grid))
 
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         if math.isfinite(self.thickness) or not grid.domain.wraps:
@@ -110,8 +108,8 @@ class Homogeneous(Solid):
 
 
 def _scale_by_q(grid: SlabGrid, dtype: DTypeLike, scale: float, divide: bool) -> ColumnAction:
-    """Column action that multiplies by scale · |q|, or divides by |q|, in units of the smaller spacing: |q|² then fits
-    into single precision whatever the unit of length is.
+    """Column action that multiplies by scale · |q|, or divides scale by |q|.  |q| is in units of the smaller spacing:
+    then its square fits into single precision, whatever the unit of length.
     """
     from pgfmd.grid import kernels  # compiled code, which only a run needs
 

@@ -35,13 +35,11 @@ class Layered(Solid):
     no_border = ""
 
     def open_table(self, grid: SlabGrid) -> np.ndarray:
-        from pgfmd.physics.solids.open_kernel import layer_table, positive
+        from pgfmd.physics.solids.open_kernel import kept_table, layer_table
 
-        ratio = f"{self.base_modulus / self.contact_modulus:.12g}"  # which units change in its last digit
+        ratio = f"{self.base_modulus / self.contact_modulus:.12g}"  # a change of units changes its last digits
         name = self.thickness, ratio, self.poisson, self.base_poisson
-        if name not in grid.tables:
-            grid.tables[name] = positive(grid, layer_table(grid, self))
-        return grid.tables[name]
+        return kept_table(grid, name, lambda: layer_table(grid, self))
 
     def factor(self, q: np.ndarray) -> np.ndarray:
         poisson = np.array([self.poisson, self.base_poisson])

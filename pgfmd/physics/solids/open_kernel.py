@@ -1,7 +1,7 @@
 """The compliance of an elastic solid that is loaded on a patch only: the kernel of a point load, cut off at the torus.
 
-On a half-space the kernel is 1/(π E' r).  Split at a length 1/α of a few spacings, its short-ranged part is the one
-that the modes of the grid resolve, as in a periodic cell; the long-ranged part is smooth, and summed on the torus:
+On a half-space the kernel is 1/(π E' r).  It is split at a length 1/α of a few spacings.  The short-ranged part acts as
+in a periodic cell, on the modes that the grid resolves; the long-ranged part is smooth, and summed on the torus:
 
     Â(q) = (2/E'|q|) erf(|q|/2α) + (aₓ a_y/πE') Σ_r erf(α r)/r cos(q·r),
 
@@ -9,8 +9,9 @@ the first term 2/(√π α E') at q = 0, the summand 2α/√π at r = 0, and r t
 over the rows and columns of a quadrant, as Â is even in qx and in qy.
 
 A layer of thickness d adds (1/πE') ∫ (1/F(q) − 1) J0(qr) dq to the kernel, which is smooth over d.  If d is of the
-order of a spacing, only the part that erfc(q/2α) leaves is summed, the rest is a factor of modes.  On a rigid base
-kernels fall off exponentially over d: the modes of a torus that is much wider than d are those of a periodic cell.
+order of a spacing, erfc(q/2α) times the integrand is summed on the torus, and the rest is added to the compliance of
+the modes, as in a periodic cell.  On a rigid base the kernel falls off exponentially over d: the modes of a torus that
+is much wider than d are those of a periodic cell.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from pgfmd.parallel.mpi import MPI, datatype
 
 CLOSE = 6.0  # α r from which erf is 1 in double precision
 THIN = 0.04  # thickness over half a side of the torus up to which images of a slab on a rigid base are below 1e-12
-RESOLVED = 1.5, 3.0  # spacings of a thickness from which the grid resolves what it adds: of a layer, of a slab
+RESOLVED = 1.5, 3.0  # least thickness, in spacings, whose change of the kernel the grid resolves: of a layer, of a slab
 THICK = 25.0  # q d from which F is 1 to the last digit
 BAND = 64  # rows at a time, so that temporary arrays stay small
 NODES = 600  # of the spline: its error is below 1e-9 of the values
 
 
 class Layer(Protocol):
-    """What of a solid counts here; see `Solid`."""
+    """The part of a solid that is used here; see `Solid`."""
 
     @property
     def thickness(self) -> float: ...
@@ -135,8 +136,8 @@ def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
 
 
 def _change(solid: Layer, furthest: float, alpha: float) -> Callable[[np.ndarray], np.ndarray]:
-    """∫ (1/F(q) − 1) erfc(q/2α) J0(qr) dq as a function of r up to `furthest`: a spline between values by Gauss's rule
-    on pieces that J0 crosses about once.
+    """∫ (1/F(q) − 1) erfc(q/2α) J0(qr) dq as a function of r up to `furthest`: a spline through values by Gauss's rule,
+    on pieces with about one zero of J0 each.
     """
     from scipy.interpolate import CubicSpline  # slow to import
     from scipy.special import erfc, j0
@@ -188,8 +189,8 @@ def cosine_transform(
 
 
 def cropped_table(wide: SlabGrid, grid: SlabGrid, table: np.ndarray) -> np.ndarray:
-    """The table, like `half_space_table`, of a grid of the same spacing and ranks and a smaller torus, whose points
-    respond to each other as those of `wide` do, which has the given table.  Collective.
+    """The table, like `half_space_table`, of a `grid` with a smaller torus than `wide`, and the same spacing and ranks,
+    by the kernel of `wide`, whose table is given.  Collective.
     """
     counts = [n // 2 + 1 for n in grid.torus]
     entries = _cosines(wide, table.copy(), counts[0])[:, : counts[1]] / wide.modes
@@ -233,6 +234,13 @@ def positive(grid: SlabGrid, table: np.ndarray) -> np.ndarray:
             f"{grid.spacing[1]:g} is not positive ({least:.2g}); take pixels or sides that are less oblong"
         )
     return table
+
+
+def kept_table(grid: SlabGrid, name: tuple, make: Callable[[], np.ndarray]) -> np.ndarray:
+    """`positive` of make(), kept on the grid under the name.  Collective."""
+    if name not in grid.tables:
+        grid.tables[name] = positive(grid, make())
+    return grid.tables[name]
 
 
 def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:

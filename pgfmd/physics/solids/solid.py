@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.grid.transforms import ColumnAction
 
-SOFT = 0.3  # `Solid.softest` of a solid below which contacts need sets of their own kind (`solvers.active_set.thin`)
+SOFT = 0.3  # `Solid.softest` below which contacts are solved by the method for thin solids (`solvers.active_set.thin`)
 POISSON = number(above=-1, below=0.5)
 MODULI = ("lame_lambda", "lame_mu", "young", "poisson", "contact_modulus")
 
@@ -86,17 +86,17 @@ class Solid(Section):
 
     @property
     def no_border(self) -> str:
-        """Why it cannot be loaded on a patch alone; "" if it can."""
+        """Why boundaries cannot be open with this solid; "" if they can."""
         return "its kernel on a patch is not known"
 
     @property
     def only_inwards(self) -> bool:
-        """Whether pressure on a patch displaces all points inwards, for certain."""
+        """Whether it is certain that pressure on a patch displaces all points inwards."""
         return False
 
     @property
     def surface_modulus(self) -> float:
-        """E' F(q → ∞), the contact modulus of the half-space that answers short waves alike."""
+        """E' F(q → ∞), the contact modulus of the half-space that responds to short waves alike."""
         return self.contact_modulus
 
     @property
@@ -107,14 +107,14 @@ class Solid(Section):
         return 1.3
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
-        """As for a surface: check the files that the keys name; describes what they hold ("" if there are none)."""
+        """As `Surface.check_inputs`: checks the files that the keys name, and describes them ("": there are none)."""
         return ""
 
     def prepare(self, grid: SlabGrid) -> None:
         """Read the files that the keys name, once for all ranks.  Collective.  Raises InputError on all ranks."""
 
     def in_units(self, height: float, pressure: float) -> Solid:
-        """The same solid where displacements and pressures count in these units (wave numbers are as they were)."""
+        """The same solid, with displacements and pressures in these units; wave numbers keep theirs."""
         found = copy.copy(self)
         for field in dataclasses.fields(self):
             if field.metadata["unit"] == "pressure" and getattr(self, field.name) is not None:
@@ -144,14 +144,14 @@ class Solid(Section):
         return np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
 
     def softest(self, lengths: tuple[float, float], spacing: tuple[float, float]) -> float:
-        """Least stiffness to a wave of a cell over that of the half-space that answers short waves alike.  Below `SOFT`
-        the solid is thin: a free slab of .2 of the cell, a layer of .1 on a base five times as soft.
+        """Least stiffness to a wave of a cell over that of the half-space that responds to short waves alike.  Below
+        `SOFT` the solid is thin: a free slab of .2 of the cell, a layer of .1 on a base five times as soft.
         """
         q = np.geomspace(2 * math.pi / max(lengths), math.pi / min(spacing), 64)
         return float(np.min(self.stiffness(q) / self.half_space_stiffness(q)))
 
     def half_space_stiffness(self, q: np.ndarray) -> np.ndarray:
-        """That of a half-space which answers short waves alike."""
+        """(E'/2) q F(∞): of the half-space that responds to short waves alike; of the shape of q."""
         return 0.5 * self.surface_modulus * q
 
     def half_space_compliance(self, q: np.ndarray) -> np.ndarray:
@@ -196,14 +196,14 @@ def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], 
     real = np.dtype(dtype)
 
     def action(block: np.ndarray, first: int, stop: int) -> None:
-        with np.errstate(over="ignore", invalid="ignore"):  # an iteration that diverges ends at such numbers
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers of a diverging iteration
             block *= function(np.sqrt(grid.q_squared(first, stop))).astype(real)
 
     return action
 
 
 def _moduli(given: dict[str, float]) -> dict[str, float | None] | None:
-    """All five moduli from a pair that fixes them; None if nothing does."""
+    """All five moduli from those that are given; None if these do not fix them."""
     if {"lame_lambda", "lame_mu"} <= given.keys():
         lam, mu = given["lame_lambda"], given["lame_mu"]
         if 3 * lam <= -2 * mu:
