@@ -1,4 +1,5 @@
-"""Heights from a file, measured or made by another program.  Each rank reads its rows of an array, rank 0 any other."""
+"""Heights from a file, measured or made by another program.  Each rank reads its rows of an array file; rank 0 reads
+any other format."""
 
 from __future__ import annotations
 
@@ -27,9 +28,17 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("pgfmd")
 Source = tuple[str, str | None]  # file, dataset
-DIGESTED = 2**21  # heights that are read at once to be digested
+AT_ONCE = 2**21  # heights that are read at once, to be digested or checked
 DOUBTFUL = 0.01  # of the points: if more were filled, a warning says so
-ACCURACY = 1e-12  # norm of the residual, relative to that at the start, at which holes are filled
+ACCURACY = 1e-12  # norm of the residual, relative to that at the start, at which the solution in holes counts as found
+ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
+CLIFF = 5.0  # jump between opposite edges over the rms step between neighbours above which the user is warned
+WAYS_OUT = (
+    'the cell is periodic, so a cliff is pressed there; write boundary = "open" under [grid] for a patch of a larger '
+    'surface, or close the cell by periodic = "mirror" or "taper", detrend, under [surface]'
+)
+SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
+MARGIN = 0.1  # part of a side that a taper changes at each edge
 
 
 def folded(count: int, copies: int) -> np.ndarray:
@@ -44,12 +53,11 @@ def folded(count: int, copies: int) -> np.ndarray:
 def read_heights(
     grid: SlabGrid, source: Source, turned: bool, copies: int, length_unit: str | None
 ) -> tuple[np.ndarray, str]:
-    """Heights (nx_local, ny) in float64 of a (file, dataset), NaN where nothing was measured, and what the file says of
-    itself.  Collective.
+    """Heights (nx_local, ny) in float64 of a (file, dataset), NaN where nothing was measured, and a description of the
+    file.  Collective.
 
     turned: x and y exchanged.  copies: 2 for mirror images in a cell of twice the size.  If the file gives its
-    unit, heights and size are converted to length_unit.  Its number of points must be the grid's, and so must its size
-    if the file gives one.
+    unit, heights and size are converted to length_unit.  Points and, if the file gives it, size must be the grid's.
     Raises InputError on all ranks; see `readers.opened` and `Measurement.fitted`.
     """
 
@@ -78,14 +86,14 @@ def read_heights(
 def digest(comm: MPI.Comm, source: Source) -> str:
     """SHA-256 of the contents of a heights file.  Collective.
 
-    An array file: of the digests of its rows, its shape and its unit; each rank reads a part, and other data in the
-    file do not count.  Any other file: of its bytes.
+    Of an array file: of the digests of its rows, its shape and its unit; each rank reads a part, and other data in the
+    file do not count.  Of any other file: of its bytes.
     """
     if not from_root(comm, is_array, *source):
         return from_root(comm, _of_file, source[0])
     rows, words = [], ""
     with raise_together(comm), opened(*source) as found:
-        mine, step = slab(found.shape[0], comm.size, comm.rank), max(1, DIGESTED // found.shape[1])
+        mine, step = slab(found.shape[0], comm.size, comm.rank), max(1, AT_ONCE // found.shape[1])
         for first in range(mine.start, mine.stop, step):
             block = found.rows(first, min(first + step, mine.stop))
             rows += [hashlib.sha256(row.data).digest() for row in block]
@@ -103,10 +111,10 @@ def _of_file(path: str) -> str:
 
 
 def fill_holes(grid: SlabGrid, heights: np.ndarray, rule: str = "few", copies: int = 1) -> None:
-    """Fill the heights (nx_local, ny) that are NaN, in place, and log how many they are; a warning if many.  copies: 2
-    for mirror images.  Collective.
+    """Fill the heights (nx_local, ny) that are NaN, in place; log their number, as a warning if above `DOUBTFUL`.
+    copies: 2 for mirror images.  Collective.
 
-    Raises InputError if they are more than the rule allows (`missing` under [surface]).
+    Raises InputError if the rule (`missing` under [surface]) does not allow so many.
     """
     holes, size = int(grid.reduction.sum(np.isnan(heights))) // copies**2, grid.size // copies**2
     words = holes_in_words(holes, size, rule)
@@ -119,9 +127,9 @@ def fill_holes(grid: SlabGrid, heights: np.ndarray, rule: str = "few", copies: i
 def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:
     """Replace the heights (nx_local, ny) that are NaN by a solution of Laplace's equation, in place.  Collective.
 
-    Each becomes the mean of its four neighbours, weighted with 1/aₓ² and 1/a_y²; neighbours beyond the edges of
-    the array are left out, since opposite edges of a measurement do not match.  So a hole inside a plane is filled
-    with that plane, and no filled point is higher than all measured ones around it.  Conjugate gradients over the
+    Each becomes the mean of its four neighbours, weighted with 1/aₓ² and 1/a_y²; neighbours beyond the edges of the
+    array are left out, since opposite edges of a measurement do not match.  So a hole in a plane is filled with the
+    plane, and no filled point is higher than all measured ones around it.  Solved by conjugate gradients over the
     missing points alone.  Raises InputError if no point was measured.
     """
     missing, (nx, ny) = np.isnan(heights), grid.shape
@@ -132,7 +140,7 @@ def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:
         raise InputError("no point was measured")
     heights[missing] = known / (grid.size - count)
 
-    padded = np.empty((len(heights) + 2, ny))  # with a row more above and below
+    padded = np.empty((len(heights) + 2, ny))  # with a ghost row above and below
     field = padded[1:-1]
     rows, columns = np.nonzero(missing)
     points, row = (rows + 1) * ny + columns, rows + grid.rows.start
@@ -164,17 +172,6 @@ def fill_missing(grid: SlabGrid, heights: np.ndarray) -> None:
         direction = residual + squares / before * direction
     heights[missing] += change
     np.ldexp(heights, exponent, out=heights)
-
-
-ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
-CLIFF = 5.0  # jump between opposite edges over the rms step between neighbours above which the user is warned
-WAYS_OUT = (
-    'the cell is periodic, so a cliff is pressed there; write boundary = "open" under [grid] for a patch of a larger '
-    'surface, or close the cell by periodic = "mirror" or "taper", detrend, under [surface]'
-)
-SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
-CHECKED = 2**21  # heights that are read at once to be checked
-MARGIN = 0.1  # part of a side that a taper changes at each edge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +222,7 @@ class FromFile(Surface):
 
     @property
     def _copies(self) -> int:
-        """How often the file stands along each side of the cell, mirror images included."""
+        """How often each side of the cell holds the file: 2 with mirror images."""
         return 2 if self.periodic == "mirror" else 1
 
     def check_in(self, cell: Cell) -> None:
@@ -245,12 +242,10 @@ class FromFile(Surface):
             return Extent((nx, ny), sides, unit if unit in UNITS else None)
 
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
-        """Read, filled, scaled, levelled and made periodic, as the keys say.  Collective.
+        """The heights, read, filled, scaled, detrended and made periodic, as the keys say.  Collective.
 
         Logs a description of the file, and a warning if the slope is too small or too large for a rough surface.
         """
-        from pgfmd.surfaces.file import fill_holes, read_heights
-
         self.check_in(Cell(n=grid.shape, length=grid.lengths, boundary=grid.domain.name))
         heights, said = read_heights(grid, self.source, self.first_axis == "y", self._copies, length_unit)
         with raise_together(grid.comm), named(self.source[0]):
@@ -277,7 +272,7 @@ class FromFile(Surface):
         with opened(*self.source) as found:
             found = found.turned() if self.first_axis == "y" else found
             found = found.fitted(cell.shape, cell.lengths, self._copies, length_unit)
-            step = max(1, CHECKED // found.shape[1])
+            step = max(1, AT_ONCE // found.shape[1])
             holes = 0
             for first in range(0, found.shape[0], step):
                 block = found.rows(first, min(first + step, found.shape[0]))
@@ -362,8 +357,8 @@ def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
 
 
 def jumps(grid: SlabGrid, heights: np.ndarray) -> list[str]:
-    """Where heights jump from one edge of the cell to the opposite one more than they do between neighbours, in words.
-    Collective.
+    """A line for each direction in which opposite edges of the cell differ by more than `CLIFF` steps between
+    neighbours.  Collective.
     """
     unit = max(-grid.reduction.min(heights), grid.reduction.max(heights)) or 1.0  # so that squares do not overflow
     below = grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1) / unit

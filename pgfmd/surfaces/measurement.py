@@ -1,4 +1,4 @@
-"""Content of a file of heights: an array, and perhaps the sides of the rectangle and a unit.  No MPI here."""
+"""The content of a file of heights: an array, with sides and unit if the file says them.  No MPI here."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ALIASES = {"um": "µm", "\u03bcm": "µm", "A": "Å", "\u212b": "Å"}  # Greek mu
 for _prefix, _unit in {"kilo": "km", "": "m", "centi": "cm", "milli": "mm", "micro": "µm", "nano": "nm"}.items():
     ALIASES |= {f"{_prefix}{name}": _unit for name in ("meter", "meters", "metre", "metres")}
 ALIASES |= {"micron": "µm", "microns": "µm", "angstrom": "Å", "angstroms": "Å"}
-FEW = 1 / 3  # of the points: so many at most are filled unasked
+FEW = 1 / 3  # part of the points up to which missing ones are filled unasked
 CELL_DIGITS = 1e-3  # relative tolerance of the cell's sides against the file's: jobs give them with a few digits
 
 
@@ -35,8 +35,8 @@ def named(path: str) -> Iterator[None]:
 
 @contextmanager
 def damage_reported(message: str) -> Iterator[None]:
-    """Turns any error inside the block, but InputError and MemoryError, into an InputError of one line: the message and
-    the reason.
+    """Turns any error inside the block, except InputError and MemoryError, into an InputError: the message, then the
+    reason, on one line.
     """
     try:
         yield
@@ -89,10 +89,10 @@ class Measurement:
     def fitted(
         self, shape: tuple[int, int], lengths: tuple[float, float], copies: int, unit: str | None
     ) -> Measurement:
-        """The same in `unit` (as it is if one of the two units is None), for a cell of so many points and that size;
-        `copies` = 2 if the cell is made of mirror images.
+        """`converted` to the unit, if it fits a cell with `shape` points and sides `lengths`.  copies: 2 for a cell
+        made of mirror images.
 
-        Raises InputError that names all of points, unit and size that disagree, and what to write.
+        Else raises InputError, which names all of points, unit and size that disagree, and what to write.
         """
         converted, faults = self, []
         points = [copies * count for count in self.shape]
@@ -120,7 +120,7 @@ class Measurement:
         return converted
 
     def _other_unit(self, sides: list[float], lengths: tuple[float, float], unit: str | None) -> str:
-        """Advice where the cell has the sides of the file in another unit, which a job or text leaves out."""
+        """Advice for a cell whose sides are those of the file in another unit; "" if they are in none."""
         job = "" if usual_name(unit) in UNITS else ', and write length_unit = "m" under [output]'
         known = usual_name(self.unit or ("m" if job else unit))
         if known not in UNITS or not (self.unit or self.format.startswith("text")):
@@ -156,8 +156,8 @@ class Measurement:
 
 
 def holes_in_words(holes: int, size: int, rule: str) -> str:
-    """What happens to so many missing points of so many, "" if there are none.  Raises InputError if the rule, one of
-    those of `missing` under [surface], does not let them be filled.
+    """What happens to `holes` missing of `size` points; "" if there are none.  Raises InputError if the rule, a value
+    of `missing` under [surface], does not allow so many.
     """
     part = f"{holes} of {size} points ({holes / size:.2g} of all) were not measured"
     if holes == size:
@@ -176,8 +176,8 @@ def is_topography(given: Any) -> bool:
 
 
 def measured_heights(given: Any, spacing: Any, comm: Any) -> tuple[Any, Any]:
-    """Heights of this rank's rows of a topography, NaN where they are undefined, and its spacing; what is none, as it
-    is.  Raises InputError if that is not the spacing which is given.
+    """(heights, spacing) of a topography: this rank's rows, NaN where undefined.  (given, spacing) if `given` is none.
+    Raises InputError if a spacing is given, and is not the topography's.
     """
     if not is_topography(given):
         return given, spacing

@@ -61,7 +61,7 @@ class Punch(Surface):
 
 
 def paraboloid(grid: SlabGrid, radius: float) -> np.ndarray:
-    """−r²/2R about the centre of the cell, r the distance to it."""
+    """−r²/(2R), r the distance from the centre of the cell."""
     x, y = _from_centre(grid)
     return -(x**2 + y**2) / (2 * radius)
 

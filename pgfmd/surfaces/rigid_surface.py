@@ -1,4 +1,4 @@
-"""`Surface`: base class of the kinds of surface, each a set of options that makes heights."""
+"""`Surface`: base class of the kinds of surface; each is a section of options that makes heights."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def _table(value: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Extent:
-    """What the file of a surface says of the cell: points (nx, ny), lengths (lx, ly) and the unit of length; None where
-    it does not say them.
+    """What the file of a surface says of the cell: points (nx, ny), lengths (lx, ly) and the unit of length; None if it
+    does not say them.
     """
 
     n: tuple[int, int]
@@ -61,7 +61,7 @@ class Surface(Section):
         about="the other body, {kind = …} with its keys; heights are added, both with peaks towards the other body",
     )
     centred = False  # whether the mean height is 0
-    cut_out = False  # whether, on a patch with open boundaries, the surface goes on beyond
+    cut_out = False  # whether the surface continues beyond a patch with open boundaries
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -133,9 +133,9 @@ class Surface(Section):
 
 
 class Sum(Surface):
-    """Two surfaces, one on the other: to a half-space the contact of both bodies is that of their summed heights.
+    """The heights of two bodies, added: the contact of a half-space depends on their sum alone.
 
-    Slopes add in squares: the bodies are taken as independent.
+    Squares of slopes add: the bodies are taken as independent.
     """
 
     def __init__(self, *parts: Surface) -> None:
@@ -177,8 +177,8 @@ def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def refined_heights(surface: Surface, cell: Cell, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
-    """The heights (nx_local, ny) of a surface in a cell, on the grid of `cell.refined` on which contacts are solved.
-    Collective.
+    """The heights (nx_local, ny) of a surface in a cell on `grid`, that of `cell.refined`, on which contacts are
+    solved.  Collective.
 
     Raises InputError on all ranks, as `Surface.heights` does.
     """

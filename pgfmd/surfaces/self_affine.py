@@ -20,7 +20,7 @@ from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
-HIGHEST = 1e150  # wave number of a wavelength that is lost in rounding: its square is finite
+HIGHEST = 1e150  # wave number of a wavelength 0 or tiny: its square is finite
 log = logging.getLogger("pgfmd")
 
 

@@ -12,6 +12,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key, path_key
+from pgfmd.parallel.collectives import from_root
 from pgfmd.surfaces.readers import read_curve
 from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 
@@ -24,7 +25,7 @@ class FromSpectrum(Surface):
     """Isotropic roughness whose spectrum C(q) is a table: a power law between its entries, zero beyond its ends.
 
     C is the two-dimensional spectrum C^2D = A₀ ⟨|h̃|²⟩ = ⟨|∫ h exp(−iq·r) d²r|²⟩/A₀ (length⁴), h̃ the Fourier coefficient
-    and A₀ the area of the cell, so that ⟨h²⟩ = ∫ C d²q/(2π)² (Jacobs, Junge, Pastewka 2017,
+    and A₀ the area of the cell: ⟨h²⟩ = ∫ C d²q/(2π)² (Jacobs, Junge, Pastewka 2017,
     doi:10.1088/2051-672X/aa51f8).  Amplitudes are Gaussian: C is the mean over seeds, not that of each surface.
     """
 
@@ -50,7 +51,6 @@ class FromSpectrum(Surface):
         return shortest if shortest > min(cell.spacings) * (1 + SLACK) else 0.0
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
-        from pgfmd.parallel.collectives import from_root
         from pgfmd.surfaces.random_modes import RandomModes  # compiled code, which only a run needs
 
         q, spectrum = from_root(grid.comm, self.table)

@@ -11,9 +11,8 @@
 - `lattice_edge`: the edge of a contact between the points of a grid
 - `reference_set`: numbers of self-affine contacts with their errors
 
-A spectrum is handed over as in the result files: wave numbers q (m,), ascending; `power` (m,), the mean |h̃|² of a mode
-(h̃ the Fourier coefficient, so that a sum over all modes is a mean over the surface); and `count` (m,), the number of
-modes.
+A spectrum has the form of the result files: wave numbers q (m,), ascending; `power` (m,), the mean |h̃|² of a mode at q
+(h̃ the Fourier coefficient: a sum over all modes is a mean over the surface); `count` (m,), the number of modes at q.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from types import ModuleType
 from typing import Any, TypeAlias
 
 Reals: TypeAlias = Any
-"""What the formulas take and give: a float or an array; several arguments broadcast against each other."""
+"""A float or an array; several arguments broadcast against each other."""
 
 __all__ = ["adhesion", "asperity", "bearing", "exact", "exponential", "hertz", "lattice_edge", "persson"]
 __all__ += ["reference_set", "surface"]
 
 
 def __getattr__(name: str) -> ModuleType:
-    """A module, imported when first used: a run needs `lattice_edge` only, and SciPy's optimisers take long."""
+    """A module, imported when first used: SciPy's optimisers, which a run does not need, take long."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return importlib.import_module(f"{__name__}.{name}")

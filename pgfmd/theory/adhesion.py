@@ -1,4 +1,4 @@
-"""Adhesion of a rigid paraboloid r²/(2R) to an elastic half-space, and when rough surfaces stick.
+"""Adhesion of a rigid paraboloid r²/(2R) to an elastic half-space, and a criterion for rough surfaces that stick.
 
 Johnson, Kendall and Roberts 1971, doi:10.1098/rspa.1971.0141 (JKR); Derjaguin, Muller and Toporov 1975,
 doi:10.1016/0021-9797(75)90018-1 (DMT); Maugis 1992, doi:10.1016/0021-9797(92)90285-T.
@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Pull-off force over πwR of a hard wall with the attraction −w exp(−g/ρ) against μ_T, by an axisymmetric solution on
-# two grids; Maugis' theory with λ = .70 μ_T is within .9 % of it.
+# Pull-off force over πwR against μ_T, for a hard wall with the energy −w exp(−g/ρ), by an axisymmetric solution on two
+# grids; Maugis' theory with λ = .70 μ_T is within .9 % of it.
 TRANSITION = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0)
 PULL_OFF = (1.9960, 1.9820, 1.9595, 1.9053, 1.7780, 1.6642, 1.5746, 1.5415, 1.517)
 EXPONENTIAL = 0.70  # Maugis' λ over μ_T for that attraction; for a constant traction w/ρ it is (9/2π)^(1/3)
@@ -20,7 +20,7 @@ CONSTANT = (9 / (2 * math.pi)) ** (1 / 3)
 
 
 class Curve(NamedTuple):
-    """Contact radii, forces (negative: tension) and approaches beyond first contact, along the contact radius."""
+    """Force (negative: tension) and approach beyond first contact as functions of the contact radius."""
 
     radius: np.ndarray
     force: np.ndarray

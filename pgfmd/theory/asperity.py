@@ -125,7 +125,7 @@ def _integrate_summits(separation: float, moments: SpectralMoments, contact_modu
 
 @cache
 def _ellipse_table() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes ρ = r/t, their weights, and how the Hertzian area and load differ from those of a sphere of curvature t.
+    """Nodes ρ = r/t, their weights, and Hertzian area and load over those of a sphere of curvature t.
 
     With b/a = k and e² = 1 − k² the axes of the contact ellipse (Johnson, Contact Mechanics, section 4.2), at
     penetration δ: area = π(δ/t) E/(k K), load = (2π/3) E' √(δ³/t) √E/(k K^{3/2}), and ρ = (E(1 + k²) − 2k²K)/(e²E). The

@@ -59,7 +59,7 @@ class LatticeEdge:
     """A straight edge with normal along (m/ax, k/ay); lengths in the unit of the spacing.  E' and the stress intensity
     K are 1; for a slab, far from the edge, dp/dd = 1.
 
-    pressure, gap: (2, count), p_s = pressure[0, s] − β pressure[1, s], g_{−s} = gap[0, s] + β gap[1, s]
+    pressure, gap: (2, count), with p_s = pressure[0, s] − β pressure[1, s] and g_{−s} = gap[0, s] + β gap[1, s].
     """
 
     normal: tuple[float, float]

@@ -36,8 +36,8 @@ def reference(hurst: float, scales: float, pressure: float, rolloff: float = 4) 
     pressure: p̄/(E'g), with g the rms slope.  "area" is the relative contact area, "kappa" area over pressure, "gap" the
     mean gap over gλ_l, "energy" the elastic energy per area over E'g²λ_l, "square_pressure" ⟨p²⟩ over (E'g)².
 
-    Logarithms are interpolated, piecewise cubic in ln p̄ and H, linear in ln(λ_r/λ_s).  The error takes in what linear
-    interpolation differs by.  Raises InputError outside of the set.
+    Logarithms are interpolated, piecewise cubic in ln p̄ and H, linear in ln(λ_r/λ_s).  The error includes the
+    difference between cubic and linear interpolation.  Raises InputError outside of the set.
 
     >>> import pgfmd
     >>> area = pgfmd.reference(hurst=0.8, scales=16, pressure=0.02)["area"]
@@ -86,7 +86,7 @@ def _logarithms(rows: Rows, name: str) -> np.ndarray:
 
 
 def _between(keys: list[float], columns: np.ndarray, at: float) -> tuple[float, float, float]:
-    """Logarithm, error and scatter at a key; the error takes in what cubic and linear interpolation differ by."""
+    """Logarithm, error and scatter at a key; the error includes the difference of cubic and linear interpolation."""
     linear, error, scatter = (float(np.interp(at, keys, column)) for column in columns.T)
     cubic = float(PchipInterpolator(keys, columns[:, 0])(at))
     return cubic, float(np.hypot(error, cubic - linear)), scatter
