@@ -1,5 +1,4 @@
-"""The command line: `new` prints a job, `check` validates it, `run` runs it, `info` and `plot` show results, `certify`
-bounds the error of anybody's pressure.
+"""The command line.
 
     python -m pgfmd new [KIND …] > JOB.toml
     mpirun -n P python -m mpi4py -m pgfmd run JOB.toml --output DIR [--set section.key=value ...]
@@ -11,8 +10,8 @@ bounds the error of anybody's pressure.
     python -m pgfmd cite DIR
 
 Exit codes: 0; 2 for wrong input, with one line on stderr; 3 if a solver cannot certify its answer, or no load gives
-what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and did, ready for --restart; 130 if it was
-interrupted twice, or where nothing could be saved; 1 for anything else.
+what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and can be continued by --restart; 130 if it was
+interrupted twice, or before there was anything to save; 1 for anything else.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ REPAIR = "; remove a damaged file of fields, and a run with --restart writes it 
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; the exit code.  `run` is collective over COMM_WORLD, the others need no MPI."""
+    """Run the command line; returns the exit code.  `run` is collective over COMM_WORLD, the others need no MPI."""
     for stream in (sys.stdout, sys.stderr):  # a terminal without × shows ?
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -68,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _show(text: str) -> None:
-    """Print lines without control characters, which texts from files may hold."""
+    """Print lines, without the control characters that texts from files may hold."""
     print("\n".join(printable(line, len(line)) for line in text.split("\n")))
 
 
@@ -249,7 +248,7 @@ def _certify(options: argparse.Namespace) -> str:
 
 
 def _plot(words: list[str]) -> str:
-    """Draw a figure; what to print.  The figures are in pgfmd_plots/ or tools/plots/, next to the package."""
+    """Draw a figure; returns what to print.  The figures are in pgfmd_plots/ or tools/plots/, next to the package."""
     here = Path(__file__).resolve().parents[2]
     folders = [here / name for name in ("pgfmd_plots", "tools/plots") if (here / name / "figures.py").is_file()]
     if not folders:
@@ -262,7 +261,7 @@ def _plot(words: list[str]) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run a job; the exit code.  Collective."""
+    """Run a job; returns the exit code.  Collective."""
     atexit.register(gc.freeze)  # no garbage collection at exit: it takes a tenth of a second with numba loaded
     gc.disable()  # nor during imports: it takes a tenth of their time
     comm = world()
@@ -276,14 +275,14 @@ def _run(options: argparse.Namespace) -> int:
         gc.enable()
         job = from_root(comm, load, options.job, options.set)
         run_job(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
-    except (Exception, KeyboardInterrupt) as error:  # whatever it is, all ranks must end, and one of them must say why
+    except (Exception, KeyboardInterrupt) as error:  # any error must end all ranks, and one of them must report it
         return _end_all_ranks(end_comm, error)
     return 0
 
 
 def _end_all_ranks(comm: MPI.Comm, error: BaseException) -> int:
-    """End all ranks with the error's exit code; rank 0 prints the error.  Aborts if some do not come.  Collective."""
-    if vars(error).get("ranks") == 0 or not patiently(comm, comm.Ibarrier().Test):  # 0: it is known to be alone
+    """End all ranks with the error's exit code; rank 0 prints it.  Aborts if other ranks do not fail.  Collective."""
+    if vars(error).get("ranks") == 0 or not patiently(comm, comm.Ibarrier().Test):  # 0: no other rank has the error
         _complain(error)
         comm.Abort(_code(error))
     if comm.rank == 0:
@@ -300,7 +299,7 @@ def _code(error: BaseException) -> int:
 
 
 def _complain(error: BaseException) -> int:
-    """Print the error, one line if it is meant for the user, else with its traceback; the exit code."""
+    """Print the error in one line, after its traceback if it is not meant for users; returns the exit code."""
     message = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, KeyboardInterrupt):
         message = "interrupted"
@@ -310,7 +309,7 @@ def _complain(error: BaseException) -> int:
         traceback.print_exception(error)
     kind = "" if isinstance(error, (Stopped, KeyboardInterrupt)) else "error: "
     with contextlib.suppress(OSError):  # the terminal may have been closed
-        # One write, not the two of `print`: mpirun may put words of its own between them.
+        # One write, not the two of `print`, between which mpirun may put its own words.
         sys.stderr.write(f"pgfmd: {kind}{printable(message, 4000)}\n")
         sys.stderr.flush()
     return _code(error)

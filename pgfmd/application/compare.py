@@ -21,7 +21,7 @@ OF_THE_SOLVER = {"target", "contact_line", "certified_error", "pressure_error", 
 OF_THE_SOLVER |= {"transforms", "seconds"}
 """Columns that tell how a load was solved, not what came out."""
 SAME_TARGET = 1e-9
-"""Relative difference up to which two targets are the same: jobs write them in decimal figures."""
+"""Relative difference up to which two targets are the same: jobs write decimal numbers."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Row:
-    """A number of a load in the first run and in another one; `ratio` is the difference over both errors together."""
+    """A number of a load, its target and index in the first run, in the first run and in another one."""
 
     run: str
     load: int
@@ -52,7 +52,7 @@ class Row:
 
     @property
     def error(self) -> float:
-        """√(error² + error²) of those that are known; NaN if neither is."""
+        """Root of the sum of squares of the errors that are known; NaN if neither is."""
         bars = [bar for bar in (self.first_error, self.other_error) if math.isfinite(bar)]
         return math.hypot(*bars) if bars else math.nan
 
@@ -63,7 +63,7 @@ class Row:
 
 
 class Side:
-    """A result folder or an ensemble: the loads' targets, and numbers with their errors.
+    """A result folder or an ensemble: the numbers of each load with their errors.
 
     The error of a run is the estimate of solver and grid together, which the observables "discretisation", "stiffness"
     and others write; that of an ensemble is the standard error of the mean.
@@ -92,7 +92,8 @@ class Side:
 
 
 def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]:
-    """Each number of each load that the first folder shares with another one; and what distinguishes the runs.
+    """Each number of each load that the first folder shares with another one; and a line for each difference of the
+    jobs.
 
     Loads are the same if their targets are, of the same kind of load.  Raises InputError for fewer than two folders, if
     a folder holds no results, for units that differ, and where no load is shared.
@@ -132,7 +133,8 @@ def _check(first: Side, other: Side) -> None:
 
 
 def _pairs(first: Side, other: Side) -> Iterable[tuple[int, dict[str, Number], dict[str, Number]]]:
-    """Loads of both with the same target: the index in the first run, and the numbers.  Each is used once."""
+    """Pairs of loads with the same target: index in the first run, numbers of both.  Each load is in one pair at most.
+    """
     free = list(other.loads)
     for index, mine in enumerate(first.loads):
         target = mine["target"].value
@@ -144,8 +146,8 @@ def _pairs(first: Side, other: Side) -> Iterable[tuple[int, dict[str, Number], d
 
 
 def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
-    """The differences as an aligned table, with what distinguishes the runs above it.  Numbers that are the same, such
-    as the imposed one, are left out.
+    """The differences as an aligned table below those of the jobs.  Numbers that are equal, such as the imposed one,
+    are left out.
     """
     head = ("load", "number", "first", "other", "difference", "error", "of it", "relative")
     parts = []
@@ -177,7 +179,7 @@ def as_csv(rows: Sequence[Row]) -> str:
 
 
 def as_json(rows: Sequence[Row], notes: Sequence[str]) -> str:
-    """The differences, and what distinguishes the runs; null for what is not known."""
+    """The differences, and those of the jobs; null for what is not known."""
     entries = [asdict(row) | {"difference": row.difference, "error": row.error} for row in rows]
     return json.dumps(known({"differs": list(notes), "numbers": entries}), ensure_ascii=False, indent=2)
 

@@ -1,7 +1,7 @@
 """Ensembles: a folder of runs that differ by the seed of their surface alone, and means over them.  No MPI here.
 
     seed_0001/, seed_0002/, …   a result folder for each seed
-    ensemble.h5                 what was run, the seeds, and for each load mean and standard error over the seeds
+    ensemble.h5                 provenance, the seeds, and for each load mean and standard error over the seeds
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COUNT = "number of seeds whose load was solved"
 class Ensemble(Runs):
     """The folder of an ensemble, complete or not.
 
-    seeds: as the job lists them; runs: of the seeds that have begun; failed: error messages by seed; provenance: of the
+    seeds: as the job lists them; runs: of the seeds that have begun; failed: seed → error message; provenance: of the
     last command.  Raises InputError if the folder holds no ensemble.
 
     >>> import pgfmd
@@ -69,8 +69,8 @@ class Ensemble(Runs):
         return f"{self.directory}: {self.status}\n{table(self)}"
 
     def mean(self) -> pandas.DataFrame:
-        """Mean over the seeds and its standard error (NAME_error) of each number, load by load, and how many
-        seeds; NAME_seeds where only some of these gave a finite number.
+        """A row for each load: `seeds`, the number of seeds that solved it; NAME and NAME_error, mean and standard
+        error of each number; NAME_seeds, if fewer seeds gave a finite number.
         """
         import pandas
 
@@ -111,7 +111,7 @@ class Column:
         self.values.append(np.asarray(values, np.float64))
 
     def fits(self, values: np.ndarray) -> bool:
-        """Whether the values of one more run have the shape, and those of an axis the numbers, of those before."""
+        """Whether the values of one more run have the shape of the others; for an axis, whether they are equal."""
         first = self.values[0] if self.values else values
         return np.array_equal(first, values) if self.is_axis else first.shape == values.shape
 
@@ -164,7 +164,7 @@ def folders(directory: str | os.PathLike) -> list[Path]:
 
 
 def _holds(folder: Path, job: dict) -> bool:
-    """Whether a folder has results of that job, or unreadable ones, which `Results` reports."""
+    """Whether a folder has results of that job, or unreadable ones: `Results` then raises the error."""
     path = folder / OBSERVABLES_FILE
     with suppress(OSError, KeyError, ValueError), h5py.File(path, "r", locking=False) as file:
         return _without_seed_and_run(str(file.attrs["effective_toml"])) == job
@@ -186,7 +186,7 @@ def solved_runs(runs: Iterable[Results]) -> np.ndarray:
 
 
 def mean_loads(runs: Iterable[Results]) -> dict[str, Column]:
-    """The columns of the tables of loads."""
+    """The columns of the tables of loads of all runs; NaN for loads that a run has not completed."""
     runs = list(runs)
     longest = max(map(len, runs), default=0)
     columns: dict[str, Column] = {}
@@ -199,7 +199,7 @@ def mean_loads(runs: Iterable[Results]) -> dict[str, Column]:
 
 
 def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Column]]:
-    """The groups of curves of one load, as far as all runs that solved it have them, with equal axes."""
+    """The groups of curves of one load that all runs which solved it have, with equal axes."""
     groups: dict[str, dict[str, Column]] | None = None
     for run in runs:
         if index >= len(run) or not np.isfinite(run.loads["mean_pressure"][index]):
@@ -216,7 +216,7 @@ def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Colu
                 else:
                     del groups[title]
         if not groups:
-            break  # of many small runs, opening their files takes longer than all else here
+            break  # with many small runs, opening their files takes most of the time
     return groups or {}
 
 
@@ -228,7 +228,7 @@ def _column(dataset: h5py.Dataset) -> Column:
 
 
 def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, str], status: str) -> None:
-    """Write ensemble.h5 anew: provenance, seeds and, unless it is running, the means.  Raises OSError."""
+    """Replace ensemble.h5: provenance, seeds and, unless the status is "running", the means.  Raises OSError."""
     path = directory / ENSEMBLE_FILE
 
     def begin(file: h5py.File) -> None:
@@ -244,7 +244,7 @@ def write(directory: Path, provenance: Mapping[str, Any], failed: Mapping[int, s
             for title, group in mean_groups(runs, index).items():
                 _put(file.create_group(f"{load_name(index)}/{title}"), group)
 
-    create(path, begin)  # first, since `folders` asks this file for the seeds
+    create(path, begin)  # first: `folders` reads the seeds from this file
     if status != "running":
         revise(path, add_means)
 
@@ -261,9 +261,8 @@ def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
 
 
 def table(ensemble: Ensemble) -> str:
-    """The means of all numbers as aligned text, one row per load, with the number of seeds and standard errors.
-
-    A mean over fewer seeds has their number behind it, "(n)".
+    """The means of all numbers with standard errors as aligned text, one row per load, and the number of seeds; "(n)"
+    follows a mean over n, fewer seeds.
     """
     means, seeds = mean_loads(ensemble.runs), solved_runs(ensemble.runs)
     means = {name: column for name, column in means.items() if not is_error(name, means)}
@@ -279,5 +278,5 @@ def table(ensemble: Ensemble) -> str:
 
 
 def fewer(column: Column, seeds: np.ndarray) -> np.ndarray:
-    """How many seeds gave a finite number, where these are fewer than have solved the load; else 0."""
+    """The number of seeds with a finite number where it is less than that of seeds which solved the load; else 0."""
     return np.where(column.count < seeds, column.count, 0)

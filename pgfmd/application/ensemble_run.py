@@ -33,7 +33,7 @@ from pgfmd.parallel.collectives import from_root, raise_together, shared
 from pgfmd.parallel.mpi import MPI, library
 
 log = logging.getLogger("pgfmd")
-progress = logging.getLogger("pgfmd.ensemble")  # has its own level: the first rank of each group logs its seeds
+progress = logging.getLogger("pgfmd.ensemble")  # with a level of its own: the first rank of each group logs its seeds
 
 Simulate = Callable[..., None]
 """simulate(job, comm, directory, overwrite=…, restart=…, interruptions=…): runs one surface.  Collective."""
@@ -42,11 +42,10 @@ Failures = dict[int, Exception]
 
 
 def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode: str) -> None:
-    """Run every seed of a job, in groups of ranks that take them in turn, each into a result folder of its own.
-    Collective.
+    """Run every seed of a job into a result folder of its own; groups of ranks take the seeds in turn.  Collective.
 
-    mode: as for `ResultWriter`.  A seed that fails does not stop the others.  Raises Stopped or NoProgress, SolverError
-    at the end if some seeds failed, and the first error if all did.
+    mode: as for `ResultWriter`.  A seed that fails does not stop the others.  Raises Stopped or NoProgress; at the end
+    SolverError if some seeds failed, or the first error if all did.
     """
     seeds = job.surface.seeds
     room = machine.room_per_rank(comm)
@@ -68,7 +67,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
             log.info("%d seeds, %d at a time", len(seeds), groups)
         failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)
         if len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values()):
-            there = path / ENSEMBLE_FILE  # as it was: no seed has written anything
+            there = path / ENSEMBLE_FILE  # is restored: no seed has written anything
             from_root(comm, lambda: there.unlink() if before is None else replace(there, before))
         else:
             reasons = {seed: printable(_reason(error), 400) for seed, error in failed.items()}
@@ -105,7 +104,7 @@ def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
 def _run_seeds(
     simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, groups: int, mode: str
 ) -> tuple[Failures, Stopped | NoProgress | None]:
-    """Run the seeds, in groups of ranks; which of them failed, and why the run was stopped, if it was.  Collective."""
+    """Run the seeds, in groups of ranks; returns which failed, and why the run was stopped, if it was.  Collective."""
     failed: Failures = {}
     synced: dict[int, Future[None]] = {}
     seeds = job.surface.seeds
@@ -137,13 +136,13 @@ def _run_seeds(
                 stopped = reason
                 if group.rank == 0:
                     with suppress(OSError):
-                        interruptions.batch_stop_file.touch()  # other groups may have got no signal
+                        interruptions.batch_stop_file.touch()  # for the other groups, which may have got no signal
                 break
             except (InputError, SolverError, OSError, MemoryError) as error:
                 if not shared(group, error):
-                    raise  # the others of the group wait for this rank
+                    raise  # the other ranks of the group are blocked: only an abort ends them
                 error.__context__ = error.__cause__ = None
-                failed[seed] = error.with_traceback(None)  # which would keep the arrays of its frames
+                failed[seed] = error.with_traceback(None)  # a traceback would keep the arrays of its frames
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
                                  _reason(error))  # fmt: skip
     for seed, each in synced.items():
@@ -163,8 +162,8 @@ def _reason(error: Exception) -> str:
 
 
 def _found(folder: Path, job: Job) -> str:
-    """What a folder holds for a job: "stale", results of another job (left by an interrupted `--overwrite`);
-    "complete", all that the job asks for, undamaged and by this version; or "", anything else: `simulate` decides.
+    """What a folder holds: "complete", all that the job asks for, undamaged and by this version; "stale", results of
+    another job, left by an interrupted `--overwrite`; "", anything else, on which `simulate` decides.
     """
     with suppress(InputError):
         results = Results(folder)
@@ -181,7 +180,7 @@ def _found(folder: Path, job: Job) -> str:
 
 @contextmanager
 def _quiet(group: MPI.Comm) -> Iterator[None]:
-    """The terminal shows warnings, and a line from each group for each seed; a run's log file has every line."""
+    """Within the block the terminal shows warnings, and one line for each seed; a run's log file gets every line."""
     handlers, before = list(log.handlers), log.level
     for handler in handlers:
         handler.addFilter(_is_shown)

@@ -31,9 +31,9 @@ AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all 
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
 START = 1.0  # seconds until a run has read its job, on 1 and 2 ranks of the same machine, loops compiled before
-PER_LOAD = 0.03  # seconds that a load takes however small its grid: solved .003, measured .024, written .003
-BESIDES = 2.0, 1.0  # transforms' time in which a contact's area and line are measured, in which heights are made
-SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with one each (README: two took 1/1.59)
+PER_LOAD = 0.03  # seconds of a load on the smallest grid: solving .003, measuring .024, writing .003
+BESIDES = 2.0, 1.0  # time in transforms: to measure a contact's area and line; to make heights
+SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with a surface each (README: two, 1.59/2)
 THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
@@ -42,23 +42,23 @@ LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.8, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
 SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
-OPEN_AREA = 0.45  # with open boundaries where it is not known: between areas that need little memory and most
-TABLE_BYTES = 8.0  # per quarter of the torus' modes: their compliance
-# Of `explored`: most points along a side and number of its contacts; most points of a file that it reads.
+OPEN_AREA = 0.45  # assumed with open boundaries where it is not known: between areas that need least memory and most
+TABLE_BYTES = 8.0  # per mode in a quarter of the torus: the compliance
+# Of `explored`: most points along a side, most contacts, most points of a file that it reads.
 COARSE, MOST_LOADS, MOST_POINTS = 128, 16, 2**24
 # A contact that is solved on a rectangle: bytes per point of the patch, of the rectangle; transforms for the rest.
 WHOLE_BYTES, RECTANGLE_BYTES, OUTSIDE = 27.0, (55.0, 16.0), 2.0
-RETURNED = 2**25  # bytes of an array from which its memory is returned to the system, not kept for the next (glibc)
+RETURNED = 2**25  # bytes of an array from which glibc returns its memory to the system, not to the next array
 MEASURING_BYTES = 38.0  # per point, before a contact is solved: heights, their slopes, strips
-WORTH = 0.5  # largest part of the patch that is solved in its place (`solvers.active_set.cropping`)
-PADDED = 1.1  # strips of patch and mesh in single precision, and what whole runs need besides, over padded strips
+WORTH = 0.5  # largest part of the patch to which a solve is restricted (`solvers.active_set.cropping`)
+PADDED = 1.1  # memory of strips of patch and mesh in single precision, as measured on whole runs, over padded strips
 SEARCH_BYTES = 5.0  # per point, where the load is not given: a mask, and the pressure that starts the next solution
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Bytes at the peak of the rank that needs most, as the system counts them: pages that ranks share count for each;
-    of the node that needs most, where they count once; bytes of all files, seconds of the whole run.
+    """memory: peak RSS of the largest rank, in which shared pages count for each rank; node: bytes on the fullest node,
+    in which they count once; files: bytes of all files; seconds: of the whole run.
     """
 
     memory: float
@@ -68,8 +68,8 @@ class Estimate:
 
 
 class Reach(NamedTuple):
-    """The relative area of a contact, the part of the patch on which it is solved, and bytes per point for the torus of
-    the gap outside.
+    """Of a contact: its relative area, the part of the patch on which it is solved, and the bytes per point of the
+    torus for the gap outside that part.
     """
 
     area: float
@@ -79,7 +79,7 @@ class Reach(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """A job, and how far its contacts reach, if `explored` has found that."""
+    """A job, and the reach of its contacts, if `explored` has found it."""
 
     job: Job
     reaches: tuple[Reach, ...] = ()
@@ -121,11 +121,11 @@ class Plan:
         )
 
     def _memory(self, ranks: int, here: int, gathered: int) -> tuple[float, float]:
-        """Bytes for one surface, of the rank and of the node that need most: while it is solved and measured, or
-        written, when one rank has `gathered` bytes.  here: ranks of a node.
+        """Bytes for one surface, of the rank and of the node that need most, while it is solved and measured, or
+        written, when one rank holds `gathered` bytes.  here: ranks of a node.
 
-        Blocked transforms: of the strips of its node a rank sees its own and its rows of the others; on several nodes,
-        one strip for each of these, and its own rows, packed.
+        Of the shared strips of blocked transforms, a rank touches its own and its rows of the others on its node; with
+        several nodes, also a strip for each of these, and its own rows, packed.
         """
         job = self.job
         nodes = -(-ranks // here)
@@ -140,8 +140,8 @@ class Plan:
         return rank, node
 
     def rank_groups(self, ranks: int, room: float = math.inf) -> int:
-        """Into how many groups ranks are divided, each of which takes one surface at a time: 1 if there is only one;
-        for an ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
+        """Number of groups of ranks, each of which takes one surface at a time: 1 if there is one surface; for an
+        ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
 
         A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as its slabs have `LEAST_SLAB`
         points.
@@ -164,9 +164,7 @@ class Plan:
         return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
 
     def bytes_per_point(self, slabs: int = 1) -> float:
-        """Bytes per grid point at the peak, while a load is solved or an observable measured, of the fullest of so many
-        slabs.
-        """
+        """Bytes per grid point at the peak of solving and measuring, on the fullest of so many slabs."""
         job = self.job
         costs = self.solving_costs(slabs) + self.measuring_costs()
         searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
@@ -187,12 +185,12 @@ class Plan:
         job = self.job
         method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
         slope, cell = job.surface.whole.known_slope() or 0.0, job.cell
-        # rms slope times spacing and length bound the rms height of what has mean 0
+        # slope × spacing and slope × length bound the rms height of a surface with mean 0
         moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
         scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
         single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
         effort = job.wall.newton_effort if method == "newton" else job.wall.effort
-        most = 1.0 if cell.domain.wraps else GAPS_FROM  # there pressures are the unknowns at any area
+        most = 1.0 if cell.domain.wraps else GAPS_FROM  # open: pressures are the unknowns at any area
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
         arrays = Arrays(scaled, single, strips)
         costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in self.contact_areas()]
@@ -203,7 +201,7 @@ class Plan:
         return costs
 
     def measuring_costs(self) -> list[Cost]:
-        """What the observables that are asked for cost, for one load."""
+        """Cost of each observable of the job, for one load."""
         job = self.job
         return [observable.cost(job.cell, job.surface.whole.cutoff(job.grid)) for observable in job.output.asked]
 
@@ -250,9 +248,7 @@ class Plan:
         return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
 
     def shortage(self, ranks: int, here: int) -> str:
-        """What happens if the memory that `here` of the ranks share on this machine is too small for their strips,
-        else "".
-        """
+        """A warning if this machine has too little shared memory for the strips of `here` of the ranks, else ""."""
         job = self.job
         groups = self.rank_groups(ranks)
         points = math.prod(job.cell.n) * here / ranks * groups
@@ -266,14 +262,14 @@ class Plan:
 
 
 def explored(job: Job) -> Plan:
-    """The plan of a job.  On an open patch whose surface does not tell its slope it knows how far contacts reach, from
-    the same loads, or some of them, on few points; else estimates take `OPEN_AREA` there.
+    """The plan of a job.  For hard contacts on an open patch whose slope is not known, some loads are solved on few
+    points to find their reach; where that is not possible, estimates assume `OPEN_AREA`.
     """
     hard = job.wall.kind == "hard" and job.solid.only_inwards and job.imposed.control == "pressure"
     if job.cell.domain.wraps or job.surface.whole.known_slope() is not None or not hard:
         return Plan(job)
     before = logging.root.manager.disable
-    logging.disable()  # what heights are warned of, the run says
+    logging.disable()  # warnings about the heights are for the run
     try:
         with suppress(InputError, SolverError):
             return Plan(job, _reached(job))
@@ -283,7 +279,7 @@ def explored(job: Job) -> Plan:
 
 
 def _reached(job: Job) -> tuple[Reach, ...]:
-    """Raises InputError or SolverError if that is not known."""
+    """The reach of some loads of a job.  Raises InputError or SolverError if it cannot be found."""
     from pgfmd.grid.slab_grid import SlabGrid  # compiles loops
     from pgfmd.parallel.mpi import MPI
     from pgfmd.physics.problem import ContactProblem
@@ -317,8 +313,8 @@ def _reached(job: Job) -> tuple[Reach, ...]:
 def peak(shares: list[int], per_point: float) -> float:
     """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
 
-    per_point: bytes per point of the grid that is solved or measured.  Finer grids keep `WAITING_BYTES` per point.  A
-    coarser grid can be the worst: fewer ranks hold it, with larger shares.
+    per_point: bytes per point of the grid that is solved or measured; finer grids keep `WAITING_BYTES` per point
+    meanwhile.  A coarser grid can be the worst: fewer ranks hold it, with larger shares.
     """
     return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
 

@@ -25,7 +25,6 @@ from pgfmd.errors import InputError
 
 LARGEST = 2**32 - 4  # bytes of a variable of a NetCDF 3 file with 64-bit offsets
 ASCII = {"µ": "u", "\u03bc": "u", "Å": "A", "\u212b": "A"}  # NetCDF 3 has no other letters
-FORMATS = ("nc", "x3p")
 
 
 def export(results: Results, folder: str | os.PathLike, form: str = "nc") -> list[Path]:
@@ -35,7 +34,7 @@ def export(results: Results, folder: str | os.PathLike, form: str = "nc") -> lis
     InputError if the fields that are needed were not written, or are too large for the format.
     """
     needed = {"nc": ("pressure", "gap"), "x3p": ()}[form] if len(results) else ()
-    missing = [name for name in ("height",) if name not in results.fields()]
+    missing = [] if "height" in results.fields() else ["height"]
     missing += [name for name in needed if name not in results.fields(0)]
     if missing:
         raise InputError(f"{results.directory}: has no field {', '.join(missing)}: write it (fields under [output])")
@@ -60,7 +59,7 @@ def export(results: Results, folder: str | os.PathLike, form: str = "nc") -> lis
 
 
 def _contents(load: LoadResults, job: Job) -> tuple[dict[str, tuple[np.ndarray, str, str]], dict[str, Any]]:
-    """The variables of a load but the heights, name → (values, unit, meaning), and its numbers, under the names of
+    """The variables of a load except the heights, name → (values, unit, meaning), and its numbers, under the names of
     contact.engineering where it has one.
     """
     heights, pressure, gap = (load.field(name).astype(np.float64) for name in ("height", "pressure", "gap"))
@@ -98,7 +97,7 @@ def _contents(load: LoadResults, job: Job) -> tuple[dict[str, tuple[np.ndarray, 
 
 
 def _write(path: Path, results: Results, fields: Mapping[str, tuple], attributes: Mapping[str, Any]) -> None:
-    """One NetCDF file, written beside its place, then renamed."""
+    """Write one NetCDF file beside its place, and rename it."""
     from scipy.io import netcdf_file
 
     unit, boundary = results.job["output"]["length_unit"], results.job["grid"].get("boundary", "periodic")

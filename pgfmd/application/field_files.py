@@ -1,10 +1,10 @@
-"""The fields of a run: files with the heights and the fields of each load, and small files that show them together.
+"""The fields of a run: a file for the heights and one for each load, and small files that show them together.
 
     fields/height.h5, fields/load_0000.h5, …    written by all ranks, each in one piece on the disk
     fields.h5       height (x, y); pressure, gap, … of all loads (load, x, y); load_0000/pressure, … (x, y) of each
     fields.vtkhdf   the same for ParaView and VTK: one image, the loads as its time steps
 
-The last two have virtual datasets (HDF5 1.10), which refer to the files of fields without a copy of the numbers; these
+The last two have virtual datasets (HDF5 1.10), which refer to the files in fields/ and copy no numbers; so these files
 must stay where they are.  A missing file reads as NaN, or −1 for integers.
 """
 
@@ -39,9 +39,8 @@ Links = dict[str, tuple[str, str]]
 class FieldFiles:
     """The fields of one run.
 
-    directory: the result folder; folder: the one in it for fields; provenance: makes the attributes of a file's root,
-    rank 0 calls it
-    links: the fields that are there
+    directory: the result folder; folder: name of the one in it for fields; provenance: returns the attributes of a
+    file's root, on rank 0; links: the fields that have been written.
     """
 
     def __init__(
@@ -55,7 +54,7 @@ class FieldFiles:
         """Write NAME.h5 with this rank's slabs (nx_local, ny) of `fields`, whose names are the same on all ranks.
         Collective.
 
-        show: whether fields.h5 shows the fields of this run, no longer those of replaced results.
+        show: whether to update fields.h5 now; False while superseded results are live.
         Raises ValueError for a slab of another shape, OSError if the file cannot be written, on all ranks.
         """
         form = self.form
@@ -93,8 +92,8 @@ class FieldFiles:
             from_root(self.comm, self.write_views)
 
     def _stored(self, name: str, local: np.ndarray) -> np.dtype:
-        """The type of a field in the file: the job's precision for real fields, or double where values would overflow
-        or underflow in that.  Collective.
+        """The type of a field in the file: the job's precision for real fields, or double if values would overflow or
+        underflow in it.  Collective.
         """
         if not np.issubdtype(local.dtype, np.floating):
             return local.dtype
@@ -109,7 +108,7 @@ class FieldFiles:
     # Rank 0.
 
     def begin(self) -> None:
-        """Make the folder; remove what interrupted runs left in it, and fields that belong to no results."""
+        """Make the folder; remove the drafts of interrupted runs, and all fields if no results link to any."""
         for draft in (self.directory / self.folder).glob(".*.h5.tmp"):
             draft.unlink(missing_ok=True)
         if not self.links:
@@ -138,7 +137,7 @@ class FieldFiles:
         _remove(self.directory / self.folder, and_checkpoint)
 
     def remove_replaced(self) -> None:
-        """Remove the fields of replaced results, which are in the other folder, and what shows them."""
+        """Remove the fields of replaced results, which are in the other folder, and the views of them."""
         self.remove_views()
         for folder in set(restart.FIELDS_FOLDERS) - {self.folder}:
             _remove(self.directory / folder, and_checkpoint=True)
@@ -159,7 +158,7 @@ def _remove(folder: Path, and_checkpoint: bool) -> None:
 
 @dataclass(frozen=True)
 class Shown:
-    """A dataset in a file of fields: the path of the file from the result folder, type, and what it says of itself."""
+    """A dataset in a file of fields: the path of the file from the result folder, name, type and attributes."""
 
     file: str
     dataset: str
@@ -177,8 +176,8 @@ def described(directory: Path, file: str, dataset: str) -> Shown:
 
 @dataclass(frozen=True)
 class View:
-    """What the files show: shape (nx, ny) and lengths of the grid, their unit, and the fields by name: "height", or
-    "load_0000/pressure".
+    """The content of fields.h5 and fields.vtkhdf: shape (nx, ny) and lengths of the grid, their unit, and the fields by
+    name, "height" or "load_0000/pressure".
     """
 
     shape: tuple[int, int]
@@ -198,7 +197,7 @@ class View:
         return {name: [self.fields.get(f"{load_name(number)}/{name}") for number in self.numbers] for name in names}
 
     def write_netcdf(self, file: h5py.File) -> None:
-        """Fill fields.h5, which readers of netCDF-4, xarray among them, understand: all axes have coordinates."""
+        """Fill fields.h5.  All axes have coordinates, so that it is netCDF-4, which xarray reads."""
         add_grid_axes(file, self.shape, self.lengths, self.length_unit)
         if self.numbers:
             file["load"] = np.array(self.numbers)
@@ -232,7 +231,7 @@ class View:
                 steps[f"PointDataOffsets/{name}"] = np.arange(count)
 
     def _virtual(self, group: h5py.Group, name: str, several: Sequence[Shown | None], first: tuple[int, ...]) -> None:
-        """A virtual dataset of shape (*first, nx, ny) of as many fields."""
+        """A virtual dataset of shape (*first, nx, ny) of the fields; first: (their number,) or ()."""
         known = next(shown for shown in several if shown is not None)
         layout = h5py.VirtualLayout((*first, *self.shape), known.dtype)
         for number, shown in enumerate(several):

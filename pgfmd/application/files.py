@@ -1,8 +1,8 @@
 """The files of a result folder: their names, how they are replaced, their checksums, and who may write there.  No MPI.
 
 One rule for every file: it is written beside the old one as .NAME.tmp, synced, and renamed.  So each is whole at every
-instant.  SHA256SUMS lists checksums of the files, which `sha256sum -c` reads.  A file of fields above `LARGEST_LISTED`
-bytes is not in that list: it holds the checksum of each row of its fields, which the rank that has the row computes.
+instant.  SHA256SUMS lists checksums of the files, for `sha256sum -c`.  A file of fields above `LARGEST_LISTED` bytes is
+not in that list: it holds checksums of the rows of its fields, each computed by the rank that has the row.
 """
 
 from __future__ import annotations
@@ -33,23 +33,22 @@ FORMAT_VERSION = 4  # how earlier ones differ: see `results.modern`
 LIBVER = ("v108", "v110")
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
-VTK_FILE = "fields.vtkhdf"  # fields.h5 for ParaView; see `field_files`
+VTK_FILE = "fields.vtkhdf"  # the same as fields.h5, for ParaView; see `field_files`
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `loads`
 ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 SUMS_FILE = "SHA256SUMS"
-LARGEST_LISTED = 2**26  # bytes of a file of fields that rank 0 reads and hashes alone: 30 ms at 2 GB/s
+LARGEST_LISTED = 2**26  # bytes of a file of fields up to which rank 0 reads and hashes it alone: 30 ms at 2 GB/s
 ROW_SUMS = "_sha256"  # NAME_sha256, (nx, 32) bytes, holds the checksums of the rows of the field NAME
 BLOCK_BYTES = 2**24  # written, or read to be checked, at once
 MISSING = -1  # a whole number of the table of loads that is not known; a real one is NaN
 LOCK_NAME = ".pgfmd.lock"
-PAUSE = 0.05  # seconds before a lock is asked for again: `holder` has it for a moment
+PAUSE = 0.05  # seconds before a lock is tried again: `holder` holds it for a moment
 
 
 @dataclass(frozen=True)
 class Form:
-    """What the files of one run depend on: shape (nx, ny) and lengths (lx, ly) of the global grid, the slice of rows
-    that this rank holds, the precision of real fields in the file, names of units, the groups of a load, and hints
-    for MPI-IO.
+    """Layout of the files of one run: shape (nx, ny) and lengths (lx, ly) of the global grid, slice of rows of this
+    rank, precision of real fields, names of units, groups of a load, and hints for MPI-IO.
     """
 
     shape: tuple[int, int]
@@ -83,12 +82,12 @@ def member_name(seed: int) -> str:
 
 
 def temporary(path: Path) -> Path:
-    """Where the next version of `path` is written: always the same name, so that none pile up."""
+    """Where the next version of `path` is written: one name, so that drafts do not pile up."""
     return path.with_name(f".{path.name}.tmp")
 
 
 def commit(path: Path, sync: bool = True) -> None:
-    """Rename the finished temporary file of `path` to `path`; the file is synced before, the folder after, if asked."""
+    """Rename the finished temporary file of `path` to `path`; sync: the file before, and the folder after."""
     if sync:
         _sync(temporary(path))
     os.replace(temporary(path), path)
@@ -129,7 +128,7 @@ def create(path: Path, fill: Change, blank: bytes = b"", sync: bool = True) -> N
 
 
 def _fill(path: Path, begun: bytes, change: Change, sync: bool) -> None:
-    """The work is done in memory, since HDF5 crashes when a disk is full."""
+    """Replace a file by one that `change` makes from the bytes `begun`, in memory: HDF5 crashes when a disk is full."""
     content = io.BytesIO(begun)
     with h5py.File(content, "r+" if begun else "w", libver=LIBVER) as file:
         change(file)
@@ -139,7 +138,7 @@ def _fill(path: Path, begun: bytes, change: Change, sync: bool) -> None:
 class Sums:
     """SHA256SUMS of a result folder.  Rank 0.
 
-    A file's line goes before the file changes and comes back after it, so that every line is true whenever a run ends.
+    The line of a file is removed before the file changes, and written after: so every line is true at every instant.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -190,7 +189,7 @@ def row_sums(rows: np.ndarray) -> np.ndarray:
 
 
 def rows_are_right(path: Path) -> bool | None:
-    """Whether the fields in a file have the checksums that the file holds of their rows; None if it holds none."""
+    """Whether the rows of the fields in a file have the checksums that it holds of them; None if it holds none."""
     try:
         fields = _summed_fields(path)
         with h5py.File(path, "r", locking=False) as file:
@@ -224,7 +223,7 @@ def named(path: Path) -> Iterator[None]:
 
 
 def reserve(path: Path, size: int) -> None:
-    """Make a file of `size` bytes whose space on the disk is taken; raises OSError if less is free."""
+    """Make a file of `size` bytes with its space on the disk allocated; raises OSError if less is free."""
     folder = path.parent
     try:
         with open(path, "wb") as file:
@@ -243,7 +242,7 @@ def _sync(path: Path) -> None:
     try:
         os.fsync(handle)
     except OSError as error:
-        if error.errno != errno.EINVAL:  # file systems that cannot sync a folder say so this way
+        if error.errno != errno.EINVAL:  # of file systems that cannot sync a folder
             raise
     finally:
         os.close(handle)

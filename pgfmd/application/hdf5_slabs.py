@@ -1,5 +1,5 @@
-"""Distributed fields in one HDF5 file, written by all ranks: by HDF5 where h5py has MPI, else each rank writes
-its rows at their offset, since HDF5 stores a contiguous dataset as plain numbers.  The bytes are the same.
+"""Distributed fields in one HDF5 file, written by all ranks.  HDF5 writes if h5py has MPI; else each rank writes its
+rows at their offset, since HDF5 stores a contiguous dataset as plain numbers.  The bytes are the same.
 
 Every rank holds at least one row: an empty selection in a collective write hangs (h5py issue 965).
 """
@@ -25,13 +25,13 @@ from pgfmd.parallel.mpi import MPI
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer, WriteableBuffer
 
-COLLECTIVE_BYTES = 2**30  # of one rank in one collective write; MPI-IO counts overflow from 2 GiB
+COLLECTIVE_BYTES = 2**30  # most of one rank in one collective write: counts of MPI-IO overflow at 2 GiB
 METADATA_BYTES = 2**16  # more than HDF5 needs for metadata
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """Who writes, and how: this rank of `comm` holds the global `rows`; hints, each "name=value", are for MPI-IO."""
+    """The ranks that write: this one of `comm` holds the global `rows`; hints, each "name=value", are for MPI-IO."""
 
     comm: MPI.Comm
     rows: slice
@@ -39,7 +39,7 @@ class Ranks:
 
     @contextmanager
     def info(self) -> Iterator[MPI.Info]:
-        """The hints, as MPI takes them, until the end of the block."""
+        """The hints as an MPI.Info, freed at the end of the block."""
         info = MPI.Info.Create(dict(hint.split("=", 1) for hint in self.hints))
         try:
             yield info
@@ -49,7 +49,7 @@ class Ranks:
 
 @dataclass(frozen=True)
 class Field:
-    """This rank's slab of a field, shape (rows, ny), and the type it has in the file."""
+    """This rank's slab of a field, shape (rows, ny), and its type in the file."""
 
     local: np.ndarray
     dtype: np.dtype
@@ -83,7 +83,7 @@ def version() -> str:
 
 
 def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np.dtype) -> h5py.Dataset:
-    """A contiguous dataset, whose space in the file is allocated at once and not filled."""
+    """A contiguous dataset; its space in the file is allocated at once, and not filled."""
     layout = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     layout.set_layout(h5py.h5d.CONTIGUOUS)
     layout.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -96,9 +96,9 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
 def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create) -> None:
     """Write a file of `fields` beside `path`, then rename it; after a failure it is removed.  Collective.
 
-    create(file, name) makes the dataset of a field by `create_dataset`; rank 0 calls it.  HDF5 crashes or hangs when a
-    disk is full; so the space of the whole file is reserved before HDF5 writes.  An error on one rank is raised on all
-    of them; OSError if the disk is full.
+    create(file, name) makes the dataset of a field by `create_dataset`, on rank 0.  HDF5 crashes or hangs when a disk
+    is full; so the space of the whole file is reserved before HDF5 writes.  All ranks raise an error of one; OSError if
+    the disk is full.
     """
     draft, comm = files.temporary(path), ranks.comm
     count = comm.allreduce(ranks.rows.stop - ranks.rows.start)
@@ -119,7 +119,7 @@ def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Creat
 
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, int]:
-    """Reserve space and write the file without the numbers; returns at which byte each field begins.  Rank 0."""
+    """Reserve space and write the file without the numbers; returns the offset of each field in bytes.  Rank 0."""
     files.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
         target = _ReservedFile(raw)
@@ -130,10 +130,10 @@ def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[st
 
 
 class _ReservedFile(io.RawIOBase):
-    """A file with reserved space, which HDF5 sees as one of `size` bytes: 0 at first, then what HDF5 has written.
+    """A file with reserved space, which HDF5 sees as empty at first, then with the `size` that HDF5 has written.
 
-    If HDF5 opened the file by its name, it would truncate it and so give the space back.  Where 4 to 64 kB are then
-    left on the disk, HDF5 1.10 and 1.14 end the process by SIGSEGV when they close the file.
+    If HDF5 opened the file by its name, it would truncate it, and free the space.  If 4 to 64 kB were then left on the
+    disk, HDF5 1.10 and 1.14 would end the process by SIGSEGV when they close the file.
     """
 
     def __init__(self, raw: io.FileIO):
@@ -161,9 +161,9 @@ class _ReservedFile(io.RawIOBase):
 
 
 def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
-    """The ranks write their rows by collective HDF5 calls; an error of one rank is raised on all.  Collective."""
+    """Write by collective HDF5 calls; all ranks raise an error of one.  Collective."""
     comm, rows = ranks.comm, ranks.rows
-    with raise_together(comm), ranks.info() as info:  # HDF5 keeps copies
+    with raise_together(comm), ranks.info() as info:  # HDF5 copies them
         file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=files.LIBVER)
     try:
         for name, field in fields.items():
@@ -173,13 +173,13 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
             pieces = -(-comm.allreduce(count, MPI.MAX) * field.row_bytes // COLLECTIVE_BYTES)
             for number in range(pieces):
                 part = slab(count, pieces, number)
-                if part.start == part.stop:  # fewer rows than pieces here: write the last one once more
+                if part.start == part.stop:  # fewer rows than pieces: write the last one again
                     part = slice(count - 1, count)
                 with raise_together(comm):  # all have their numbers before any of them enters the write
                     block = field.block(part)
                 with raise_together(comm), dataset.collective:
                     dataset[rows.start + part.start : rows.start + part.stop] = block
-    except Exception:  # of all ranks; what one rank alone raises must not wait for the others in a collective close
+    except Exception:  # all ranks raise it; an interrupt of one alone must not block in the collective close
         with raise_together(comm):
             file.close()
         raise

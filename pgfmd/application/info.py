@@ -1,4 +1,4 @@
-"""What `pgfmd info` prints of result folders and ensembles: summaries, CSV, JSON, damage; and `pgfmd cite`."""
+"""What `pgfmd info` prints about result folders and ensembles: summaries, CSV, JSON, damage; and `pgfmd cite`."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from pgfmd.options.text import assignments, counted
 
 
 def damage(results: Results) -> dict[Path, str]:
-    """What is wrong with each damaged file of the results, in words.  Reads all files.
+    """Each damaged file of the results, with its fault in words.  Reads all files.
 
-    The heights, which are written before the first load, may be missing as long as there is none.
+    The heights, which are written before the first load, may be missing if no load was completed.
     """
     small = (results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE))
     needed = [results.field_file(load_name(index)) for index in range(len(results)) if results.fields(index)]
@@ -49,7 +49,7 @@ def damage(results: Results) -> dict[Path, str]:
 
 
 def _fault(path: Path, expected: str | None) -> str | None:
-    """What is wrong with a file whose checksum should be `expected`; None: it holds those of its rows."""
+    """The fault of a file, None if it has none.  expected: its checksum; None: it holds those of its rows."""
     if not path.exists():
         return "it is missing"
     right = rows_are_right(path) if expected is None else sha256(path) == expected
@@ -59,8 +59,8 @@ def _fault(path: Path, expected: str | None) -> str | None:
 
 
 def as_csv(results: Results | Runs) -> str:
-    """The table of loads as CSV in full precision: a line of names, then a line for each load, with measured errors.
-    The tables of several runs are joined; their first column is the folder's name.
+    """The table of loads as CSV in full precision, with measured errors: a line of names, then one for each load.
+    Tables of several runs are joined; their first column is the folder's name.
     """
     rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
     if isinstance(results, Runs):
@@ -83,9 +83,7 @@ def known(value: Any) -> Any:
 
 
 def as_json(results: Results) -> str:
-    """What was run, where, how far, and the rows of the table of loads; null for what was not measured or is not
-    finite.
-    """
+    """Status, provenance, job and the rows of the table of loads; null for what was not measured or is not finite."""
     about = {
         "folder": str(results.directory),
         "status": results.status,
@@ -99,7 +97,7 @@ def as_json(results: Results) -> str:
 
 
 def summary(results: Results) -> str:
-    """What was run, how, how far, and the table of loads."""
+    """Status, job, provenance and the table of loads as text."""
     about, asked, job = results.provenance, results.provenance.get("loads_requested", 0), results.job
     lines = {
         "folder": str(results.directory),
@@ -119,7 +117,7 @@ def summary(results: Results) -> str:
 
 
 def summary_of_ensemble(several: Ensemble) -> str:
-    """What was run, how far it is, and the means over the seeds."""
+    """Status, provenance and the means over the seeds as text."""
     complete = sum(run.status == "complete" for run in several.runs)
     lines = {
         "folder": str(several.directory),
@@ -147,7 +145,7 @@ def _listed(lines: Mapping[str, str]) -> str:
 
 
 def cited(job: Mapping[str, Any]) -> list[str]:
-    """Keys of the entries for the methods and observables of a job, given as nested tables."""
+    """Keys of the BibTeX entries for the methods and observables of a job, given as nested tables."""
     observables = job["output"].get("observables", [])
     method, wall = job["solver"].get("method", "auto"), job.get("wall", {}).get("kind", "hard")
     used = {
@@ -164,7 +162,7 @@ def cited(job: Mapping[str, Any]) -> list[str]:
 
 
 def bibtex(results: Results) -> str:
-    """BibTeX of the version that ran, and of the sources of what its job used."""
+    """BibTeX entries: the version that ran, and the sources of the methods of its job."""
     about, entries = results.provenance, _entries()
     version = f"  version = {{{about.get('softwareVersion', __version__)}, commit {about.get('commit', 'unknown')}}},"
     entries["pgfmd"] = entries["pgfmd"].removesuffix("}") + version + "\n}"

@@ -88,7 +88,7 @@ class Written(Section):
     )
     pressure_unit: str = key(text(), "pressure", "label")
 
-    def __reduce__(self) -> tuple:  # to other ranks, where the class is made again
+    def __reduce__(self) -> tuple:  # pickled for other ranks, which make the class again
         return _output, ({field.name: getattr(self, field.name) for field in dataclasses.fields(self)},)
 
     def check(self) -> None:
@@ -104,7 +104,7 @@ class Written(Section):
 
     @property
     def idle(self) -> list[str]:
-        """A line for each table of an observable that is not listed."""
+        """A warning for each table [output.NAME] that changes an observable which is not listed."""
         names = [each.name for each in dataclasses.fields(self) if each.name in OBSERVABLES.keys() - self.observables]
         given = [name for name in names if getattr(self, name) != OBSERVABLES[name]()]
         return [f"output.{name}: has no effect, as output.observables does not list {name}" for name in given]
@@ -121,7 +121,7 @@ def _output(values: dict[str, Any]) -> Written:
 
 
 def output_section() -> type[Written]:
-    """The section [output]: `Written`, with the observables that there are, and a table [output.NAME] for each."""
+    """The section [output]: `Written` with all observables, plugins' included, and a table [output.NAME] for each."""
     return _output_section(tuple(OBSERVABLES.items()))
 
 
@@ -169,7 +169,8 @@ class Job:
         self.solver.check_domain(self.wall, self.solid, self.grid.domain)
 
     def _of_attraction(self) -> None:
-        """What walls that attract ask of the output: columns of their own, no observable that knows hard walls only."""
+        """For a wall that attracts: adds its columns to the output, and refuses observables that assume none attracts.
+        """
         kind = show(self.wall.kind)
         for observable in self.output.asked:
             if not observable.attraction:
@@ -182,13 +183,13 @@ class Job:
             names = (*self.output.observables, name)
             object.__setattr__(self, "output", dataclasses.replace(self.output, observables=names))
 
-    def __reduce__(self) -> tuple:  # to other ranks, which need the plugins before the objects that are made of them
+    def __reduce__(self) -> tuple:  # pickled for other ranks, which load plugins before objects of their classes
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return _job, (values.pop("plugins"), pickle.dumps(values))
 
     @property
     def imposed(self) -> Load:
-        """What is imposed, forces as mean pressures."""
+        """The load, with forces converted to mean pressures."""
         return self.load.in_pressure(self.grid.lengths)
 
     @property
@@ -230,8 +231,8 @@ SECTIONS = {kind.where: kind for kind in _SECTIONS}
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:
     """The job in the TOML file `path`, changed by `overrides` ("section.key=value"); raises InputError.
 
-    The relative path of a file counts from the TOML file's folder, in an override from the working directory; the file
-    must exist.
+    Relative paths count from the folder of the TOML file, in overrides from the working directory; the files must
+    exist.
     """
     name = os.fspath(path)
     try:
@@ -250,7 +251,7 @@ def parse(
     """The job in a TOML text; `name`: of the file, for messages.
 
     If `folder` is given, relative paths count from it, files must exist, and points, size and unit that the job leaves
-    out are those of its file of heights.  The job of results says all of them: no file is opened for it.
+    out are read from its file of heights.  Without `folder` no file is opened: the job of results says all of them.
     """
     try:
         document = tomllib.loads(source)
@@ -297,7 +298,7 @@ NEEDED = {
 
 
 def _load_plugins(paths: Any) -> tuple[Plugin, ...]:
-    """Register what the files of the key `plugins` define; raises InputError."""
+    """Load the files of the key `plugins`, and register their classes; raises InputError."""
     try:
         loaded = tuple(map(user_plugins.read, PLUGINS.convert(paths)))
     except ValueError as error:
@@ -328,8 +329,8 @@ def _change(entry: str) -> tuple[str, Any, str]:
 
 
 def _make_way(document: dict, changes: Mapping[str, Any]) -> None:
-    """Remove from the document what changes replace: keys that the new kind of a section does not have, and what was
-    imposed if something else is to be.
+    """Remove from the document what changes replace: keys that the new kind of a section does not have, and the imposed
+    quantity if another is imposed.
     """
     for dotted, value in changes.items():
         section, _, name = dotted.partition(".")
@@ -367,8 +368,8 @@ def _anchor(document: dict, folder: str) -> None:
 
 
 def _complete(document: dict) -> None:
-    """Put points, size and unit of the file of heights into the document where it does not say them.  Raises InputError
-    if a file is missing, or that of heights cannot be read.
+    """Add points, size and unit of the file of heights to the document if it does not say them.  Raises InputError if a
+    file is missing, or that of heights cannot be read.
     """
     for section, table in document.items():
         if section in SECTIONS and isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
@@ -378,7 +379,7 @@ def _complete(document: dict) -> None:
     table = document.get("surface")
     grid, output = document.get("grid", {}), document.get("output", {})
     if not (isinstance(table, dict) and isinstance(grid, dict) and isinstance(output, dict)):
-        return  # `build` says so
+        return  # `build` raises the error
     sized, unit = {"length", "spacing"} & grid.keys(), output.get("length_unit", NO_UNIT)
     if "path" not in table or sized and "n" in grid and unit != NO_UNIT:
         return
@@ -415,7 +416,7 @@ def tables_as_toml(job: Mapping[str, Any]) -> str:
 
 
 def differences(before: Job, after: Job) -> list[str]:
-    """What distinguishes two jobs, as "section.key: old → new".  [run] does not count: it does not change results."""
+    """The keys in which two jobs differ, as "section.key: old → new"; without [run], which does not change results."""
     old, new = _flat(before), _flat(after)
     return [
         f"{name}: {show(old.get(name, 'not given'))} → {show(new.get(name, 'not given'))}"

@@ -1,4 +1,4 @@
-"""The loads of a run, one after another: solved, with progress, checkpoints and stops between steps, and written.
+"""The loads of a run, one after another: solving, with progress, checkpoints and stops between steps, and writing.
 
 A checkpoint, fields/checkpoint.h5, holds the latest pressure (nx, ny) of a load that is not solved yet, its index and
 the effective job.  Any number of ranks reads it.  A damaged one only costs time: every solver certifies its result.
@@ -38,14 +38,14 @@ from pgfmd.solvers.load_control import load_control
 from pgfmd.solvers.solution import ContactSolution, SolverState
 
 log = logging.getLogger("pgfmd")
-ROUNDING = 1e-9  # relative difference of sums over 2⁵⁰ points on different rank counts is far smaller
+ROUNDING = 1e-9  # relative; sums over 2⁵⁰ points on different rank counts differ by far less
 
 
 class Checkpoints:
     """The checkpoint in a folder of fields.  Every method is collective.
 
-    rows: slice of the global rows of the grid of that `shape` (nx, ny) which this rank holds.  job: a text that is the
-    same for the same job; checkpoints of another job are ignored.  hints: for MPI-IO, each "name=value".
+    shape: (nx, ny) of the grid; rows: slice of its rows that this rank holds; job: a text that identifies the job, as
+    checkpoints of others are ignored; hints: for MPI-IO, each "name=value".
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Checkpoints:
         )
 
     def load(self, index: int) -> np.ndarray | None:
-        """The pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if none is saved, or a damaged one.
+        """The pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if none is saved, or it is damaged.
         Collective.
         """
         total = from_root(self.comm, self._total_of, index)
@@ -102,11 +102,11 @@ class Checkpoints:
         from_root(self.comm, self._remove)
 
     def _total(self, pressure: np.ndarray) -> float:
-        """Σ |p| over all points, to twelve digits, which do not depend on the ranks.  Collective."""
+        """Σ |p| over all points to twelve digits, which hardly depend on the number of ranks.  Collective."""
         return float(f"{Reduction(self.comm).sum(np.abs(pressure)):.11e}")
 
     def _total_of(self, index: int) -> float | None:
-        """Σ |p| that the checkpoint says, if it is one of that load of this job.  Rank 0."""
+        """Σ |p| as the checkpoint gives it; None unless it is of that load of this job.  Rank 0."""
         if not self.path.exists():
             return None
         try:
@@ -125,8 +125,8 @@ class Checkpoints:
 class Loads:
     """The loads of a job on one surface.  Every method is collective.
 
-    targets: in the units that are imposed.  pending: numbers of the loads that are still to be solved.
-    unreachable: why loads have no solution, by number.
+    targets: values of the imposed quantity; pending: indices of the loads that are still to be solved; unreachable:
+    index of a load without a solution → the error that says why.
     """
 
     def __init__(
@@ -149,8 +149,8 @@ class Loads:
     def refuse_impossible(self, alone: bool) -> None:
         """Find targets that are wrong input on this surface.
 
-        For a surface that is `alone`, or without another target, raises InputError.  A seed of an ensemble solves the
-        others, so that no load's mean lacks a seed that can reach it.
+        Raises InputError if the run is `alone`, or no other target is left.  A seed of an ensemble solves the others,
+        so that each load's mean has all seeds that can reach it.
         """
         refused: dict[int, Exception] = {}
         for index, target in enumerate(self.targets):
@@ -198,7 +198,7 @@ class Loads:
             self.progress.hide()
 
     def write(self, index: int, contact: Contact, row: Mapping[str, float], groups: Groups) -> None:
-        """Write what was measured on a load, and say so."""
+        """Write the measurements of a load and its fields, and log a line."""
         output = self.job.output
         if self.job.surface.whole.cut_out:
             contact.warn_at_border()
@@ -235,8 +235,8 @@ class Loads:
         return solve_contact(problem, options, start, partial(self._see, problem))
 
     def _see(self, problem: ContactProblem, grid: SlabGrid, state: SolverState) -> None:
-        """The monitor of a solver: called after each step, on the job's grid or a coarser one.  Collective over the
-        ranks that hold `grid`.
+        """Monitor of a solver: called after each step, on the job's grid or a coarser one.  Collective over the ranks
+        that hold `grid`.
         """
         transforms = grid.transforms - (self._transforms if grid is self.grid else 0.0)
         self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)
@@ -246,12 +246,12 @@ class Loads:
             self.interruptions.between_steps()
 
     def _follow(self, grid: SlabGrid, state: SolverState) -> None:
-        """The monitor along a branch, which restarts from its last load."""
+        """Monitor along a branch, which restarts from its last load: no checkpoints within a load."""
         self.progress.step(grid.shape, state.error, state.contact / grid.size, grid.transforms - self._transforms)
         self.interruptions.between_steps()
 
     def _save(self, problem: ContactProblem | None, state: SolverState | ContactSolution) -> None:
-        """Write a checkpoint of the pressure of a solution, or of a state in the solver's units."""
+        """Write a checkpoint of the pressure: of a solution, or (problem given) of a state in the solver's units."""
         unit = 1.0
         if problem is not None:
             unit = problem.mean_pressure
@@ -261,5 +261,5 @@ class Loads:
 
 
 def of_first_load(job: Job) -> str:
-    """The part of a job that a checkpoint must agree with, as TOML: all but [run] and the loads after the first."""
+    """The part of a job, as TOML, in which a checkpoint must agree: all but [run] and the loads after the first."""
     return as_toml(dataclasses.replace(job, run=Run(), load=job.load.imposing(job.load.targets[:1])))

@@ -1,4 +1,4 @@
-"""Where a run runs and a result comes from: ranks, nodes, cores, memory, libraries; version, commit, command, date."""
+"""The machine of a run (ranks, nodes, cores, memory, libraries) and provenance (version, commit, command, date)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def command_line() -> str:
 
 @functools.cache
 def git_commit() -> str:
-    """The commit of the checkout that the package lies in, with "+" if it was changed since; else "unknown"."""
+    """The commit of the checkout that holds the package, with "+" if files were changed since; else "unknown"."""
     root = Path(__file__).resolve().parents[2]
 
     def git(*arguments: str) -> str:
@@ -74,7 +74,7 @@ def versions() -> str:
 
 @dataclass(frozen=True)
 class Origin:
-    """What a run was asked for: the TOML text, the effective job, the number of its loads, digests of the files that it
+    """The input of a run: the TOML text, the effective job, the number of its loads, digests of the files that it
     names, and the command (None: that of this process).
     """
 
@@ -86,7 +86,7 @@ class Origin:
 
 
 def gather(ranks: int, extra_versions: dict[str, str], origin: Origin) -> dict[str, str | int]:
-    """Everything as attributes of a result file's root."""
+    """The provenance, as attributes of the root of a result file."""
     extra = "".join(f"\n{name} {version}" for name, version in extra_versions.items())
     return {
         "software": "pgfmd",
@@ -115,12 +115,12 @@ CGROUPS = (
 
 
 def available_memory() -> float:
-    """Bytes that this process can still get: what the system says is available, or its control group allows."""
+    """Bytes that this process can still get: as the system reports, or fewer if its control group allows no more."""
     return min([_physical(), *_meminfo("MemAvailable"), *(limit - used for limit, used in _control_groups())])
 
 
 def largest_memory() -> float:
-    """Bytes that this machine has, swap included, or that its control group allows: nobody can get more."""
+    """Bytes of memory of this machine, swap included, or fewer if the control group allows no more."""
     return min([_physical() + sum(_meminfo("SwapTotal")), *(limit for limit, _ in _control_groups())])
 
 
@@ -133,7 +133,7 @@ def _meminfo(name: str) -> list[float]:
 
 
 def _control_groups() -> list[tuple[float, float]]:
-    """(limit, used) of those that say both."""
+    """(limit, used) in bytes of each control group that gives both."""
     found = [[line.strip() for name in names for line in _lines(name)] for names in CGROUPS]
     return [(float(pair[0]), float(pair[1])) for pair in found if len(pair) == 2 and all(map(str.isdigit, pair))]
 
@@ -159,7 +159,7 @@ def room_per_rank(comm: MPI.Comm) -> float:
 
 
 def memory_per_rank(job: Job, comm: MPI.Comm, room: float = math.inf) -> float:
-    """Bytes that a job takes on the fullest node, over its ranks; `room` as of `Plan.estimate`.  Collective."""
+    """Bytes of a job on the fullest node, divided by its ranks; `room` as of `Plan.estimate`.  Collective."""
     fullest = max(count for _, count, _ in _nodes(comm))
     return from_root(comm, Plan(job).estimate, comm.size, room, fullest).node / fullest  # may read the surface's table
 

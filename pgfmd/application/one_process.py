@@ -26,8 +26,8 @@ from pgfmd.surfaces.rigid_surface import refined_heights
 
 
 def job_on(surface: str, overrides: Sequence[str] = ()) -> Job:
-    """The job of a result folder or in a TOML file, or one on the heights in any other file, whose cell is that of the
-    file.  Raises InputError.
+    """The job of a result folder or of a TOML file; for any other file, a job on its heights and cell.  Raises
+    InputError.
     """
     if surface.endswith(".toml"):
         return load(surface, list(overrides))
@@ -39,10 +39,10 @@ def job_on(surface: str, overrides: Sequence[str] = ()) -> Job:
 
 
 def certify_file(job: Job, path: str, mean_pressure: float | None = None) -> Certified:
-    """The pressure in a file, certified on the surface of a job.  Of the job's load only the law matters.
+    """The pressure in a file, certified on the surface of a job, whose load is not used.
 
-    path: of what heights may be read from; or a result folder, whose first load counts, and DIR:2, its third.  Raises
-    InputError and SolverError as `pgfmd.certify`, and InputError for a pressure that does not fit the heights.
+    path: any file that heights can be read from; or a result folder DIR, for its first load, DIR:2 for the third.
+    Raises InputError and SolverError as `pgfmd.certify`, and InputError for a pressure that does not fit the heights.
     """
     grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
     with grid.freed():
@@ -64,7 +64,7 @@ def certify_file(job: Job, path: str, mean_pressure: float | None = None) -> Cer
 
 
 def _source(path: str) -> Source:
-    """File and dataset of a pressure."""
+    """File and dataset of a pressure, as of `certify_file`."""
     folder, _, index = path.rpartition(":") if not os.path.isdir(path) and path[-1:].isdigit() else (path, "", "0")
     if os.path.isdir(folder):
         return os.path.join(folder, FIELDS_FILE), f"{load_name(int(index))}/pressure"
@@ -84,7 +84,7 @@ def line(contact: Certified) -> str:
     )
 
 
-MOST_COMPARED = 2**26  # points of files whose edges are compared, which reads them whole
+MOST_COMPARED = 2**26  # points of a file up to which its edges are compared: that reads it whole
 
 
 def job_on_file(path: str) -> str:
@@ -138,17 +138,17 @@ observables = ["histogram", "spectra", "patches"]
     return text
 
 
-MOST_TESTED = 2**22  # points of the surfaces that are made for this: a few seconds
+MOST_TESTED = 2**22  # points of all surfaces up to which `doubts` makes them: a few seconds
 
 
 def doubts(job: Job) -> list[str]:
-    """A line for each target of a job that no load gives, or that a seed of an ensemble refuses; or one that says that
-    the surface has too many points for this test.  The surface is made in this process alone.
+    """A line for each target of a job that cannot be reached, or is wrong input for a seed of an ensemble; one line if
+    there are too many points for this test.  The surfaces are made in this process alone.
 
-    Raises InputError for a target, and for a surface, that a run would refuse before its first solution.
+    Raises InputError for a target or a surface that a run would refuse before its first solution.
     """
     if job.imposed.control == "pressure" or not job.wall.convex:
-        return []  # any surface takes it
+        return []  # any surface bears it
     seeds = job.surface.seeds
     surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
     if math.prod(job.cell.shape) * len(surfaces) > MOST_TESTED:

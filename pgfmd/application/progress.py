@@ -1,5 +1,5 @@
 """Progress of a run on rank 0: one updating line on a terminal or in a notebook, else a line of the log per step; and
-the log of a run, DIR/run.log, to which later runs in the folder append.
+the log file of a run, DIR/run.log, to which later runs in the folder append.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ def updates() -> bool:
 
 
 class Progress:
-    """Shows how the certified error of each load falls to the tolerance, and what time is left; does nothing on other
-    ranks than 0.
+    """Shows the certified error of each load as it falls to the tolerance, and the time that is left; on rank 0 only.
 
     loads: how many are to be solved; shape: of the grid; clock: in seconds
     """
@@ -48,7 +47,7 @@ class Progress:
         self._bar: tqdm | None = None
 
     def begin(self, label: str) -> None:
-        """A load is begun."""
+        """A load begins."""
         self.label, self.share, self.load_began = label, 0.0, self.now()
         if self.active and updates():
             form = "{desc} |{bar}| {elapsed} {postfix}"
@@ -70,7 +69,7 @@ class Progress:
             self._bar.set_postfix_str(f"{shape[0]} × {shape[1]}, error {error:.1e}{self.left()}")
 
     def end(self) -> None:
-        """The load is done with: written, or not reachable."""
+        """The load has ended: written, or unreachable."""
         self.done, self.share = self.done + 1, 0.0
 
     def hide(self) -> None:
@@ -80,7 +79,7 @@ class Progress:
             self._bar = None
 
     def left(self) -> str:
-        """The time that is left, in words, if the loads to come take as long as those done: "" before the first."""
+        """The time that is left, in words, if further loads take as long as those done; "" before the first."""
         if self.done == 0 or self.done == self.loads:
             return ""
         done = self.done + self.share
@@ -90,8 +89,8 @@ class Progress:
 class LogFile:
     """A context manager in which rank 0 buffers log lines until `open`, then writes them to a file.
 
-    A run with wrong input never opens it, and leaves the folder as it was.  A log that cannot be written does not end
-    the run.
+    A run with wrong input never opens the file, so that the folder stays as it was.  A run goes on without its log if
+    that cannot be written.
     """
 
     def __init__(self, rank: int) -> None:

@@ -1,4 +1,4 @@
-"""What a result folder holds already: what a run may continue or replace, and what it must leave alone."""
+"""Results that a folder holds already: which of them a run continues, replaces, or must leave alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from pgfmd.options.text import printable
 
 log = logging.getLogger("pgfmd")
 
-FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results that replace others use the one that those do not
+FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results and those that replace them use different ones
 THIS_VERSION = f"{__version__}, format {FORMAT_VERSION}"
 _FIELD_FILE = re.compile(r"(height|load_\d{4,}|checkpoint)\.h5")
 
@@ -41,9 +41,9 @@ class EarlierResults:
     """Results that are to be continued.
 
     completed: number of loads up to the last one that is written; job: the effective job (None: there is nothing to
-    continue); inputs: digests of the files that the job names; version: of the program and of the file format; fields:
-    names of the fields of each load that is written; folder: where the files of fields are; damaged: names
-    (`load_0002`, `height`) of files that are missing or damaged
+    continue); inputs: path → digest of each file that the job names; version: of the program and of the file format;
+    fields: load → names of its fields; folder: of the files of fields; damaged: names (`load_0002`, `height`) of files
+    that are missing or damaged.
     """
 
     completed: int = 0
@@ -60,7 +60,7 @@ class EarlierResults:
         return self.job is not None and "height" not in self.damaged
 
     def links(self) -> dict[str, tuple[str, str]]:
-        """What fields.h5 is to show: name → (file, dataset)."""
+        """The undamaged fields, which fields.h5 is to show: name → (file, dataset)."""
         shown = {"height": ("height.h5", "height")} if self.has_height else {}
         for name, keys in self.fields.items():
             if name not in self.damaged:
@@ -68,7 +68,7 @@ class EarlierResults:
         return shown
 
     def find_damage(self, directory: Path) -> None:
-        """Note files of fields that are missing, cut short, or damaged beside their numbers, which are not read."""
+        """Find files of fields that are missing, truncated, or whose metadata is damaged; the numbers are not read."""
         for name, keys in ({"height": ["height"]} | self.fields).items():
             path = directory / self.folder / f"{name}.h5"
             there = path.exists()
@@ -80,7 +80,7 @@ class EarlierResults:
 
 
 def _fault(path: Path, keys: list[str]) -> str | None:
-    """What is wrong with a file of those fields, as HDF5 says it; None if nothing is."""
+    """The fault of a file with those fields, as HDF5 reports it; None if it has none."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             for key in keys:
@@ -128,7 +128,7 @@ def other_folder(directory: Path) -> str:
 
 
 def is_own(path: Path) -> bool:
-    """Whether this program wrote a file: its attributes or, if it was cut short, its beginning names the program."""
+    """Whether this program wrote a file: its attributes name the program or, if it is truncated, its beginning does."""
     try:
         with h5py.File(path, "r", locking=False) as file:
             return str(file.attrs.get("software")) == "pgfmd"
@@ -159,9 +159,7 @@ def refuse_foreign(directory: Path, folder: str) -> None:
 
 
 def refuse_changes(job: Job, origin: Origin, earlier: EarlierResults, directory: Path) -> None:
-    """Raise InputError unless earlier results are of the same job and the same inputs; loads may have been
-    added to the end of the list.
-    """
+    """Raise InputError unless earlier results are of the same job and inputs; new loads may follow the old ones."""
     if earlier.job is None:
         return
     cannot = f"{directory}: cannot be continued"

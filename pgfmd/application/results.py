@@ -1,4 +1,4 @@
-"""Reading result folders: NumPy and serial h5py only, no MPI (pandas and xarray for what is called after them)."""
+"""Reading result folders: NumPy and serial h5py only, no MPI; pandas and xarray for the methods named after them."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ if TYPE_CHECKING:
 
 SUMS_IN_1 = ("stress_spectrum", "contact_spectrum", "bearing_spectrum")
 OF_GAPS = {"gap_histogram": "density", "gap_spectrum": "value"}
-BARS = "discretisation"  # the group whose numbers are the errors of columns of the table of loads
+BARS = "discretisation"  # the group that holds errors of columns of the table of loads
 
 
 class Results:
     """A result folder: its completed loads, also while the run continues or after it was interrupted.
 
-    Reads the table of loads at once, everything else on access; earlier formats are converted to the present one.
-    Iterating gives the loads.  Raises InputError if the folder is missing, holds no results, or was written in a newer
-    format.
+    Reads the table of loads at once, everything else on access, and converts earlier formats to the present one.
+    Iterating gives the loads.  Raises InputError if the folder is missing, holds no results, or has a newer format.
 
     >>> import pgfmd
     >>> wave = {"kind": "sinusoid", "amplitude": 1.0}
@@ -105,8 +104,8 @@ class Results:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": no process holds the folder, though
-        the run said that it was running.
+        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": marked as running, but no process
+        holds the folder.
         """
         status = self.provenance.get("status", "interrupted")
         return "interrupted" if status == "running" and holder(self.directory) is None else status
@@ -118,7 +117,7 @@ class Results:
 
     @cached_property
     def _overlaps(self) -> bool:
-        """Whether gaps in the files are negative where the wall yields (`modern`)."""
+        """Whether gaps in the files are negative where the wall yields: see `modern`."""
         return self.provenance["format_version"] < 3 and self.job.get("wall", {}).get("kind") == "hardness"
 
     @property
@@ -142,7 +141,7 @@ class Results:
         if load is None:
             return ["height"] if self.field_file("height").exists() else []
         with self._open(OBSERVABLES_FILE) as file:
-            group = file.get(load_name(self._index(load)))  # none if a run skipped a load and was broken off
+            group = file.get(load_name(self._index(load)))  # None if a run skipped the load and was interrupted
             names = [] if group is None else [str(name) for name in group.attrs["fields"]]
         return [*names, "plastic_depth"] if self._overlaps and "gap" in names else names
 
@@ -161,7 +160,7 @@ class Results:
             return file[name][rows]
 
     def field_file(self, name: str) -> Path:
-        """The file of "height", or of the fields of a load ("load_0000"), whether it exists or not."""
+        """The path of the file of "height" or of the fields of a load ("load_0000"); it may not exist."""
         return self.directory / self.provenance.get("fields_folder", FIELDS_FOLDER) / f"{name}.h5"
 
     def blocks(self, name: str, load: int | None = None, size: int = 2**26) -> Iterator[tuple[slice, np.ndarray]]:
@@ -177,8 +176,8 @@ class Results:
         return index % len(self)
 
     def _open(self, name: str | Path) -> h5py.File:
-        # Files are replaced as a whole and never changed in place: nothing to lock, and read-only folders work.
-        # Where this process has the file open with locks, as xarray does, HDF5 wants them here, too.
+        # Files are replaced as a whole and never changed in place: no locks, so that read-only folders work.
+        # If this process has the file open with locks, as by xarray, HDF5 wants them here, too.
         for locking in (False, None):
             try:
                 return h5py.File(self.directory / name, "r", locking=locking)
@@ -188,7 +187,7 @@ class Results:
 
 
 class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
-    """One load of a run: its groups of curves and tables as a mapping, name → {dataset: array}; numbers; fields."""
+    """One load of a run: a mapping of its groups of curves and tables, name → {dataset: array}; numbers; fields."""
 
     def __init__(self, results: Results, index: int):
         self.results, self.index, self._name = results, index, load_name(index)
@@ -214,7 +213,7 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The row of the table of loads, and the estimated errors NAME_error of its numbers, if they were measured."""
+        """The row of the table of loads, with the errors NAME_error of its numbers that were estimated."""
         row = {name: column[self.index].item() for name, column in self.results.loads.items()}
         return row | {name: float(value) for name, value in (self[BARS] if BARS in self else {}).items()}
 
@@ -317,14 +316,14 @@ def text_table(
 def modern(
     title: str, table: Mapping[str, np.ndarray], version: int, shape: tuple[int, int], overlap: bool
 ) -> Mapping[str, np.ndarray]:
-    """A group of one load, read from a file of that format, on a grid of that shape.  overlap: whether its gaps are
-    negative where the wall yields.  One that needs no change is returned itself.
+    """A group of one load in the present format, converted from that of `version`; itself if it needs no change.
+    shape: of the grid; overlap: whether gaps in the file are negative where the wall yields.
 
     1: spectra of stress, contact and bearing area were those of sums over points, N² larger than those of Fourier
        coefficients (N points); the area of low-passed surfaces was the corrected one.
     2: every spectrum is that of Fourier coefficients; low-passed surfaces have both areas.  Where a wall of limited
-       hardness yields, the gap was negative: minus the plastic depth.  Its field is converted; what was made from it,
-       the mean gap and the gap's histogram and spectrum, is not known (NaN).
+       hardness yields, the gap was negative: minus the plastic depth.  Its field is converted; the mean gap and the
+       gap's histogram and spectrum are not known (NaN).
     3: the gap is 0 where the wall yields; the plastic depth is a field and a column of its own.
     4: checksums are in SHA256SUMS, no longer at the end of each file.
     """

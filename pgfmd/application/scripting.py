@@ -1,4 +1,4 @@
-"""For scripts and notebooks: `run` a job and open its results, make the `surface` of a job."""
+"""For scripts and notebooks: `run` runs a job and opens its results, `surface` makes the surface of a job."""
 
 from __future__ import annotations
 

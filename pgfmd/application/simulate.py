@@ -33,7 +33,7 @@ from pgfmd.surfaces.file import digest
 from pgfmd.surfaces.rigid_surface import refined_heights
 
 log = logging.getLogger("pgfmd")
-HELD_BACK = 5.0  # seconds for which a run of an ensemble may hold back finished loads, to write them together
+HELD_BACK = 5.0  # seconds for which a seed of an ensemble may hold back finished loads, to write them together
 
 
 def run_job(
@@ -62,8 +62,8 @@ def simulate(
     """Solve all loads of a job, of one surface, and write its result folder.  Collective.
 
     interruptions: those of the ensemble that this run belongs to; None: the run makes its own.
-    Raises InputError (wrong input, nothing written), SolverError (completed loads stay written) or Stopped (asked to
-    stop; what was done is kept for `restart`) on all ranks together.
+    Raises on all ranks together InputError (nothing is written), SolverError (completed loads are written) or Stopped
+    (asked to stop; `restart` continues).
     """
     phases, alone, mode = _Phases(), interruptions is None, _mode(overwrite, restart)
     memory = machine.memory_per_rank(job, comm)
@@ -85,12 +85,12 @@ def simulate(
         with phases("surface"):
             heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
             job.solid.prepare(grid)
-        machine.report(comm, memory)  # only now: after a wrong input the error is the only line
+        machine.report(comm, memory)  # only now: for wrong input the error is the only line
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
         for line in job.doubts if comm.rank == 0 else ():
             log.warning("%s", line)
         problem = ContactProblem(grid, heights, job.solid, job.wall)
-        cutoff = from_root(comm, job.surface.whole.cutoff, job.grid)  # a table may have to be read
+        cutoff = from_root(comm, job.surface.whole.cutoff, job.grid)  # may read a table from a file
         surface = RoughSurface(problem, job.output.asked, cutoff, fields=job.output.fields)
         loads = Loads(job, problem, writer, asked)
         loads.refuse_impossible(alone)

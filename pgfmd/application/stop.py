@@ -29,16 +29,15 @@ GO_ON, SAVE, STOP = range(3)
 
 
 class Interruptions:
-    """Looks at the clock, at files and for signals between the steps of a solver; a context manager.
+    """Decides between the steps of a solver whether to save or stop; a context manager.
 
     interval : seconds between checkpoints;  time_limit : seconds that the run may take from now
 
-    The clock and the files are rank 0's, a signal may reach any rank.  Within the context, if the main thread enters
-    it, SIGTERM, SIGUSR1, SIGINT and SIGHUP ask the run to stop, unless they are ignored (as SIGHUP under nohup); a
-    second SIGINT ends it at once.  A STOP file from before the context is left alone and does not count, until it is
-    touched again.
+    Rank 0 reads the clock and looks for files; a signal may reach any rank.  Within the context, if the main thread
+    enters it, SIGTERM, SIGUSR1, SIGINT and SIGHUP ask the run to stop, unless they are ignored (as SIGHUP under nohup);
+    a second SIGINT ends it at once.  A STOP file from before the context does not count until it is touched again.
 
-    resumption : the option by which this run can be continued, for the message
+    resumption : the option that continues this run, for the message
     """
 
     def __init__(
@@ -82,7 +81,7 @@ class Interruptions:
             signal.signal(number, signal.default_int_handler)
 
     def load_begins(self, resumed: bool) -> None:
-        """The solution of a load begins, from a checkpoint or not."""
+        """The solution of a load begins; resumed: from a checkpoint."""
         self._steps = -1 if resumed else 0  # the first step only evaluates the checkpoint
 
     def load_done(self) -> None:
@@ -92,10 +91,9 @@ class Interruptions:
     def between_steps(self, save: Callable[[], None] | None = None) -> None:
         """If it is time, write a checkpoint by `save()`, which is collective, or stop the run.  Collective.
 
-        save: None if there is nothing to save.  Raises Stopped on all ranks if the run is to end, after a last
-        checkpoint; NoProgress instead if a time limit ends the run and no checkpoint or load got ahead of where the run
-        began.  If a checkpoint that is not the last one cannot be written, that is only a warning: the run goes on, and
-        may never need it.
+        save: None if there is nothing to save.  Raises on all ranks Stopped, after a last checkpoint, if the run is to
+        end; NoProgress instead if a time limit ends it and the run made no progress past its starting checkpoint.  A
+        checkpoint before the last that cannot be written gives a warning only.
         """
         now = self.now()
         self._longest_step = max(self._longest_step, now - self._last_step)
@@ -146,7 +144,7 @@ class Interruptions:
 
 
 def _file_stamp(path: Path) -> tuple[int, int] | None:
-    """What changes when a file is touched; None if there is none."""
+    """(inode, time of change), which differ after a touch; None if there is no file."""
     try:
         status = os.stat(path)
     except OSError:

@@ -1,7 +1,7 @@
 """observables.h5: one row per load, and a group of curves and tables for each; names of axes, for xarray.  No MPI.
 
-Columns are read and written by calls of HDF5 itself: h5py's selections take three times as long, which many small runs
-feel.
+Columns are read and written by h5py's low-level API: its selections take three times as long, which counts in ensembles
+of small runs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pgfmd.observables.schema import LOADS, TABLE, Dataset, Groups
 class ObservablesFile:
     """The file of one run, replaced as a whole at each change.
 
-    patience: seconds for which changes are gathered and made together; it is then left to the caller to sync the file
+    patience: seconds for which changes are gathered, to be made together; if not 0, the caller must sync the file.
     """
 
     def __init__(self, directory: Path, form: Form, patience: float) -> None:
@@ -32,7 +32,7 @@ class ObservablesFile:
         self._last_change = time.monotonic()
 
     def change(self, change: Change, now: bool = False) -> None:
-        """Change the file: at once if asked to, or if the last time is longer ago than the patience."""
+        """Add a change; make all gathered changes if `now`, or if the last ones are longer ago than `patience`."""
         self._changes.append(change)
         if now or time.monotonic() - self._last_change >= self.patience:
             changes, self._changes = self._changes, []
@@ -41,7 +41,7 @@ class ObservablesFile:
                 for each in changes:
                     each(file)
 
-            if self._begun or self.path.exists():  # it must not begin anew where the folder of a run has been lost
+            if self._begun or self.path.exists():  # if the folder of a run was lost, raise
                 revise(self.path, apply, sync=not self.patience)
             else:
                 create(self.path, apply, _without_loads(*self.form.units.values()), sync=not self.patience)
@@ -56,7 +56,7 @@ class ObservablesFile:
 def add_columns(
     group: h5py.Group, completed: int, wanted: Mapping[str, Dataset], units: Mapping[str, str]
 ) -> None:
-    """Make the columns of the table of loads that are not there: an earlier version may not have written all."""
+    """Make the missing columns of the table of loads: results of an earlier version may lack some."""
     wanted = {"load": Dataset("1", "number of the load, counted from 0"), **wanted}
     for name, about in wanted.items():
         if name not in group:
@@ -69,7 +69,7 @@ def add_columns(
 
 
 def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form) -> None:
-    """Write the row of a load; columns become as long as that.  Raises ValueError for a name that is no column."""
+    """Write the row of a load; columns grow to that length.  Raises ValueError for a name that is no column."""
     unknown = row.keys() - form.columns.keys()
     if unknown:
         raise ValueError(f"no columns of the table of loads: {', '.join(sorted(unknown))}")
@@ -98,7 +98,7 @@ def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.
 
 
 def annotate(dataset: h5py.Dataset, about: Dataset, units: Mapping[str, str]) -> None:
-    """Write what a dataset is, and its unit in the names that the job gives."""
+    """Write the description of a dataset, and its unit by the names of the job."""
     dataset.attrs.update(description=about.description, units=about.unit.format(**units))
 
 
@@ -112,9 +112,9 @@ def _without_loads(length_unit: str, pressure_unit: str) -> bytes:
 
 
 def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
-    """The columns of a table of loads, whole: those of `LOADS` first, then those of observables by name.
+    """All columns of a table of loads: those of `LOADS` first, then those of observables by name.
 
-    Whole numbers that are missing, those of loads that were not solved, are NaN, too.
+    Missing integers, of loads that were not solved, are NaN as well.
     """
     columns = {}
     for name in (*LOADS, *sorted(set(group) - LOADS.keys() - {"load"})):
@@ -128,9 +128,8 @@ def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
 
 
 def name_axes(group: h5py.Group, key: str, axes: Sequence[str]) -> None:
-    """Name the axes of the dataset `key` of a group: the coordinates along each are the dataset of that name there.
-
-    That dataset must exist; its own axis needs no name.
+    """Attach coordinates to each axis of the dataset `key`: the dataset of the axis's name in the group, which must
+    exist.
     """
     for number, name in enumerate(axes):
         if not group[name].is_scale:
@@ -140,7 +139,7 @@ def name_axes(group: h5py.Group, key: str, axes: Sequence[str]) -> None:
 
 
 def add_grid_axes(file: h5py.File, shape: tuple[int, int], lengths: tuple[float, float], unit: str) -> None:
-    """The coordinates x and y of the points of a grid, from 0 on, as datasets of a file; lengths: of the cell."""
+    """Add the coordinates x and y of grid points, from 0 on, as datasets of a file; lengths: of the cell."""
     for name, count, length in zip("xy", shape, lengths, strict=True):
         if name not in file:
             axis = file.create_dataset(name, data=np.arange(count) * (length / count))

@@ -1,16 +1,16 @@
 """The files of a run, each complete at every instant.
 
     observables.h5          small: one row per load, groups of curves and tables, provenance (`tables`)
-    fields.h5               shows the fields together: height, load_0000/pressure, …; open this one to read them
-    fields.vtkhdf           shows them to ParaView
-    fields/height.h5, fields/load_0000.h5, …        where they are (`field_files`)
+    fields.h5               view of all fields: height, load_0000/pressure, …; open this one to read them
+    fields.vtkhdf           view of all fields for ParaView
+    fields/height.h5, fields/load_0000.h5, …        the fields (`field_files`)
     fields/checkpoint.h5    of an unfinished load (`loads`)
     SHA256SUMS              checksums of all but the checkpoint and large fields, which hold checksums of their rows
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
-results stay whole until the first new load is complete.  Then fields.h5 and fields.vtkhdf are removed, observables.h5
-is replaced by one rename, the old fields are removed, and the two are written anew.  So they never show fields that are
-not those of observables.h5.
+results stay whole until the first new load is complete.  Then the two views are removed, observables.h5 is replaced by
+one rename, the old fields are removed, and the views are written anew.  So they never show fields of other results than
+observables.h5.
 """
 
 from __future__ import annotations
@@ -57,17 +57,15 @@ SMALL = (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)
 class ResultWriter:
     """Writes one run's folder; a context manager.  Every method is collective.
 
-    comm : communicator; directory : the folder, made if missing; origin : what is written about the run; form : see
-    `schema.Form`
+    directory : made if missing; origin : of the provenance; form : layout of the files
     mode : "overwrite" replaces results that are there, "restart" continues them; "new" refuses them
     patience : as of `ObservablesFile`, for runs so short that writing after each load would take most of their time
 
-    Making one checks and locks the folder, and writes nothing.  Raises InputError on all ranks if the folder cannot be
-    written, is in use, or holds results or files that are not to be replaced.
+    The constructor checks and locks the folder, and writes nothing.  It raises InputError on all ranks if the folder
+    cannot be written, is in use, or holds results or files that must not be replaced.
 
     completed : number of loads up to the last one written (earlier ones may be `pending`)
-    earlier : the results that are continued
-    replacing : whether old results are still there, which the first load will replace
+    earlier : the results that are continued; replacing : whether there are old results, which the first load replaces
     """
 
     def __init__(
@@ -84,7 +82,7 @@ class ResultWriter:
         self._lock: OutputFolder | None = None
         self.earlier, self.replacing, folder = from_root(comm, self._open_folder)
         self.completed = self.earlier.completed
-        self._written = self.earlier.fields.keys() - self.earlier.damaged  # names of loads, all files of which are good
+        self._written = self.earlier.fields.keys() - self.earlier.damaged  # loads whose files are undamaged
         self._provenance = cache(self._gather)
         self._observables = ObservablesFile(self.directory, form, patience)
         self._fields = FieldFiles(comm, self.directory, folder, form, self._provenance)
@@ -92,7 +90,7 @@ class ResultWriter:
         self.fields_folder = self.directory / folder
         self._sums = Sums(self.directory)
         try:
-            with raise_together(comm):  # a folder that only rank 0 sees is of no use
+            with raise_together(comm):  # all ranks must see the folder
                 if not (self.directory / files.LOCK_NAME).exists():
                     raise InputError(f"{self.directory}: rank {comm.rank} does not see the folder that rank 0 made")
         except BaseException as error:
@@ -103,8 +101,8 @@ class ResultWriter:
             log.info("fields are written by all ranks, %s", how)
 
     def _open_folder(self) -> tuple[EarlierResults, bool, str]:
-        """Lock the folder.  Returns the results to continue, whether others are replaced, and the
-        folder of fields.  Rank 0.
+        """Lock the folder.  Returns the results to continue, whether others are replaced, and the name of the folder of
+        fields.  Rank 0.
         """
         folder = OutputFolder(self.directory)
         try:
@@ -136,8 +134,8 @@ class ResultWriter:
         return [index for index in range(self.origin.loads) if load_name(index) not in self._written]
 
     def begin(self) -> None:
-        """Remove what interrupted runs left behind; then, unless old results are still to be replaced, start or
-        continue observables.h5.  Called again, it does nothing.  Collective.
+        """Remove what interrupted runs left behind; then, unless old results are still there, start or continue
+        observables.h5.  A second call does nothing.  Collective.
         """
         if not self._begun:
             with self._changing(*[] if self.replacing else SMALL):
@@ -148,7 +146,7 @@ class ResultWriter:
 
     @contextmanager
     def _changing(self, *names: str) -> Iterator[None]:
-        """SHA256SUMS lists these files of the folder before and after the block, but not within.  Collective."""
+        """Removes the lines of these files from SHA256SUMS, and writes them after the block.  Collective."""
         from_root(self.comm, self._sums.forget, *names)
         yield
         from_root(self.comm, self._sums.note, *names)
@@ -172,8 +170,7 @@ class ResultWriter:
     ) -> None:
         """Write one completed load: first its fields, then its row and groups in one step.  Collective.
 
-        row : values of `form.columns` (missing: NaN); groups : arrays that `form.groups` describes, written as rank 0
-        has them
+        row : values of `form.columns` (missing: NaN); groups : arrays that `form.groups` describes, those of rank 0
         fields : this rank's slabs (nx_local, ny), same names on all ranks
         Raises OSError on all ranks if it cannot be written.
         """
@@ -212,7 +209,7 @@ class ResultWriter:
         if self._lock is None:
             return
         if self._begun and error is not None:
-            with suppress(Exception):  # the disk, or a file, may be what has failed: the first error is to be reported
+            with suppress(Exception):  # the disk may have failed: report the first error
                 self._note_failure(error)
         self._lock.release()
         self._lock = None
@@ -220,9 +217,7 @@ class ResultWriter:
     # Rank 0.
 
     def _note_failure(self, error: BaseException) -> None:
-        """Write into observables.h5 how the run ended.  If that still holds the old results, remove the new
-        files instead.
-        """
+        """Write status and error into observables.h5; if that still holds old results, remove the new files instead."""
         if self.replacing:
             self._fields.remove(and_checkpoint=not isinstance(error, Stopped))
             self._sums.note()
@@ -243,7 +238,7 @@ class ResultWriter:
             self._fields.write_views()
 
     def _replace(self, change: Change) -> None:
-        """Put the results of this run in the place of the old ones."""
+        """Replace the old results by those of this run, to which `change` adds the first load."""
 
         def fill(file: h5py.File) -> None:
             self._describe(file)
