@@ -33,7 +33,7 @@ from typing import NoReturn
 
 from pgfmd import __version__
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
-from pgfmd.options.text import printable, readable
+from pgfmd.options.text import printable, readable, reason
 from pgfmd.parallel.mpi import MPI, launched_rank, patiently, world
 
 INTERRUPTED = 130
@@ -300,7 +300,7 @@ def _code(error: BaseException) -> int:
 
 def _complain(error: BaseException) -> int:
     """Print the error in one line, after its traceback if it is not meant for users; returns the exit code."""
-    message = " ".join(str(error).split()) or type(error).__name__
+    message = reason(error)
     if isinstance(error, KeyboardInterrupt):
         message = "interrupted"
     elif isinstance(error, MemoryError):

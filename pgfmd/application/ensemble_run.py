@@ -28,7 +28,7 @@ from pgfmd.application.progress import STEP
 from pgfmd.application.results import Results
 from pgfmd.application.stop import Interruptions
 from pgfmd.errors import InputError, NoProgress, SolverError, Stopped
-from pgfmd.options.text import printable
+from pgfmd.options.text import printable, reason
 from pgfmd.parallel.collectives import from_root, raise_together, shared
 from pgfmd.parallel.mpi import MPI, library
 
@@ -70,7 +70,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
             there = path / ENSEMBLE_FILE  # is restored: no seed has written anything
             from_root(comm, lambda: there.unlink() if before is None else replace(there, before))
         else:
-            reasons = {seed: printable(_reason(error), 400) for seed, error in failed.items()}
+            reasons = {seed: printable(reason(error), 400) for seed, error in failed.items()}
             status = "stopped" if stopped else "failed" if failed else "complete"
             from_root(comm, ensemble.write, path, about, reasons, status)
     if stopped:
@@ -78,8 +78,8 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     if len(failed) == len(seeds):
         raise next(iter(failed.values()))
     if failed:
-        reason = "; ".join(f"seed {seed}: {_reason(error)}" for seed, error in failed.items())
-        raise SolverError(f"{len(failed)} of {len(seeds)} seeds failed, the others are written: {reason}")
+        why = "; ".join(f"seed {seed}: {reason(error)}" for seed, error in failed.items())
+        raise SolverError(f"{len(failed)} of {len(seeds)} seeds failed, the others are written: {why}")
 
 
 def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
@@ -132,8 +132,8 @@ def _run_seeds(
                     synced[seed] = disk.submit(sync_files, folder)
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
-            except (Stopped, NoProgress) as reason:
-                stopped = reason
+            except (Stopped, NoProgress) as interruption:
+                stopped = interruption
                 if group.rank == 0:
                     with suppress(OSError):
                         interruptions.batch_stop_file.touch()  # for the other groups, which may have got no signal
@@ -144,7 +144,7 @@ def _run_seeds(
                 error.__context__ = error.__cause__ = None
                 failed[seed] = error.with_traceback(None)  # a traceback would keep the arrays of its frames
                 progress.warning("seed %d (%d of %d) failed: %s", seed, position + 1, len(seeds),
-                                 _reason(error))  # fmt: skip
+                                 reason(error))  # fmt: skip
     for seed, each in synced.items():
         if isinstance(fault := each.exception(), Exception):
             failed[seed] = fault
@@ -154,11 +154,7 @@ def _run_seeds(
     if groups > 1:
         group.Free()
     everywhere = {seed: error for each, _ in outcomes for seed, error in each.items()}
-    return dict(sorted(everywhere.items())), next((reason for _, reason in outcomes if reason), None)
-
-
-def _reason(error: Exception) -> str:
-    return str(error) or type(error).__name__
+    return dict(sorted(everywhere.items())), next((each for _, each in outcomes if each), None)
 
 
 def _found(folder: Path, job: Job) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from pgfmd.options.text import duration
+from pgfmd.options.text import duration, reason
 
 log = logging.getLogger("pgfmd")
 LOG_FILE = "run.log"
@@ -126,8 +126,7 @@ class LogFile:
         self._kept.close()
         if self._file is not None:
             if error is not None:
-                message = " ".join(str(error).split()) or type(error).__name__
-                self._file.handle(log.makeRecord(log.name, logging.ERROR, "", 0, message, (), None))
+                self._file.handle(log.makeRecord(log.name, logging.ERROR, "", 0, reason(error), (), None))
             log.removeHandler(self._file)
             self._file.close()
 

@@ -45,6 +45,7 @@ from pgfmd.application.restart import EarlierResults
 from pgfmd.application.tables import ObservablesFile
 from pgfmd.errors import InputError, Stopped
 from pgfmd.observables.schema import TABLE, Groups
+from pgfmd.options.text import reason
 from pgfmd.parallel.collectives import from_root, raise_together
 from pgfmd.parallel.mpi import MPI, library
 
@@ -223,7 +224,7 @@ class ResultWriter:
             self._sums.note()
             return
         status = "stopped" if isinstance(error, Stopped) else "failed"
-        message = (str(error) or type(error).__name__)[:1000]
+        message = reason(error)[:1000]
         self._sums.forget(OBSERVABLES_FILE)
         self._observables.change(lambda file: file.attrs.update(status=status, error=message), now=True)
         self._sums.note(*SMALL)

@@ -61,10 +61,9 @@ def _of_kind(section: type[Section], named: bool) -> dict[str, object]:
     """The schema of a section; named: the table must say its kind.  [grid] requires no key: a file may give it."""
     properties: dict[str, object] = {"kind": {"const": section.kind}} if section.kind else {}
     for field in dataclasses.fields(section):
-        rule, about = field.metadata["rule"], f"{_in_brackets(field.metadata['unit'])}{field.metadata['about']}"
-        properties[field.name] = (
-            {**rule.schema, "description": f"{about} | {rule.allowed}"} if isinstance(rule, Rule) else _schema(rule)
-        )
+        rule = field.metadata["rule"]
+        is_table = not isinstance(rule, Rule)
+        properties[field.name] = _schema(rule) if is_table else {**rule.schema, "description": _meaning(field)}
     needed = [field.name for field in dataclasses.fields(section) if field.metadata["needed"] and section.kind]
     return {
         "type": "object",
@@ -96,8 +95,7 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
     for field in dataclasses.fields(table):
         rule = field.metadata["rule"]
         if isinstance(rule, Rule):
-            comment = f"{_in_brackets(field.metadata['unit'])}{field.metadata['about']} | {rule.allowed}"
-            lines += _commented(_entry(field, field.name in table.shown), comment)
+            lines += _commented(_entry(field, field.name in table.shown), _meaning(field))
         else:
             inner += _blocks(rule)
     return ["\n".join(lines) + "\n", *inner]
@@ -114,8 +112,10 @@ def _entry(field: dataclasses.Field, shown: bool) -> str:
     return f"# {field.name} =" + ("" if value is None else f" {as_toml_value(value)}")
 
 
-def _in_brackets(unit: str) -> str:
-    return f"[{unit}] " if unit else ""
+def _meaning(field: dataclasses.Field) -> str:
+    """Unit, meaning and allowed values of a key."""
+    unit, about, rule = (field.metadata[name] for name in ("unit", "about", "rule"))
+    return f"[{unit}] " * bool(unit) + f"{about} | {rule.allowed}"
 
 
 def _commented(entry: str, comment: str) -> list[str]:

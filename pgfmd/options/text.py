@@ -10,6 +10,11 @@ from typing import Any
 import numpy as np
 
 
+def reason(error: BaseException) -> str:
+    """The message of an error on one line; the name of its type if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def guess(name: str, allowed: list[str]) -> str:
     """End of a message about an unknown name: the most similar allowed name, then all allowed names."""
     near = difflib.get_close_matches(name, allowed, n=1)

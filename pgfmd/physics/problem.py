@@ -45,11 +45,6 @@ class Measured(NamedTuple):
         """
         return self.energy / self.pressure
 
-    @property
-    def log_load(self) -> float:
-        """ln(p̄/s) for which Persson's theory, area = erf(p̄/√2 s), gives the measured area."""
-        return math.log(quantile(self.contact / self.size, self.size))
-
 
 @dataclass(frozen=True)
 class Imposed:
@@ -144,10 +139,10 @@ class Aim:
         return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)])
 
     def loaded(self, at: Measured) -> float:
-        """ln of the mean pressure at which Persson's theory gives the measured area, over the actual one: the same on
-        all grids up to the error of discretisation.
+        """ln of the mean pressure at which Persson's theory, area = erf(p̄/√2 s), gives the measured area, over the
+        actual one: the same on all grids up to the error of discretisation.
         """
-        return at.log_load + math.log(self.stresses[at.size] / at.pressure)
+        return math.log(quantile(at.contact / at.size, at.size)) + math.log(self.stresses[at.size] / at.pressure)
 
     def _change(self, at: Measured) -> float:
         """Change of ln p̄, at most `STEP`, by which the finest grid gets the area, with `loaded` extrapolated from the

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pgfmd.errors import InputError
-from pgfmd.options.text import printable
+from pgfmd.options.text import printable, reason
 from pgfmd.parallel.collectives import slab
 
 # Powers of ten of a metre.
@@ -43,8 +43,7 @@ def damage_reported(message: str) -> Iterator[None]:
     except (InputError, MemoryError):
         raise
     except Exception as error:
-        reason = printable(" ".join(str(error).split()), 200) or type(error).__name__
-        raise InputError(f"{message}: {reason}") from None
+        raise InputError(f"{message}: {printable(reason(error), 200)}") from None
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,6 @@ class RangedWall(AttractiveWall):
 
     @property
     def units(self) -> tuple[float, float]:
-        """ρ and w/ρ."""
         return self.range, self.work / self.range
 
 
@@ -94,15 +93,12 @@ class AdhesiveWall(RangedWall):
     kind: ClassVar[str] = "adhesive"
 
     def energy(self, gap: np.ndarray) -> np.ndarray:
-        """−exp(−g)."""
         return -np.exp(-gap)
 
     def traction(self, gap: np.ndarray) -> np.ndarray:
-        """exp(−g)."""
         return np.exp(-gap)
 
     def curvature(self, gap: np.ndarray) -> np.ndarray:
-        """−exp(−g)."""
         return -np.exp(-gap)
 
 
@@ -182,12 +178,10 @@ class Potential(AttractiveWall):
 
     @property
     def least(self) -> float:  # type: ignore[override]
-        """The first of `gaps`."""
         return self.gaps[0] / self.units[0]
 
     @property
     def farthest(self) -> float:  # type: ignore[override]
-        """The second of `gaps`."""
         return self.gaps[1] / self.units[0]
 
     @property
@@ -207,11 +201,9 @@ class Potential(AttractiveWall):
         return self._at(gap, -1)
 
     def traction(self, gap: np.ndarray) -> np.ndarray:
-        """−p."""
         return self._at(gap, 0)
 
     def curvature(self, gap: np.ndarray) -> np.ndarray:
-        """−dp/dg."""
         return self._at(gap, 1)
 
 

@@ -94,21 +94,17 @@ class ExponentialWall(ContactLaw):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Any gap."""
         return -math.inf, math.inf
 
     @property
     def reach(self) -> float:
-        """`UNDERFLOW` ζ."""
         return UNDERFLOW * self.zeta
 
     @property
     def length_scale(self) -> float:
-        """ζ."""
         return self.zeta
 
     def softness(self, pressure: np.ndarray) -> float:
-        """ζ Σ p."""
         return self.zeta * float(pressure.sum())
 
     def gap(self, pressure: float, solid: Solid) -> float:
@@ -124,7 +120,6 @@ class ExponentialWall(ContactLaw):
         return ExponentialWall(zeta=self.zeta / units.height, sigma_ref=1.0)
 
     def softer(self, factor: float) -> ExponentialWall:
-        """The same with ζ larger by that factor."""
         return dataclasses.replace(self, zeta=self.zeta * factor)
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:

@@ -257,23 +257,18 @@ class FormulaWall(ContactLaw):
 
     @property
     def reach(self) -> float:
-        """The largest gap with pressure less the smallest."""
         return self.ends[1] - self.ends[0]
 
     def softness(self, pressure: np.ndarray) -> float:
-        """From the formula."""
         return _softness(self.graph, pressure)
 
     def gap(self, pressure: float, solid: Solid) -> float:
-        """The gap at which the formula gives that pressure."""
         return self.graph.gap(pressure)
 
     def pressure_at(self, gap: float, solid: Solid) -> float:
-        """From the table."""
         return float(np.interp(gap, self.graph.gaps, self.graph.pressures))
 
     def in_units(self, units: Units) -> ContactLaw:
-        """The same between p̂ and ĝ."""
         return _InUnits(self.graph, units)
 
 
@@ -287,11 +282,9 @@ class _InUnits(ContactLaw):
         self.away = abs(units.offset) / units.height  # of ĝ = 0 from gap 0: rounding errors scale with it
 
     def softness(self, pressure: np.ndarray) -> float:
-        """From the formula."""
         return _softness(self.graph, pressure)
 
     def softer(self, factor: float) -> ContactLaw:
-        """As `ContactLaw.softer`."""
         return _InUnits(self.whole, self.units._replace(height=self.units.height / factor))
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:

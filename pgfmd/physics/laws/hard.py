@@ -26,11 +26,9 @@ class HardWall(ContactLaw):
     methods: ClassVar[tuple[str, ...]] = ("active-set", "gfmd")
 
     def gap(self, pressure: float, solid: Solid) -> float:
-        """0 at every pressure."""
         return 0.0
 
     def in_units(self, units: Units) -> HardWall:
-        """The same in any units."""
         return self
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:

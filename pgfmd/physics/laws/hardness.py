@@ -34,7 +34,6 @@ class Hardness(HardWall):
 
     @property
     def highest(self) -> float:
-        """σ_Y."""
         return self.hardness
 
     def up_to(self, pressure: float) -> HardWall:
@@ -42,7 +41,6 @@ class Hardness(HardWall):
         return HardWall() if pressure <= self.hardness else self
 
     def in_units(self, units: Units) -> Hardness:
-        """The same law with σ_Y over the unit of pressure."""
         return Hardness(hardness=self.hardness / units.pressure)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
