@@ -1,16 +1,12 @@
 """Discretisation errors of contacts, and the quality of their error bars, on new surfaces.
 
-    python tools/bench/error_bars.py bars [--seed 1] [--across 16] [--finest 64]
-    python tools/bench/error_bars.py held FILE.csv [--seed 1] [--count 200]
+    python tools/bench/error_bars.py held FILE.csv [--seed 1] [--count 200] [--bars]
     python tools/bench/error_bars.py area FILE.csv [--seed 1] [--across 32] [--finest 128] [--places 1] [--only H AREA]
-
-bars: for each number and λ_s/a, how many of the bars are at least as large as the error against λ_s = finest · a, and
-the median of bar over error.
 
 held: errors and bars of contacts drawn at random: λ_s from 1 to 64 pixels, 128² to 512² points, tolerances 1e-4 …
 1e-8, half-spaces and slabs; against the same heights interpolated onto eight times the points each way and solved to
-1e-10.  Rows that are in FILE.csv are not computed again.  Prints for each number the share of bars that hold, and the
-median of bar over error.
+1e-10.  Rows that are in FILE.csv are not computed again; with --bars only their contacts and bars are, not the finer
+grids.  Prints for each number the share of bars that hold, and the median of bar over error.
 
 area: the contact area of four surfaces for each Hurst exponent and load, raw and inside the contact line, from λ_s = 4a
 to finest · a; rows that are in FILE.csv are not computed again.  With --places k, areas are means over k × k
@@ -41,7 +37,6 @@ from scipy.special import erfinv
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact import Contact
-from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
@@ -66,18 +61,16 @@ class Case:
     place: tuple[float, float] = (0.0, 0.0)
 
 
-def solved(case: Case, points: int, bars: bool = False) -> dict[str, float]:
-    """The numbers of one contact, with their bars if asked for, on a grid of λ_s = points·a."""
+def solved(case: Case, points: int) -> dict[str, float]:
+    """The numbers of one contact on a grid of λ_s = points·a."""
     n, across = points * case.across, case.across
     grid = SlabGrid(MPI.COMM_SELF, (n, n), (1.0, 1.0))
     heights = self_affine(grid, case.hurst, 1 / across, 1.0, case.seed)
     if any(case.place):
         heights = np.ascontiguousarray(np.fft.ifft2(fourier_shift(np.fft.fft2(heights), case.place)).real)
     problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), HardWall(), case.load)
-    surface = RoughSurface(problem, [OBSERVABLES["discretisation"]()] if bars else [], 2 * math.pi * across)
-    contact = Contact.of(surface, solve_hard_wall(problem, TOLERANCE))
-    found = contact.measure().get("discretisation", {})
-    return contact.numbers | {name: float(value) for name, value in found.items()}
+    surface = RoughSurface(problem, [], 2 * math.pi * across)
+    return Contact.of(surface, solve_hard_wall(problem, TOLERANCE)).numbers
 
 
 def cases() -> Iterator[tuple[float, float, float]]:
@@ -87,45 +80,28 @@ def cases() -> Iterator[tuple[float, float, float]]:
             yield hurst, area, float(erfinv(0.85 * area)) / math.sqrt(2) if area > 0.1 else area / 2.1
 
 
-def bars(seed: int, across: int, finest: int) -> None:
-    """Prints how good the bars are."""
-    ratios: dict[tuple[str, int], list[float]] = {}
-    grids = [points for points in (4, 8, 16, 32) if 2 * points <= finest]
-    for number, (hurst, _, load) in enumerate(cases()):
-        case = Case(hurst, load, seed + number, across)
-        limit = solved(case, finest, True)
-        for points in grids:
-            found = solved(case, points, True)
-            for name in NUMBERS:
-                ratio = found[f"{name}_error"] / abs(found[name] - limit[name])
-                ratios.setdefault((name, points), []).append(ratio)
-    print("number                    λ_s/a  cases  held  bar/error (median)")
-    for name in NUMBERS:
-        every = [ratios[name, points] for points in grids]
-        for label, values in [*zip(map(str, grids), every, strict=True), ("all", sum(every, []))]:
-            held = np.mean(np.array(values) >= 1)
-            print(f"{name:25s} {label:>5s}  {len(values):5d}  {held:4.2f}  {np.median(values):8.2f}")
-
-
 FINER, TIGHT = 8, 1e-10  # grid and tolerance of what `held` compares with
 DRAWN = "number n lambda_s hurst area tolerance base thickness poisson".split()
 MEASURED = "line roughness pixels edges pressure_error".split()
 
 
-def held(path: Path, seed: int, count: int) -> None:
+def held(path: Path, seed: int, count: int, anew: bool) -> None:
     """Computes missing rows of the table, and prints how good the bars are.
 
-    seed: of all draws; contact k of one seed is the same whatever the count.
+    seed: of all draws; contact k of one seed is the same whatever the count.  anew: bars of the other rows too
     """
     columns = [*DRAWN, *MEASURED, *(f"{name}{what}" for name in NUMBERS for what in ("", "_error", "_true"))]
-    if not path.exists():
-        path.write_text(",".join(columns) + "\n")
-    done = {int(row["number"]) for row in _table(path)}
-    for number in sorted(set(range(count)) - done):
-        with open(path, "a", newline="") as file:
-            row = _drawn(seed, number)
-            texts = [f"{value:.8g}" if isinstance(value, float) else value for value in row.values()]
-            csv.writer(file).writerow(texts)
+    known = {int(row["number"]): row for row in _table(path)} if path.exists() else {}
+    target = path.with_suffix(".part") if anew else path
+    if anew or not known:
+        target.write_text(",".join(columns) + "\n")
+    for number in sorted({*range(count), *known}):
+        if anew or number not in known:
+            row = _drawn(seed, number, known.get(number))
+            with open(target, "a", newline="") as file:
+                texts = [f"{value:.8g}" if isinstance(value, float) else value for value in row.values()]
+                csv.writer(file).writerow(texts)
+    target.replace(path)
     rows = [row for row in _table(path) if int(row["number"]) < count]
     kinds = {
         "all": rows,
@@ -150,8 +126,9 @@ def held(path: Path, seed: int, count: int) -> None:
             print(f"{name:23s} {kind:17s} {len(some):5d} {np.sum(~known):5d} {share:5.3f}  {ratio:8.2f}")
 
 
-def _drawn(seed: int, number: int) -> dict[str, float | str]:
-    """A row of the table: one contact, its bars, and its numbers on a finer grid."""
+def _drawn(seed: int, number: int, known: dict[str, str] | None) -> dict[str, float | str]:
+    """A row of the table: one contact, its bars, and its numbers on a finer grid, those of a known row if there is one.
+    """
     rng = np.random.default_rng([seed, number])
 
     def between(low: float, high: float) -> float:
@@ -169,19 +146,22 @@ def _drawn(seed: int, number: int) -> dict[str, float | str]:
     load = math.exp(control.guess(area))
     options = {"thickness": thickness, "base": base or None, "poisson": poisson}
     contact = pgfmd.solve(heights, load, tolerance=tolerance, **options)
-    finer = pgfmd.solve(heights, load, tolerance=TIGHT, refine=FINER, **options)
     bars = contact.observables("discretisation")["discretisation"]
     found = contact.area
     row: dict[str, float | str] = dict(zip(DRAWN + MEASURED, (
         number, n, lambda_s, hurst, area, tolerance, base, thickness, poisson, contact.numbers["contact_line"],
         contact.surface.roughness, found.pixels, found.edges, contact.pressure_error,
     ), strict=True))  # fmt: skip
-    numbers, true = (
-        each.numbers | {"mean_square_pressure": float(np.mean(each.pressure**2))} for each in (contact, finer)
-    )
+    numbers = _numbers(contact)
+    true = known and {name: float(known[f"{name}_true"]) for name in NUMBERS}
+    true = true or _numbers(pgfmd.solve(heights, load, tolerance=TIGHT, refine=FINER, **options))
     for name in NUMBERS:
         row |= {name: numbers[name], f"{name}_error": float(bars[f"{name}_error"]), f"{name}_true": true[name]}
     return row
+
+
+def _numbers(contact: Contact) -> dict[str, float]:
+    return contact.numbers | {"mean_square_pressure": float(np.mean(contact.pressure**2))}
 
 
 def _table(path: Path) -> list[dict[str, str]]:
@@ -257,20 +237,17 @@ def main(arguments: list[str] | None = None) -> int:
     command.add_argument("path", type=Path, metavar="FILE.csv")
     command.add_argument("--seed", type=int, default=1, help="of all draws")
     command.add_argument("--count", type=int, default=200, help="contacts")
-    for name, across, finest in (("bars", 16, 64), ("area", 32, 128)):
-        command = commands.add_parser(name)
-        if name == "area":
-            command.add_argument("path", type=Path, metavar="FILE.csv")
-            command.add_argument("--places", type=int, default=1, help="of the grid, each way, that areas are means of")
-            command.add_argument("--only", type=float, nargs=2, metavar=("H", "AREA"), help="of these cases")
-        command.add_argument("--seed", type=int, default=1, help="of the first surface")
-        command.add_argument("--across", type=int, default=across, help="λ_s to a side of the cell")
-        command.add_argument("--finest", type=int, default=finest, help="λ_s/a of the finest grid")
+    command.add_argument("--bars", action="store_true", help="of all contacts anew, not their finer grids")
+    command = commands.add_parser("area")
+    command.add_argument("path", type=Path, metavar="FILE.csv")
+    command.add_argument("--places", type=int, default=1, help="of the grid, each way, that areas are means of")
+    command.add_argument("--only", type=float, nargs=2, metavar=("H", "AREA"), help="of these cases")
+    command.add_argument("--seed", type=int, default=1, help="of the first surface")
+    command.add_argument("--across", type=int, default=32, help="λ_s to a side of the cell")
+    command.add_argument("--finest", type=int, default=128, help="λ_s/a of the finest grid")
     options = parser.parse_args(arguments)
     if options.what == "held":
-        held(options.path, options.seed, options.count)
-    elif options.what == "bars":
-        bars(options.seed, options.across, options.finest)
+        held(options.path, options.seed, options.count, options.bars)
     else:
         first = Case(math.nan, math.nan, options.seed, options.across)
         area(options.path, first, options.finest, options.places, options.only and tuple(options.only))
