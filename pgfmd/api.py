@@ -7,7 +7,7 @@ import logging
 import math
 import sys
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
@@ -353,6 +353,7 @@ def _targets(imposed: Mapping[str, Any]) -> tuple[str, tuple[float, ...], bool]:
     return given[0], _checked(given[0], values, _rule("pressure" if given[0] == "force" else given[0])), single
 
 
+@cache
 def _rule(name: str) -> Rule:
     """The rule of a key of [load]."""
     return {field.name: field.metadata["rule"] for field in dataclasses.fields(Load)}[name]

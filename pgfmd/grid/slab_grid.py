@@ -15,6 +15,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -46,6 +48,15 @@ def transform_work(shape: tuple[int, int], torus: tuple[int, int]) -> float:
     of Ny and Ny columns of Nx numbers, for nx rows of ny and ny columns of nx.
     """
     return torus[1] / shape[1] * (1 + torus[0] / shape[0]) / 2
+
+
+@lru_cache(maxsize=16)
+def _waves(torus: tuple[int, int], period: tuple[float, float], first: int, stop: int) -> tuple[np.ndarray, ...]:
+    """qx, qy, hermitian_weight and even_weight of a `SlabGrid` with columns first … stop−1; to read."""
+    (mx, my), ky, kx = torus, np.arange(first, stop), np.arange(torus[0] // 2 + 1)
+    qx = (2 * np.pi / period[0] * np.fft.fftfreq(mx, 1 / mx))[None, :]
+    weights = (np.where((k == 0) | (2 * k == m), 1.0, 2.0) for k, m in ((ky, my), (kx, mx)))
+    return qx, (2 * np.pi / period[1] * ky)[:, None], next(weights)[:, None], next(weights)
 
 
 class SlabGrid:
@@ -100,12 +111,8 @@ class SlabGrid:
         mx, my = self.torus
         self.columns = slab(my // 2 + 1, comm.size, comm.rank)
         self.spectral_shape = (self.columns.stop - self.columns.start, mx)
-        ky = np.arange(self.columns.start, self.columns.stop)
-        self.qx = (2 * np.pi / self.period[0] * np.fft.fftfreq(mx, 1 / mx))[None, :]
-        self.qy = (2 * np.pi / self.period[1] * ky)[:, None]
-        self.hermitian_weight = np.where((ky == 0) | (2 * ky == my), 1.0, 2.0)[:, None]
-        kx = np.arange(mx // 2 + 1)
-        self.even_weight = np.where((kx == 0) | (2 * kx == mx), 1.0, 2.0)
+        waves = _waves(self.torus, self.period, self.columns.start, self.columns.stop)
+        self.qx, self.qy, self.hermitian_weight, self.even_weight = waves
         # A small slab is not worth waking threads for.
         threads = self.asked_threads = threads_per_rank() if threads is None else threads
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
@@ -115,7 +122,7 @@ class SlabGrid:
         self._kind: Hashable = (self.shape, self.torus, transform, self.threads.count) if alone else None
         self._strips: Strips | None = None
         self._planned: dict[np.dtype, AnyTransform] = {}
-        self.tables: dict[Hashable, np.ndarray] = {}  # symbols of solids, kept for the next load
+        self.tables: dict[Hashable, Any] = {}  # symbols of solids, kept for the next load
         self._around: dict[tuple[int, int], RowPlan] = {}
 
     def q_squared(self, first: int = 0, stop: int | None = None) -> np.ndarray:

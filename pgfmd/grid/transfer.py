@@ -164,11 +164,9 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
     `Interpolation`, in single precision.  Collective.
     """
     domain = fine.domain
-    (first, weights), (left, across) = (
+    (first, weights, _), (_, across, columns) = (
         _means(domain, *counts) for counts in zip(fine.shape, coarse.shape, strict=True)
     )
-    weights, across = weights.astype(np.float32), across.astype(np.float32)
-    columns = domain.indices(np.add.outer(left, np.arange(TAPS)), fine.shape[1]).astype(np.int32)
     start, stop = coarse.layout.rows.start, coarse.layout.rows.stop
     low, high = (int(first[start]), int(first[stop - 1]) + TAPS) if start < stop else (0, 0)
     below, above = low, high  # where fields do not wrap, these rows are mirrored into low … high−1
@@ -204,15 +202,11 @@ class Interpolation:
 
     def __init__(self, coarse: SubGrid, fine: SlabGrid, fields: list[np.ndarray]) -> None:
         """fields: (nx_coarse_local, ny_coarse), all in the same precision."""
-        margin = 2
-        domain = fine.domain
-        positions, columns = (
-            (np.arange(first, stop) - domain.first_point(ratio := domain.coarse_spacing(n, m))) / ratio
-            for first, stop, n, m in ((fine.rows.start, fine.rows.stop, fine.shape[0], coarse.shape[0]),
-                                      (0, fine.shape[1], fine.shape[1], coarse.shape[1]))
-        )  # fmt: skip
-        low, high = int(np.floor(positions[0])) - margin, int(np.floor(positions[-1])) + margin + 2
-        self._wraps, begin, wanted = domain.wraps, low, np.arange(low, high)
+        domain, real = fine.domain, fields[0].dtype
+        index, weights = _weights(domain, (fine.rows.start, fine.rows.stop), (fine.shape[0], coarse.shape[0]), real)
+        self._y = _weights(domain, (0, fine.shape[1]), (fine.shape[1], coarse.shape[1]), real)
+        low, high = int(index[0]) - 1, int(index[-1]) + 5
+        self._x, self._wraps, wanted = (index - low, weights), domain.wraps, np.arange(low, high)
         if not domain.wraps:
             wanted = domain.indices(wanted, coarse.shape[0])
             low, high = int(wanted.min()), int(wanted.max()) + 1
@@ -229,9 +223,6 @@ class Interpolation:
             exchange.fetch(plan, field, rows)
         exchange.carry_out()
         self._fields = [(field, rows, places) for field, rows in zip(fields, others, strict=True)]
-        real = fields[0].dtype
-        self._x = _weights(positions - begin, real)
-        self._y = _weights(columns, real)
         self._buffer = np.empty((fine.threads.count, len(fields), fine.band, fine.shape[1]), real)
 
     def rows(self, which: int, first: int, stop: int, thread: int = 0) -> np.ndarray:
@@ -250,9 +241,9 @@ class Interpolation:
 
 
 @lru_cache(maxsize=16)
-def _means(domain: Domain, fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray]:
-    """For each coarse point, the first of the fine points within two coarse spacings and their weights (coarse, TAPS),
-    whose sum is 1; to read.
+def _means(domain: Domain, fine: int, coarse: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each coarse point, the first of the fine points within two coarse spacings, their weights (coarse, TAPS),
+    whose sum is 1, and where they are in the domain; to read.
     """
     at = np.arange(coarse)
     if domain.wraps:
@@ -261,11 +252,19 @@ def _means(domain: Domain, fine: int, coarse: int) -> tuple[np.ndarray, np.ndarr
         first, middle = 2 * at - 3, 2 * at + domain.first_point(2.0)
     x = np.abs(first[:, None] + np.arange(TAPS) - middle[:, None]) / domain.coarse_spacing(fine, coarse)
     weights = np.where(x < 1, (1 - x**2) * (2 - x) / 2, (1 - x) * (2 - x) * (3 - x) / 6 * (x < 2))
-    return first, weights / weights.sum(axis=1, keepdims=True)
+    places = domain.indices(np.add.outer(first, np.arange(TAPS)), fine).astype(np.int32)
+    return first, (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32), places
 
 
-def _weights(at: np.ndarray, real: np.dtype) -> tuple[np.ndarray, np.ndarray]:
-    """First index and Lagrange weights (len(at), 4) of the four points around each position."""
+@lru_cache(maxsize=16)
+def _weights(
+    domain: Domain, points: Range, counts: tuple[int, int], real: np.dtype
+) -> tuple[np.ndarray, np.ndarray]:
+    """For these of so many fine points, the first of the four coarse points around each, and their Lagrange weights
+    (len(points), 4); to read.  counts: of fine and coarse points.
+    """
+    ratio = domain.coarse_spacing(*counts)
+    at = (np.arange(*points) - domain.first_point(ratio)) / ratio
     base = np.floor(at).astype(np.int64)
     t = (at - base)[:, None]
     a, b, c, d = t + 1, t, t - 1, t - 2

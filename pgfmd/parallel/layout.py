@@ -209,7 +209,7 @@ def _owners(low: int, high: int, starts: np.ndarray) -> Iterator[tuple[int, int,
     total, at = int(starts[-1]), low
     while at < high:
         row = at % total
-        owner = int(np.searchsorted(starts, row, side="right")) - 1
+        owner = int(np.searchsorted(starts, row, side="right")) - 1 if len(starts) > 2 else 0
         first, length = row - int(starts[owner]), min(high - at, int(starts[owner + 1]) - row)
         yield owner, first, first + length, at - low
         at += length

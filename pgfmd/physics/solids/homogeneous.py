@@ -114,7 +114,9 @@ def _scale_by_q(grid: SlabGrid, dtype: DTypeLike, scale: float, divide: bool) ->
     from pgfmd.grid import kernels  # compiled code, which only a run needs
 
     real, step = np.dtype(dtype), min(grid.spacing)
-    qx_squared, qy_squared = (((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0]))
+    if (real, step) not in grid.tables:
+        grid.tables[real, step] = [((waves * step) ** 2).astype(real) for waves in (grid.qx[0], grid.qy[:, 0])]
+    qx_squared, qy_squared = grid.tables[real, step]
     factor = np.asarray(scale, real)[()]
 
     def act(block: np.ndarray, first: int, stop: int) -> None:

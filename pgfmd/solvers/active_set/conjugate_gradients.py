@@ -92,8 +92,10 @@ class ConjugateGradients:
 
     def _sums(self, a: np.ndarray, b: np.ndarray, *more: float) -> list[float]:
         """Σ a b, Σ a, Σ b and the sums of `more` numbers over all ranks.  Collective."""
+        if len(a) <= ENTRIES:
+            return self.reduction.sums(*dot_and_sums(a, b, 0, len(a)), *more).tolist()
         parts = self.threads.collect(lambda i, j: dot_and_sums(a, b, i, j), len(a), ENTRIES)
-        return self.reduction.sums(*map(sum, zip((0.0, 0.0, 0.0), *parts, strict=True)), *more).tolist()
+        return self.reduction.sums(*map(sum, zip(*parts, strict=True)), *more).tolist()
 
 
 @jit

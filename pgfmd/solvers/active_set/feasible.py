@@ -40,14 +40,16 @@ class Feasible:
         pressure, window, lists = fields[0], self.window, points.lists
         keeps_load = self.problem.imposed is None
         window.sum(lambda first, stop, sums: measure_blocks(pressure, lists, (first, stop), highest, sums))
-        loads, bounded = np.maximum(window.own[:, : self.width], 0), window.own[:, self.width :]
-        sums = grid.reduction.sums(loads.sum(), bounded.sum())
-        if not np.isfinite(sums).all():
+        loads, bounded = window.own[:, : self.width], window.own[:, self.width :]
+        np.maximum(loads, 0, out=loads)
+        total, most = grid.reduction.sums(loads.sum(), bounded.sum()).tolist()
+        if not math.isfinite(total + most):
             raise SolverError("hard wall: the pressures overflow; allow a larger tolerance")
-        if sums[0] <= CANCELLED * sums[1]:
-            loads, sums[0] = bounded, sums[1]
-        factors = loads / np.where(bounded > 0, bounded, 1)
-        window.own[:, : self.width] = factors * (load / sums[0]) if keeps_load and math.isinf(highest) else factors
+        if total <= CANCELLED * most:
+            loads[...], total = bounded, most
+        loads /= np.where(bounded > 0, bounded, 1)
+        if keeps_load and math.isinf(highest):
+            loads *= load / total
         window.fetch()
         grid.threads.deal(
             lambda a, b: cut_in_blocks(pressure, lists, (window.start, a, b), highest, window.rows), len(pressure)

@@ -218,23 +218,23 @@ def mesh_factors(spacing: tuple[float, float]) -> tuple[int, int] | None:
 def inner_response(
     grid: SlabGrid, half_space: Symbol, response: Symbol, action: ColumnAction, mean: float = 0.0
 ) -> MeshResponse | FullResponse:
-    """`mesh_response`, if the solid responds like a half-space to short waves, or a `FullResponse`: `action` multiplies
-    modes by A.  Collective.
-    """
-    q = np.array(0.25 * np.pi / max(grid.spacing))
-    alike = abs(response(q) / half_space(q) - 1) < 1e-2
-    return (mesh_response(grid, response, half_space, mean) if alike else None) or FullResponse(action)
+    """A `mesh_response`, or where there is none a `FullResponse`: `action` multiplies modes by A.  Collective."""
+    return mesh_response(grid, response, half_space, mean) or FullResponse(action)
 
 
 def mesh_response(
     grid: SlabGrid, response: Symbol, half_space: Symbol | None = None, mean: float = 0.0
 ) -> MeshResponse | None:
-    """A `MeshResponse` on large grids whose pixels are not too oblong; without a half-space, in place of transforms in
-    double precision.  Collective.
+    """A `MeshResponse` on large grids whose pixels are not too oblong, if the solid responds like the half-space to
+    short waves; without a half-space, in place of transforms in double precision.  Collective.
     """
     least = SMALLEST[2 if half_space is None else not grid.domain.wraps]
     large = grid.size >= least**2 and min(grid.shape) >= NARROWEST
-    return MeshResponse(grid, half_space, response, mean) if large and mesh_factors(grid.spacing) else None
+    if not (large and mesh_factors(grid.spacing)):
+        return None
+    q = np.array(0.25 * np.pi / max(grid.spacing))
+    alike = half_space is None or abs(response(q) / half_space(q) - 1) < 1e-2
+    return MeshResponse(grid, half_space, response, mean) if alike else None
 
 
 @jit

@@ -30,8 +30,8 @@ class Unknowns:
     (below `level` at 0, above it at `highest`).  For gaps as unknowns, the pressure and the gap change places.
 
     Attributes: count, the number of them; lists and extended, `Points` without and with a halo of `HALO` rows; own,
-    the slice of the columns of `extended` that are those of `lists`; repeated, on one rank alone, where the values of
-    the halo are in `lists` and in `extended`.
+    the slice of the columns of `extended` that are those of `lists`; alone: on one rank, whose halo
+    repeats its own rows.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
@@ -47,8 +47,8 @@ class Unknowns:
             return counts, columns[:found].copy()
 
         parts = grid.threads.collect(lambda a, b: choose(fields[0][a:b], fields[1][a:b]), rows, grid.band)
-        alone = grid.comm.size == 1 and min(len(parts[0][0]), len(parts[-1][0])) >= HALO
-        if alone and grid.domain.wraps:  # the halo repeats rows of its own
+        self.alone = grid.comm.size == 1 and min(len(parts[0][0]), len(parts[-1][0])) >= HALO
+        if self.alone and grid.domain.wraps:
             (first, start), (last, end) = parts[0], parts[-1]
             before = last[-HALO:], end[len(end) - int(last[-HALO:].sum()) :]
             after = first[:HALO], start[: int(first[:HALO].sum())]
@@ -58,11 +58,9 @@ class Unknowns:
         counts, lists = zip(before, *parts, after, strict=True)
         columns, offsets = self.extended = np.concatenate(lists), np.concatenate([[0], *counts]).cumsum()
         own = offsets[HALO : HALO + rows + 1]
-        self.own, self.count = slice(own[0], own[-1]), int(own[-1] - own[0])
+        self.own = slice(int(own[0]), int(own[-1]))
+        self.count = self.own.stop - self.own.start
         self.lists: Points = columns[self.own], own - own[0]
-        self.repeated = None if not alone else [
-            (slice(*self.lists[1][[a, b]]), slice(*offsets[[at, at + b - a]])) for a, b, at in self.halo.copies
-        ]  # fmt: skip
 
     def below(self, level: float, field: np.ndarray) -> SetVector:
         """level − field (nx_local, ny) on the set, in single precision and at most `LARGEST`."""
@@ -90,17 +88,22 @@ class SetVector:
 
     def send(self, exchange: Exchange) -> None:
         """Adds to an exchange what brings the present values of the halo.  `own` may be read meanwhile."""
-        if self.points.repeated is not None:
-            for here, there in self.points.repeated:
-                self.all[there] = self.own[here]
-            return
-        exchange.fetch(self.points.halo, self.own, self.all, (self.points.lists[1], self.points.extended[1]))
+        if not self._repeat():
+            exchange.fetch(self.points.halo, self.own, self.all, (self.points.lists[1], self.points.extended[1]))
 
     def exchange(self) -> None:
         """Brings the present values of the halo.  Collective."""
-        exchange = Exchange(self.points.grid.comm)
-        self.send(exchange)
-        exchange.carry_out()
+        if not self._repeat():
+            exchange = Exchange(self.points.grid.comm)
+            self.send(exchange)
+            exchange.carry_out()
+
+    def _repeat(self) -> bool:
+        """Sets the halo, if it repeats rows of this rank; returns whether."""
+        if self.points.alone:
+            before, after = self.points.own.start, len(self.all) - self.points.own.stop
+            self.all[:before], self.all[len(self.all) - after :] = self.own[len(self.own) - before :], self.own[:after]
+        return self.points.alone
 
 
 @jit
