@@ -237,7 +237,7 @@ class Relaxation:
         """The mean pressure for the next step of a search for an area, if it is to change and the area is known well
         enough (`Aim`); else 0.  square: about twice the error of the energy.
         """
-        if not self.exact or state.aim is None or not state.energy > 0:
+        if not (self.exact and state.aim is not None and state.aim.target.area and state.energy > 0):
             return 0.0
         error = max(square / (2 * state.energy) - self.enough, 0.0)
         return state.aim.pressure if state.aim.moves(self.measured(state), error) else 0.0

@@ -83,6 +83,11 @@ class ConjugateGradients:
         del self.residual, self.z  # the next system is made while this one still has its name
         return x, steps
 
+    def lower(self, number: float) -> None:
+        """Takes a number off the residual of a system that is not neutral, before it is solved.  Collective."""
+        self.residual.own -= self.residual.own.dtype.type(number)
+        self.square = self._precondition()
+
     def _precondition(self) -> float:
         """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""
         self.preconditioner(self.residual, self.z)

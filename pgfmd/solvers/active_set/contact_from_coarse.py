@@ -27,7 +27,7 @@ from pgfmd.solvers.options import GAPS_FROM
 from pgfmd.solvers.second_order import Rounding
 from pgfmd.solvers.solution import Monitor
 
-GAP_FROM = 0.4  # `GAPS_FROM` where a mean gap is imposed
+GAP_FROM, AREA_FROM = 0.4, 0.65  # `GAPS_FROM` where a mean gap or an area is imposed
 MOST_ROWS = 512  # of which a stress is measured: a part of a hundred of a transform at 8192²
 PUNCH = 2.6  # Â(0) p̄/δ of a square punch on a half-space, 2.244 · 1.1523; 1 on a thin slab
 ROUGHER = 0.3  # part of the heights resolved by the finer grid only that its start assumes flattened
@@ -172,9 +172,11 @@ class ActiveSetIteration(NestedIteration[State]):
             known = self.stresses or {problem.grid.size: 1.0}
             state.aim = state.aim or Aim(problem.imposed, known, pressure=problem.mean_pressure)
             problem = problem.imposing(None, state.aim.pressure)
-        given, by_gap = problem.imposed is None, problem.imposed is not None and problem.imposed.is_gap
-        by_gaps = (given and state.aim is None or by_gap) and problem.law.highest == np.inf
-        by_gaps &= problem.grid.domain.wraps and state.between > (GAP_FROM if by_gap else GAPS_FROM) * problem.grid.size
+        given = problem.imposed is None
+        part = (GAPS_FROM if state.aim is None else AREA_FROM) if given else GAP_FROM
+        by_gaps = problem.imposed is None or problem.imposed.is_gap
+        by_gaps &= problem.law.highest == np.inf and problem.grid.domain.wraps
+        by_gaps &= state.between > part * problem.grid.size
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
         solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
         while True:

@@ -70,7 +70,15 @@ class GapSteps(Relaxation):
         state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
+        if pressure := self.next_pressure(state, system.square + self.hidden):
+            system.lower(pressure - self.problem.mean_pressure)
+            self.set_load(pressure)
         return system
+
+    def set_load(self, mean_pressure: float) -> None:
+        """The load from now on."""
+        super().set_load(mean_pressure)
+        self.settling.load = self.problem.load
 
     def _hold_mean(self, state: State) -> None:
         """Multiplies the gap to the imposed mean: what clipping adds is little.  Collective."""
@@ -83,8 +91,8 @@ class GapSteps(Relaxation):
 
     def _move_load(self, state: State, change: float) -> None:
         """Adds to the mean pressure.  Collective."""
-        self.problem = self.problem.at(self.problem.mean_pressure + change)
-        self.settling.load, rows = self.problem.load, state.pressure
+        self.set_load(self.problem.mean_pressure + change)
+        rows = state.pressure
         self.grid.threads.deal(lambda a, b: np.add(rows[a:b], change, out=rows[a:b], casting="same_kind"), len(rows))
 
     def measured(self, state: State) -> Measured:
