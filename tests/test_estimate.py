@@ -12,9 +12,12 @@ import pytest
 from conftest import ROOT, broad
 from job_texts import rough_job
 
+import pgfmd
 from pgfmd.application import estimate, job
 from pgfmd.grid.grid_cost import holders, largest_shares
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options.text import readable
+from pgfmd.parallel.mpi import ALONE
 from pgfmd.solvers.active_set import cropping
 
 
@@ -169,6 +172,19 @@ def test_memory_of_searches(mpirun, tmp_path, area):
     text = text_of(2048, 0.01, {}).replace("pressure = [0.01]", f"contact_area = {area}")
     expected = estimate.Plan(job.parse(text)).estimate(1).memory
     assert measured(mpirun, tmp_path, text, 1) == pytest.approx(expected, rel=WITHIN)
+
+
+@pytest.mark.parametrize("pressure", [0.001, 0.01, 0.03])
+def test_a_search_costs_what_its_contact_costs(pressure):
+    """Where a mean gap is asked for, `check` knows about how large the contact is: its work is within a factor of 1.5
+    of that at the pressure.
+    """
+    given = job.parse(text_of(128, pressure, {}))
+    heights = given.surface.whole.heights(SlabGrid(ALONE, given.cell.n, given.cell.lengths), None)
+    contact = pgfmd.solve(heights, pressure, contact_modulus=given.solid.contact_modulus)
+    expected = estimate.Plan(given).solving_costs()[0].transforms
+    text = text_of(128, 0.5, {}).replace("pressure = [0.5]", f"mean_gap = {contact.mean_gap}")
+    assert 1 / 1.5 < estimate.Plan(job.parse(text)).solving_costs()[0].transforms / expected < 1.5
 
 
 def test_thin_free_slabs_take_more_time():

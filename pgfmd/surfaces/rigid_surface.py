@@ -92,6 +92,10 @@ class Surface(Section):
         """√⟨|∇h|²⟩ if the options tell it, for estimates before the run."""
         return None
 
+    def known_height(self, cell: Cell) -> float | None:
+        """The rms height, likewise."""
+        return None
+
     @property
     def seeds(self) -> tuple[int, ...]:
         """The seeds of an ensemble; () for one surface."""
@@ -151,6 +155,10 @@ class Sum(Surface):
     def known_slope(self) -> float | None:
         slopes = [part.known_slope() for part in self.parts]
         return None if None in slopes else math.hypot(*(slope or 0.0 for slope in slopes))
+
+    def known_height(self, cell: Cell) -> float | None:
+        heights = [part.known_height(cell) for part in self.parts]
+        return None if None in heights else math.hypot(*(height or 0.0 for height in heights))
 
     def check_in(self, cell: Cell) -> None:
         for part in self.parts:

@@ -90,6 +90,12 @@ class SelfAffine(Surface):
     def known_slope(self) -> float | None:
         return self.rms_slope
 
+    def known_height(self, cell: Cell) -> float | None:
+        k_s, k_l, k_r = (2 * math.pi / max(length, 2 * min(cell.spacings)) for length in self.wavelengths(cell))
+        waves = np.geomspace(k_l, k_s, 256)  # of the weight k dk ∝ k² in ⟨h²⟩, k⁴ in ⟨|∇h|²⟩
+        power = self_affine_variance(self.hurst, k_l, k_r, k_s)(waves**2) * waves**2
+        return self.rms_slope * math.sqrt(power.sum() / (power * waves**2).sum())
+
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         wavelengths = self.wavelengths(Cell(n=grid.shape, length=grid.lengths))
         return _heights(grid, self.hurst, wavelengths, self.rms_slope, single(self.seed))
