@@ -58,7 +58,7 @@ CALLS = {
 }
 # Numbers of which the tables do not hold what they are computed from: histograms of the pressure, sums over the bins of
 # a run, contact areas of the loads, Persson's f(q) under an exponential wall; and a test by random samples.
-ELSEWHERE = r"P (over|in the first)|sum rule|contact area|ratio to Persson|goodness|largest \|ratio"
+ELSEWHERE = r"P (over|in the first)|sum rule|contact area|ratio to Persson|goodness"
 CELL = {"T1l": 2048, "LT": 8192, "L4": 8192, "L4w": 8192, "F67": 4096, "LF": 2048}  # λ_l where settings do not say it
 SHORTEST = {"F67": 8, "LF": 8, "L4b": 32}  # λ_s, where they do not
 
@@ -349,7 +349,8 @@ def persson_spectrum(figure: Figure, name: str):
         middle, line = (x >= 4) & (x <= top / 2), f if "f_" in kind else ratio
         part = (x >= top / 16) & (x <= top / 2) if "large q" in kind else (x >= 4) & (x <= top / 4)
         values.append(
-            -slopes(x[part], [1 / line[part]]) if kind.startswith("slope")
+            np.abs(ratio - 1).max() if kind.startswith("largest")
+            else -slopes(x[part], [1 / line[part]]) if kind.startswith("slope")
             else falls_below(x, line, 0.9) if kind.startswith("q*")
             else math.log(falls_below(x, ratio, 0.9)) if kind.startswith("ln")
             else np.dot(run["modes"], middle * run["stress"]) / np.dot(run["modes"], middle * run["full_contact"])

@@ -721,7 +721,8 @@ def test_power_laws_and_levels_of_one_number_against_another(runs):
     x = np.geomspace(1.0, 8.0, 7)
     assert dependence.reached(x, 1 / x, 0.25) == pytest.approx(4.0, rel=1e-12)
     assert dependence.reached(x, x**2, 4.0) == pytest.approx(2.0, rel=1e-12)
-    dependence._fit(sheet, "law", [[(a, -3 * c * a**-1.5) for a in x] for c in (0.9, 1.0, 1.1)], (1.5, 5.0), 0)
+    lines = [[(a, -3 * c * a**-1.5) for a in x] for c in (0.9, 1.0, 1.1)]
+    dependence._fit(sheet, "law", lines, (1.5, 5.0), (0, "black"))
     assert sheet.findings["law"].value == pytest.approx(-1.5, rel=1e-12)
     assert sheet.findings["law"].seeds == pytest.approx(0, abs=1e-12)
     with pytest.raises(InputError, match="'nothing' is no column"):
