@@ -165,7 +165,7 @@ def test_loading_and_unloading_lose_energy_in_jumps(comm, heights, length, contr
     equal to the loop integral of the force, whose end is its beginning."""
     load = Load(**{control: tuple(np.linspace(*targets))}, cycle=True)
     rows = SlabGrid(comm, heights.shape).rows
-    run = branch(heights[rows], AdhesiveWall(work=0.5, range=length), load, 1e-10, comm)
+    run = branch(heights[rows], AdhesiveWall(work=0.5, range=length), load, 1e-12, comm)
     found = [run.solution(target) for target in load.targets]
     drops = np.array([each.details["energy_drop"] for each in found])
     jumps = np.isfinite([each.details["jump_to"] for each in found])
@@ -428,7 +428,7 @@ def test_a_restart_within_a_cycle_gives_the_same_cycle(tmp_path):
     job = {
         "grid": {"n": 32}, "surface": ROUGH, "solid": {"contact_modulus": 1.0},
         "wall": {"kind": "adhesive", "work": 0.6, "range": 1.5}, "load": {"mean_gap": [3.0, 1.5, 0.5, 1.5, 3.0]},
-        "solver": {"tolerance": 1e-11},
+        "solver": {"tolerance": 1e-12},
     }  # fmt: skip
     whole = pgfmd.run(job, tmp_path / "whole")
     pgfmd.run(job | {"load": {"mean_gap": [3.0, 1.5, 0.5]}}, tmp_path / "parts")

@@ -22,15 +22,16 @@ import numpy as np
 
 from pgfmd.errors import SolverError, Unreachable
 from pgfmd.grid.transforms import sink
-from pgfmd.solvers.adhesive_inner import conjugate_gradients, decrement, least_ritz
+from pgfmd.solvers.adhesive_inner import Steps, conjugate_gradients, decrement, least_ritz
 from pgfmd.solvers.adhesive_model import AdhesiveModel, AdhesiveState, Hold
 
 RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
 MOST_STEPS, HALVINGS = 1000, 12
 SAME = 1e-14  # change of the energy, over the sum of its parts, that may be rounding
 GONE = 1e-9  # energy of the law per point, over w, below which the surfaces have separated
-FORCING = 0.03, 0.4, 0.7  # least and largest accuracy of a direction, and that of the last over what is left to do
+FORCING = 0.0009, 0.16, 0.49  # share of ⟨r, Gr⟩ that a direction leaves: least, largest, of what is still to do
 WAYS = 0.25, 0.5, 0.75, 1.0
+Goal = Callable[[AdhesiveState], float]
 
 
 class AdhesiveContact(AdhesiveModel):
@@ -51,7 +52,7 @@ class AdhesiveContact(AdhesiveModel):
             self.residual(state, hold)
             self.free[...] = ~inside
             start = np.where(inside, 0.0, -state.stress - hold.force(state.mean)).astype(np.float32)
-            found += conjugate_gradients(self, start, none, self.actions(hold), lambda _: 1e-4)[0]
+            found += conjugate_gradients(self, start, none, self.actions(hold), lambda _, left, __: left <= 1e-8)[0]
         return found
 
     def direction(
@@ -64,15 +65,17 @@ class AdhesiveContact(AdhesiveModel):
         weight = self.weight(state.gap, not careful)
         scale = state.residual**2 / (min(state.curvature, 1.0) * state.scale)
 
-        def wanted(first: float) -> float:
+        def enough(first: float, left: float, _: Steps) -> bool:
             error, (least, most, last) = first * scale, FORCING
-            return max(least, min(most, math.sqrt(error)), last * min(1, math.sqrt(tolerance / error)) if error else 0)
+            done = error <= tolerance and not careful
+            return done or left <= max(least, min(most, 2 * math.sqrt(error)), last * min(1.0, tolerance / error))
 
-        found, bent_down, square, steps = conjugate_gradients(self, start, weight, self.actions(hold), wanted)
+        found, bent_down, square, steps = conjugate_gradients(self, start, weight, self.actions(hold), enough)
         state.square = square * state.residual**2
         state.inner += 2 * len(steps) + 1 + bent_down
         if not careful and steps:
             state.curvature = 1e-3 if bent_down else max(least_ritz(steps)[0], 1e-3)
+            state.curvatures = (*state.curvatures[-2:], 1.0 if bent_down else state.curvature)
         state.error = decrement(square, steps, min(state.curvature, 1.0)) * state.residual**2 / state.scale
         state.negative |= bent_down
         found *= np.float32(state.residual)
@@ -86,15 +89,17 @@ class AdhesiveContact(AdhesiveModel):
         hold: Hold,
         tolerance: float,
         see: Callable[[AdhesiveState], None] | None = None,
+        goal: Goal | None = None,
     ) -> AdhesiveState:
         """The minimum of the energy down from a gap, which becomes that of the minimum.  Collective.
 
-        Ends when ⟨r, Gr⟩/2θ, θ estimated, is at most the tolerance times 2 E_el.  Where no step lowers the energy any
-        more, an error of up to 1000 times the tolerance is accepted, and written as `certified_error`.
-        Raises SolverError after `MOST_STEPS`.
+        Ends when ⟨r, Gr⟩/2θ, θ estimated, is at most the tolerance, or a goal for the state, times 2 E_el.  Where no
+        step lowers the energy any more, an error of up to 1000 times the tolerance is accepted, and written as
+        `certified_error`.  Raises SolverError after `MOST_STEPS`.
         """
         state = self.state(gap)
-        if not self.lowered(state, hold, tolerance, see):
+        ended = self.lowered(state, hold, goal or (lambda _: tolerance), see)
+        if state.error > (max(1e3 * tolerance, 1e-9) if ended else tolerance):  # rounding
             raise SolverError(
                 f"adhesive contact: the energy error stays at {state.error:.1e}, above the tolerance {tolerance:.1e}; "
                 "allow a larger tolerance, or a finer grid where the process zone is short"
@@ -102,23 +107,23 @@ class AdhesiveContact(AdhesiveModel):
         return state
 
     def lowered(
-        self, state: AdhesiveState, hold: Hold, tolerance: float, see: Callable[[AdhesiveState], None] | None
+        self, state: AdhesiveState, hold: Hold, goal: Goal, see: Callable[[AdhesiveState], None] | None
     ) -> bool:
-        """The same from a state, which changes; whether it ended.  Collective."""
+        """The same from a state, which changes; whether it ended, or no step lowers the energy.  Collective."""
         radius, careful = RADIUS, 0
         while state.iterations < MOST_STEPS:
-            found, down = self.direction(state, hold, tolerance, careful > 0)
+            found, down = self.direction(state, hold, goal(state), careful > 0)
             if hold.spring == 0 and hold.load < 0 and state.law > -GONE:
                 raise Unreachable(f"load.{hold.name}: no contact bears that tension, the surfaces separate")
             if see is not None:
                 see(state)
-            if not careful and ((state.error <= tolerance and not down) or state.residual == 0):
+            if not careful and ((state.error <= goal(state) and not down) or state.residual == 0):
                 return True
             fell, radius = self.step(state, hold, (found, down), radius)
             del found
             if not fell and careful:
-                self.direction(state, hold, tolerance, False)
-                return state.error <= max(1e3 * tolerance, 1e-9)  # rounding
+                self.direction(state, hold, goal(state), False)
+                return True
             careful = max(careful - 1, 0) if fell else 2
         return False
 

@@ -38,6 +38,7 @@ JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
 ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
 LESS = 0.7  # a guess of θ, over that of the last contact
+WORSE = 2.0  # bound of the energy error over the estimate, at first
 LESSER, TRIES = 4.0, 3  # where a guess of θ was too large: the next one, and how often
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
 COLD, FOLLOWED, PROBED = range(3)
@@ -171,7 +172,7 @@ class Branch:
             start = softer.minimise(start / factor, longer, 1e-4, self._see).gap * factor
         if hold.fixed:
             contact.to_mean(start, hold.gap)
-        return contact.minimise(start, hold, self.tolerance, self._see)
+        return contact.minimise(start, hold, self.tolerance, self._see, lambda state: self._near(state, hold))
 
     def _from(self, last: Point, target: float, tolerance: float = 0.0, extrapolated: bool = False) -> AdhesiveState:
         """The contact at a target, from another.  extrapolated: by the last change, which is lost.  Collective."""
@@ -189,7 +190,18 @@ class Branch:
         del way
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
-        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see)
+        near = None if tolerance else lambda state: self._near(state, hold)
+        return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see, near)
+
+    def _guess(self, state: AdhesiveState) -> float:
+        """θ of a state, guessed from its last directions and the last contact."""
+        return min(max(min(state.curvatures, default=1.0), 1e-3), 0.8, LESS * self.floor or 1.0)
+
+    def _near(self, state: AdhesiveState, hold: Hold, floor: float = 0.0, worse: float = WORSE) -> float:
+        """The error, over 2 E_el, at most the tolerance, with which the distance t is at most `FAR` θ."""
+        floor = floor or self._guess(state)
+        share = distance(self.contact, hold, floor, worse * state.scale / 2) / (FAR * floor)
+        return min(self.tolerance, 1 / max(share, 1e-100) ** 2)
 
     def _leapt(self, low: Point, high: Point, negative: bool = True) -> bool:
         """Whether the area leapt, with negative curvature, or energy was lost by whatever force was between."""
@@ -206,7 +218,7 @@ class Branch:
         while abs(ends[1][0] - ends[0][0]) > width:
             ends[0][1].stress = ends[1][1].stress = NONE
             self.last, target = ends[0], (ends[0][0] + ends[1][0]) / 2
-            middle = target, self._from(ends[0], target, tolerance=loose)
+            middle = target, self._from(ends[0], target, tolerance=loose or self.tolerance)
             halves = (ends[0], middle), (middle, ends[1])
             areas = [abs(new[1].near - old[1].near) for old, new in halves]
             losses = [self._lost(*half)[1] for half in halves]
@@ -247,17 +259,16 @@ class Branch:
         """θ, the bound of the energy error per point, the distance t, and whether they are proved.  Lowers the state
         to where its distance from the minimum hardly changes θ.  Collective.
         """
-        contact, wanted, worse = self.contact, self.tolerance * state.scale / 2, 1.0
-        guess, goal = min(max(state.curvature, 1e-3), 0.8, LESS * self.floor or 1.0), state.error
+        contact, wanted, worse = self.contact, self.tolerance * state.scale / 2, WORSE
+        guess, goal, known = self._guess(state), state.error, min((self.floor, *state.curvatures))
         for _ in range(TRIES):
-            expected = worse * state.error * state.scale / 2
-            near = FAR * guess / (distance(contact, hold, guess, expected) or 1e-300)
-            goal = min(state.error * min(near * near, 1.0), goal)
+            goal = min(goal, self._near(state, hold, guess, worse))
             if goal < state.error:
-                contact.lowered(state, hold, goal, self._see)
-                expected = worse * state.error * state.scale / 2
-            if self.proven and (proof := proved(contact, state, hold, self.floor, expected)):
+                contact.lowered(state, hold, lambda _, goal=goal: goal, self._see)  # type: ignore[misc]
+            expected = worse * state.error * state.scale / 2
+            if self.proven and (proof := proved(contact, state, hold, known, expected)):
                 return *proof, True
+            self.proven = False
             far = max(MARGIN * distance(contact, hold, guess, expected), LITTLE * guess)
             floor, bound, least = estimated(contact, state, hold, far)
             if far >= least and bound <= wanted:

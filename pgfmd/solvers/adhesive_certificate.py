@@ -19,19 +19,22 @@ from pgfmd.grid.transforms import ColumnAction
 from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive import AdhesiveContact
-from pgfmd.solvers.adhesive_inner import conjugate_gradients, decrement, least_ritz
+from pgfmd.solvers.adhesive_inner import Steps, apply, conjugate_gradients, decrement, least_ritz, masked
 from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 
-LANCZOS = 20  # steps: right to 10 % in 10 of 12 states
+LEAST_STEPS, LANCZOS = 12, 24  # least and most steps that estimate θ
+SURE = 0.1  # residual norm of the least Ritz value, over it, with which they end
+SHAKE = 0.1  # noise in the start over the residual, in the norm of P: finds what the residual does not hold
 RITZ = 0.9  # part of the least Ritz value less its residual that counts as θ
 PART = 0.45  # of the estimated θ, for which a proof is tried: less proves few more, in a larger distance t
 WORTH = 0.2  # least estimate of θ with which one is: K_M is too soft for smaller ones
 MOST_PROOF = 40  # most iterations of a proof for each of GOALS
-GOALS = 1e-3, 0.03  # factors on the residual of Mv = 1, in the norm of P, in a first round and in one that goes on
+GOALS = 2e-4, 1e-3  # shares of ⟨r, Pr⟩ that a first round leaves of Mv = 1, and one that goes on of that
+SWEEPS, BEYOND = 3, 1.4  # Jacobi iterations at most, which mend single points, and their relaxation
 LARGEST = 100.0  # of 1/G(0) that s counts at most: more would give the same, by more iterations
 MARGIN = 1.2  # of a distance t over what an expected bound asks for
 LITTLE = 0.05  # distance t over θ that hardly changes θ
-LEFT = 0.6  # factor on √⟨r, Pr⟩ over √θ, to which it is reduced where the energy error is computed
+LEFT = 0.36  # share of ⟨r, Pr⟩ over θ that is left where the energy error is computed
 ROUNDED = 1.001  # factor on the energy error, for rounding in single precision
 POSITIVE = 1e-3  # least value of Mv, of which 1 was asked, that rounding in double precision cannot make of one ≤ 0
 Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
@@ -42,19 +45,52 @@ def estimated(
 ) -> tuple[float, float, float]:
     """(θ, bound e on E − E* of the local minimum per point, least t for which it holds) where t = far.  Collective.
 
-    θ is `RITZ` of the least eigenvalue of PA, 1 without D̄, by Lanczos iterations: the least Ritz value less the norm of
-    its residual, which is right if the start holds that eigenvector.  0 where it is not above that.
+    θ is `RITZ` of the least eigenvalue of PA, 1 without D̄, by the conjugate gradients that give e: the least Ritz value
+    less the norm of its residual, which is right if the start holds that eigenvector.  0 where it is not above that.
+    With noise n added to r, √⟨r, A⁻¹r⟩ is at most that of the sum plus √(⟨n, Pn⟩/θ).  They end early where t is short.
     """
-    grid = contact.grid
-    added = stiffening(contact, state, hold, far)
-    weight = softened(contact, added)
-    contact.count, actions = grid.size, contact.actions(hold)._replace(firm=True)
-    _, negative, _, steps = conjugate_gradients(contact, noise(contact, hold), weight, actions, lambda _: 1e-6, LANCZOS)
-    del weight  # its memory
-    floor, error = (0.0, 0.0) if negative else least_ritz(steps)
-    floor = max(RITZ * (floor - error), 0.0)
-    bound = energy_error(contact, state, hold, added, floor) if floor else math.inf
+    start, weight, actions = firm(contact, state, hold, stiffening(contact, state, hold, far))
+    more = shake(contact, start, hold, actions, state.square / state.residual**2 if state.residual else 0.0)
+
+    def error(first: float, steps: Steps, floor: float) -> float:
+        both = decrement(first, steps, floor), more / floor
+        return ROUNDED * (state.residual * sum(map(math.sqrt, both))) ** 2 / 2
+
+    def enough(first: float, left: float, steps: Steps) -> bool:
+        if len(steps) < LEAST_STEPS:
+            return False
+        floor, rest = least_ritz(steps)
+        short = distance(contact, hold, floor, state.residual**2 * decrement(first, steps, math.inf) / 2) > far
+        return short or (left <= LEFT * floor and rest <= SURE * floor)
+
+    _, negative, first, steps = conjugate_gradients(contact, start, weight, actions, enough, LANCZOS)
+    floor, rest = least_ritz(steps)
+    floor = 0.0 if negative else max(RITZ * (floor - rest), 0.0)
+    bound = error(first, steps, floor) if floor else math.inf
     return floor, bound, distance(contact, hold, floor, bound)
+
+
+def firm(
+    contact: AdhesiveContact, state: AdhesiveState, hold: Hold, added: Stiffening
+) -> tuple[np.ndarray, np.ndarray, Actions]:
+    """Start, weight and actions of conjugate gradients for A⁻¹r.  Collective."""
+    start = contact.residual(state, hold)
+    contact.count, weight = contact.grid.size, softened(contact, added)
+    return start, weight, contact.actions(hold)._replace(firm=True)
+
+
+def shake(contact: AdhesiveContact, start: np.ndarray, hold: Hold, actions: Actions, square: float) -> float:
+    """Adds noise n to a start whose ⟨r, Pr⟩ per point is about `square`; returns ⟨n, Pn⟩ per point.  Collective."""
+    grid, added = contact.grid, noise(contact, hold)
+    own, _ = apply(
+        grid, actions.soften, (added,), lambda rows, s: masked(rows, added[s], contact.free[s], contact.image[s])
+    )
+    if not own > 0:
+        return 0.0
+    share = SHAKE * math.sqrt((square if 0 < square < math.inf else contact.local) * grid.size / own)
+    added *= np.float32(share)
+    start += added
+    return share**2 * own / grid.size
 
 
 def noise(contact: AdhesiveContact, hold: Hold) -> np.ndarray:
@@ -79,12 +115,10 @@ def energy_error(
     contact: AdhesiveContact, state: AdhesiveState, hold: Hold, added: Stiffening, floor: float
 ) -> float:
     """The bound e of the energy error per point, for s = `added` and θ = floor.  Collective."""
-    start = contact.residual(state, hold)
-    weight, contact.count, goal = softened(contact, added), contact.grid.size, LEFT * math.sqrt(floor)
-    actions = contact.actions(hold)._replace(firm=True)
-    _, negative, first, steps = conjugate_gradients(contact, start, weight, actions, lambda _: goal)
-    bound = ROUNDED * state.residual**2 * decrement(first, steps, floor) / 2
-    return math.inf if negative else bound
+    _, negative, first, steps = conjugate_gradients(
+        contact, *firm(contact, state, hold, added), lambda _, left, __: left <= LEFT * floor
+    )
+    return math.inf if negative else ROUNDED * state.residual**2 * decrement(first, steps, floor) / 2
 
 
 def local_compliance(contact: AdhesiveContact, hold: Hold) -> float:
@@ -191,7 +225,8 @@ def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: Stiffenin
     """Whether a v > 0 with Mv > 0 was found, where M is the action, of that `mean` stiffness, plus what is `added`,
     which decides the free points.  Collective.
 
-    Conjugate gradients for Mv = 1 in single precision: any v will do if the test at the end, in double, passes.
+    Conjugate gradients for Mv = 1 and Jacobi iterations at points where it is less, in single precision: any v will do
+    if the test at the end, in double, passes.
     """
     grid, soften = contact.grid, contact.with_mean(contact.compliance, 1 / max(mean, 1 / contact.softest))
     actions, least = Actions(soften, action, False, True), list[float]()
@@ -203,17 +238,25 @@ def is_m_matrix(contact: AdhesiveContact, action: ColumnAction, added: Stiffenin
         rows[...] = v[first:stop]
 
     def keep(first: int, stop: int, rows: np.ndarray) -> None:
-        least.append(-float(np.min(rows + added(slice(first, stop)) * v[first:stop])))
+        rows += added(slice(first, stop)) * v[first:stop]
+        np.subtract(1, rows, out=left[first:stop], casting="same_kind")
+        least.append(-float(rows.min()))
+
+    def raise_low(s: slice) -> None:
+        v[s] += BEYOND * np.maximum(left[s], 0) / (1 / contact.local + added(s))
 
     for goal in GOALS:
         found, negative, _, _ = conjugate_gradients(
-            contact, left, weight, actions, lambda _, goal=goal: goal, MOST_PROOF  # type: ignore[misc]
+            contact, left, weight, actions, lambda _, part, __, goal=goal: part <= goal, MOST_PROOF  # type: ignore[misc]
         )
         np.add(v, found, out=v)
         del found
         if negative:
             return False
-        if grid.reduction.min(v) > 0:
+        for _ in range(SWEEPS):
+            contact.rows(raise_low)
+            if grid.reduction.min(v) <= 0:
+                break
             least.clear()
             grid.convolve(fill, action, keep)
             if grid.reduction.max(least) < -POSITIVE:

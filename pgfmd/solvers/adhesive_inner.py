@@ -14,7 +14,8 @@ from pgfmd.solvers.adhesive_model import Actions, AdhesiveModel
 
 MOST_INNER = 200
 Pair = tuple[np.ndarray, np.ndarray]
-Goal = Callable[[float], float]
+Steps = list[tuple[float, float]]
+Enough = Callable[[float, float, Steps], bool]
 
 
 def apply(
@@ -36,9 +37,10 @@ def apply(
 
 
 def conjugate_gradients(
-    model: AdhesiveModel, start: np.ndarray, weight: np.ndarray, actions: Actions, wanted: Goal, most: int = MOST_INNER
-) -> tuple[np.ndarray, bool, float, list[tuple[float, float]]]:
-    """(K − weight)x = start on the free points, until ⟨r, Gr⟩ has fallen by wanted(its first value per point)².
+    model: AdhesiveModel, start: np.ndarray, weight: np.ndarray, actions: Actions, enough: Enough,
+    most: int = MOST_INNER,
+) -> tuple[np.ndarray, bool, float, Steps]:  # fmt: skip
+    """(K − weight)x = start on the free points, until enough(first ⟨r, Gr⟩ per point, the share left of it, steps).
 
     With firm points all points are unknowns.  start becomes what is left of it.
     Returns x, whether `model.search` is now a direction of negative curvature, the first ⟨r, Gr⟩
@@ -47,7 +49,7 @@ def conjugate_gradients(
     grid, z, d, (soften, stiffen, fixed, firm) = model.grid, model.image, model.search, actions
     free = np.ones_like(model.free) if firm else model.free
     threads, rows, inverse = grid.threads, len(free), 1 / model.count if fixed and model.count else 0.0
-    residual, x, steps = start, grid.new_field(np.float32), list[tuple[float, float]]()
+    residual, x, steps = start, grid.new_field(np.float32), Steps()
     x[...] = d[...] = 0
 
     def softened(rows: np.ndarray, s: slice) -> tuple[float, float]:
@@ -60,9 +62,9 @@ def conjugate_gradients(
         return max(square, 0.0), total * inverse
 
     square, mean = precondition()
-    first, before, goal = square, math.inf, wanted(square / grid.size) ** 2 * square
+    first, before = square, math.inf
     for _ in range(most):
-        if not square > 0 or square <= goal:
+        if not square > 0 or enough(first / grid.size, square / first, steps):
             break
         turn = np.float32(square / before), np.float32(mean)
         threads.deal(lambda a, b, t=turn: turned(d[a:b], z[a:b], free[a:b], t), rows)  # type: ignore[misc]
@@ -79,7 +81,7 @@ def conjugate_gradients(
     return x, False, first / grid.size, steps
 
 
-def least_ritz(steps: list[tuple[float, float]]) -> tuple[float, float]:
+def least_ritz(steps: Steps) -> tuple[float, float]:
     """The smallest eigenvalue of the tridiagonal matrix of conjugate gradients, an estimate from above of that of the
     preconditioned operator; and the norm of the residual, within which that has an eigenvalue.
     """
@@ -94,7 +96,7 @@ def least_ritz(steps: list[tuple[float, float]]) -> tuple[float, float]:
     return float(values[0]), float(beside[-1] * abs(vectors[-1, 0]))
 
 
-def decrement(first: float, steps: list[tuple[float, float]], floor: float) -> float:
+def decrement(first: float, steps: Steps, floor: float) -> float:
     """Largest ⟨r, A⁻¹r⟩ for A ≥ floor · P⁻¹, P the preconditioner: of the first ⟨r, Pr⟩ and the steps of conjugate
     gradients with A, ⟨r, x⟩ and the share of what is left.
     """

@@ -79,6 +79,7 @@ class AdhesiveState:
     pull: float = 0.0  # μ
     square: float = math.inf
     curvature: float = 1.0
+    curvatures: tuple[float, ...] = ()  # of the last three directions; 1 where one was negative
     error: float = math.inf
     contact: int = 0
     near: int = 0  # points with a gap below ρ
