@@ -124,8 +124,8 @@ def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]
 def _check(first: Side, other: Side) -> None:
     if first.imposed != other.imposed:
         raise InputError(f"{first.name} imposes {first.imposed}, {other.name} {other.imposed}: no load is the same")
-    for name in first.units.keys() & other.units.keys():
-        if first.units[name] != other.units[name]:
+    for name in first.units:
+        if first.units[name] != other.units.get(name, first.units[name]):
             raise InputError(
                 f"{first.name} has {name} in {first.units[name]}, {other.name} in {other.units[name]}; "
                 "units must be the same"
@@ -160,8 +160,10 @@ def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         table = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
         about = [note.removeprefix(run + ":") for note in notes if note.startswith(run + ":")]
-        parts.append("\n".join([f"{run} less {first}", *about, *(table if len(table) > 1 else ["no difference"])]))
-    return "\n\n".join(parts) + "\n\nof it: the difference over the error of both together; —: no error is known"
+        same = ["all numbers of the loads that both have are the same"]
+        parts.append("\n".join([f"{run} less {first}", *about, *(table if len(table) > 1 else same)]))
+    legend = "\n\nof it: the difference over the error of both together; —: no error is known"
+    return "\n\n".join(parts) + legend * any(row.difference for row in rows)
 
 
 def _known(value: float, form: str) -> str:

@@ -39,7 +39,7 @@ those of E_el and of the gap in 62 of 64, half of them slabs.
 **Solver.** In contact the solver leaves a residual r = g − λ, whose mean with the weights p is 0.  Let w be the change
 of the pressure with the load, which moves gaps in contact by a constant.  If e is the error of the pressure, of sum 0,
 ⟨w, Ge⟩ = 0: so the level λ is wrong by the mean of r with the weights w.  So is the mean gap, and the elastic energy by
-p̄ times as much, as E_el + p̄ḡ is of second order.  w is the change on the half grid when the load falls by LESS.  In 320
+p̄ times as much, as E_el + p̄ū is of second order.  w is the change on the half grid when the load falls by LESS.  In 320
 solutions (those of the perimeter) the error had the sign of this estimate in 95 % and was 1.1 times as large in the
 median, at most LEVEL times in 92 %.  Without such a w, the mean gap is right to B/p̄ and the elastic energy to B,
 B = 2√(C(E_el + ζp̄/2)) + C with the certified energy error C (`solvers.controls`), times SOLVER.

@@ -27,7 +27,7 @@ UNIT, CONDUCTANCE = "{pressure}/({length})", "conductivity/({length})"
 
 @dataclass(frozen=True, kw_only=True)
 class Stiffness(Observable):
-    """K = −dp̄/dḡ, pressure per change of the mean gap, while the contact stays as it is; bounded from both sides.
+    """K = −dp̄/dū, pressure per change of the mean gap ū, while the contact stays as it is; bounded from both sides.
 
     On an open patch K = dp̄/d(approach); times its area, force per length.
 

@@ -168,8 +168,9 @@ def build(section: type[Section] | Kinds, table: Any) -> Section:
 
 
 def in_words(section: Section) -> str:
-    """The keys of a section that are not None, with their values, on one line."""
-    return assignments({name: getattr(section, name) for name in _names(type(section))})
+    """The keys of a section that are not None, with their values, on one line; numbers to ten digits."""
+    values = {name: getattr(section, name) for name in _names(type(section))}
+    return assignments({name: float(f"{v:.10g}") if isinstance(v, float) else v for name, v in values.items()})
 
 
 def as_toml(title: str, section: Section) -> str:

@@ -2,7 +2,7 @@
 
 With G the compliance (in a cell without the mean mode) and C the points with 0 < p < σ_Y, the change of the pressure
 per change of its mean is the x that minimises ⟨x, Gx⟩/N among those with x = 0 outside C and mean 1.  Its minimum is
-1/K, with K = dp̄/d(approach), in a cell −dp̄/dḡ (ḡ: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
+1/K, with K = dp̄/d(approach), in a cell −dp̄/dū (ū: mean gap).  For every such x, with S = ⟨x, Gx⟩/N,
 
     S − ⟨ε, G⁻¹ε⟩/N ≤ 1/K ≤ S,        ε = Gx − S on C,
 

@@ -106,7 +106,7 @@ class Solver(Section):
     tolerance: float = key(
         number(above=0, below=1),
         1e-8,
-        "certified error of the energy over 2 E_el at which the solver stops; it is of second order: at 1e-8 the error "
+        "certified error of the energy, over twice the elastic energy, at which the solver stops; at 1e-8 the error "
         "of the pressure is 1e-3 ... 1e-4 of its rms value",
         unit="1",
     )

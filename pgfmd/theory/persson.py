@@ -138,7 +138,7 @@ def elastic_energy(
 def mean_gap(
     mean_pressure: Reals, q: Reals, power: Reals, count: Reals = 1, *, contact_modulus: Reals, gamma: Reals = 1.0
 ) -> float:
-    """Mean gap ∫_p̄^∞ (dE/dp)/p dp of `elastic_energy`, since dE/dp̄ = −p̄ dḡ/dp̄ and the gap closes at infinite load.
+    """Mean gap ∫_p̄^∞ (dE/dp)/p dp of `elastic_energy`, since dE/dp̄ = −p̄ dū/dp̄ and the gap closes at infinite load.
 
     With x = p/(√2 s) a mode contributes ∫ [γ + 3(1−γ) erf²x] (2/√π) exp(−x²) dx/x; the part with γ is E₁(x²)/√π.
     Persson (2007) and Yang & Persson (2008), see above.

@@ -56,7 +56,7 @@ def draw(loads: list[Load], chosen: Sequence[int] | None = None, tiles: bool = T
     sheet.extra_files.append(lambda output: write_page(run, output, chosen, tiles))
     for name, value in {
         "mean pressure": load.mean_pressure, "contact area f_c": load.area,
-        "contact area, corrected": load.corrected_area, "κ = f_c E' g/p̄": load.number("kappa"),
+        "contact area, corrected": load.corrected_area, "κ = f_c E' ḡ/p̄": load.number("kappa"),
         "κ, corrected": load.number("kappa") * load.corrected_area / load.area if load.area else math.nan,
         "certified error": load.number("certified_error"), "transforms": load.number("transforms"),
         "seconds of the relaxation": load.number("seconds"),
