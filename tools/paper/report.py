@@ -66,7 +66,8 @@ td.n { white-space: nowrap; font-variant-numeric: tabular-nums; } .v { font-weig
 th.part { width: 36%; } th.paper { width: 12%; } th.number { width: 22%; }
 @page { size: A4; margin: 14mm; }
 @media print { body { font-size: 9pt; max-width: none; margin: 0; padding: 0; } img, tr, .top { break-inside: avoid; }
-  img { width: var(--width); } h2 { margin-top: 5mm; padding-top: 2mm; } h2, h3, .head { break-after: avoid; }
+  img { width: var(--width); } h2 { margin-top: 5mm; padding-top: 2mm; }
+  h2, h2 + p, h3, .head, tr:first-child { break-after: avoid; } .runs { font-size: .66em; }
   p { margin: 1.5mm 0; orphans: 3; widows: 3; } table { margin: 1.5mm 0; } td, th { padding: .2mm 2mm .2mm 0; } }
 """
 
