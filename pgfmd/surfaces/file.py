@@ -61,22 +61,22 @@ def read_heights(
     Raises InputError on all ranks; see `readers.opened` and `Measurement.fitted`.
     """
 
-    def fitting(found: Measurement) -> Measurement:
-        return (found.turned() if turned else found).fitted(grid.shape, grid.lengths, copies, length_unit)
+    def fitting(measured: Measurement) -> Measurement:
+        return (measured.turned() if turned else measured).fitted(grid.shape, grid.lengths, copies, length_unit)
 
     folds = [folded(count, copies) for count in grid.shape]
     if from_root(grid.comm, is_array, *source):
-        with raise_together(grid.comm), opened(*source) as found:
-            found, wanted = fitting(found), folds[0][grid.rows]
+        with raise_together(grid.comm), opened(*source) as measured:
+            measured, wanted = fitting(measured), folds[0][grid.rows]
             first = wanted.min()
-            block = found.rows(first, wanted.max() + 1)
-            return block if copies == 1 else block[np.ix_(wanted - first, folds[1])], found.described()
+            block = measured.rows(first, wanted.max() + 1)
+            return block if copies == 1 else block[np.ix_(wanted - first, folds[1])], measured.described()
     message, words, line = None, "", datatype(np.float64, grid.shape[1])  # points may be more than 2³¹
     with raise_together(grid.comm):
         if grid.comm.rank == 0:
-            with opened(*source) as found:
-                found = fitting(found)
-                heights, words = found.rows(0, found.shape[0])[np.ix_(*folds)], found.described()
+            with opened(*source) as measured:
+                measured = fitting(measured)
+                heights, words = measured.rows(0, measured.shape[0])[np.ix_(*folds)], measured.described()
             message = [heights, np.diff(grid.starts), grid.starts[:-1], line]
     mine = np.empty(grid.local_shape)
     grid.comm.Scatterv(message, [mine, len(mine), line])
@@ -92,12 +92,12 @@ def digest(comm: MPI.Comm, source: Source) -> str:
     if not from_root(comm, is_array, *source):
         return from_root(comm, _of_file, source[0])
     rows, words = [], ""
-    with raise_together(comm), opened(*source) as found:
-        mine, step = slab(found.shape[0], comm.size, comm.rank), max(1, AT_ONCE // found.shape[1])
+    with raise_together(comm), opened(*source) as measured:
+        mine, step = slab(measured.shape[0], comm.size, comm.rank), max(1, AT_ONCE // measured.shape[1])
         for first in range(mine.start, mine.stop, step):
-            block = found.rows(first, min(first + step, mine.stop))
+            block = measured.rows(first, min(first + step, mine.stop))
             rows += [hashlib.sha256(row.data).digest() for row in block]
-        words = f"{found.shape} {found.unit}"
+        words = f"{measured.shape} {measured.unit}"
     everyone = comm.allgather(b"".join(rows))
     return hashlib.sha256(b"".join([*everyone, words.encode()])).hexdigest()
 
@@ -233,12 +233,12 @@ class FromFile(Surface):
             raise wrong(self, "periodic", allowed)
 
     def extent(self, length_unit: str | None = None) -> Extent:
-        with opened(*self.source) as found:
-            found = found.turned() if self.first_axis == "y" else found
-            unit = usual_name(found.unit)
-            found = found.converted(length_unit) if unit in UNITS else found
-            nx, ny = (self._copies * count for count in found.shape)
-            sides = found.lengths and (self._copies * found.lengths[0], self._copies * found.lengths[1])
+        with opened(*self.source) as measured:
+            measured = measured.turned() if self.first_axis == "y" else measured
+            unit = usual_name(measured.unit)
+            measured = measured.converted(length_unit) if unit in UNITS else measured
+            nx, ny = (self._copies * count for count in measured.shape)
+            sides = measured.lengths and (self._copies * measured.lengths[0], self._copies * measured.lengths[1])
             return Extent((nx, ny), sides, unit if unit in UNITS else None)
 
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
@@ -269,17 +269,17 @@ class FromFile(Surface):
         return heights
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
-        with opened(*self.source) as found:
-            found = found.turned() if self.first_axis == "y" else found
-            found = found.fitted(cell.shape, cell.lengths, self._copies, length_unit)
-            step = max(1, AT_ONCE // found.shape[1])
+        with opened(*self.source) as measured:
+            measured = measured.turned() if self.first_axis == "y" else measured
+            measured = measured.fitted(cell.shape, cell.lengths, self._copies, length_unit)
+            step = max(1, AT_ONCE // measured.shape[1])
             holes = 0
-            for first in range(0, found.shape[0], step):
-                block = found.rows(first, min(first + step, found.shape[0]))
+            for first in range(0, measured.shape[0], step):
+                block = measured.rows(first, min(first + step, measured.shape[0]))
                 self._check_measured(block, first)
                 holes += int(np.isnan(block).sum())
-            filled = holes_in_words(holes, math.prod(found.shape), self.missing)
-            return found.described() + (filled and f"; {filled}")
+            filled = holes_in_words(holes, math.prod(measured.shape), self.missing)
+            return measured.described() + (filled and f"; {filled}")
 
     def _check_measured(self, heights: np.ndarray, first: int) -> None:
         """Raise InputError at the first height that is not finite, unless it is missing and to be filled.
@@ -370,13 +370,13 @@ def jumps(grid: SlabGrid, heights: np.ndarray) -> list[str]:
         np.sum(steps_x[: len(steps_x) - at_edge] ** 2),
         np.sum(steps_y**2),
     )
-    found = []
+    lines = []
     for axis, name in enumerate("xy"):
         count, across = grid.shape[axis], grid.shape[1 - axis]
         jump, step = math.sqrt(squares[axis] / across), math.sqrt(squares[2 + axis] / max((count - 1) * across, 1))
         if jump > CLIFF * step:
-            found.append(f"across {name} by {unit * jump:.3g} (rms), neighbours by {unit * step:.3g}")
-    return found
+            lines.append(f"across {name} by {unit * jump:.3g} (rms), neighbours by {unit * step:.3g}")
+    return lines
 
 
 def _edge_weights(count: int) -> np.ndarray:

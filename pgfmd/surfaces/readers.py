@@ -38,6 +38,14 @@ HEADER = 200  # lines of a .csv in which the first line of numbers is looked for
 MOST_COMMENTS = 10**6  # lines of another text before its first line of numbers
 LATTICE = 0.05  # distance from the lattice, over its spacing, at which a point still belongs to it
 SAME = 1e-6  # coordinates closer than that, over their range, are equal
+HDF5_SUFFIXES, TIFF_SUFFIXES, PACKED_SUFFIXES = (".h5", ".hdf5"), (".tif", ".tiff"), (".gz", ".zip")
+NO_UNIT = ("", "1", "length")  # "length" is written by jobs without a unit
+PARK_SYSTEMS = 50432  # tag of a TIFF in which Park Systems' microscopes keep heights
+NO_TABLE = "in a text all lines must be numbers, but those that begin with #"
+MISSING = (
+    f"is neither .npy nor HDF5 with a two-dimensional dataset; {NO_TABLE}; instruments' formats are read by "
+    "SurfaceTopography, which is not installed here: run tools/setup.sh surfaces (or pip install SurfaceTopography)"
+)
 
 
 def read_text(path: str) -> Measurement | None:
@@ -58,8 +66,8 @@ def read_text(path: str) -> Measurement | None:
         return None if numbers is None or units else Measurement(numbers, f"text, a matrix{after}")
     if numbers.shape[1] < 3:
         raise InputError("holds a line scan, not the heights of a surface")
-    found = _on_lattice(numbers, units.get("Lateral"), units.get("Value"))
-    return replace(found, format=found.format + after)
+    measured = _on_lattice(numbers, units.get("Lateral"), units.get("Value"))
+    return replace(measured, format=measured.format + after)
 
 
 def read_table(path: str, least: int = 3) -> np.ndarray | None:
@@ -87,8 +95,8 @@ def read_table(path: str, least: int = 3) -> np.ndarray | None:
                 continue
             fields = _fields(line, style)
             if fields is None or len(fields) != len(rows[0] if rows else fields):
-                found = "is not a line of numbers" if fields is None else f"has {len(fields)} numbers"
-                raise InputError(f"line {number} {found}, unlike the first, which has {len(rows[0]) if rows else 0}")
+                fault = "is not a line of numbers" if fields is None else f"has {len(fields)} numbers"
+                raise InputError(f"line {number} {fault}, unlike the first, which has {len(rows[0]) if rows else 0}")
             rows.append(fields)
     table = np.array(rows)
     return table[:, :-1] if np.isnan(table[:, -1]).all() else table  # each line ends in a separator
@@ -190,16 +198,6 @@ def _lattice(values: np.ndarray) -> tuple[np.ndarray, float]:
     return number.astype(int), float(step)
 
 
-HDF5_SUFFIXES, TIFF_SUFFIXES, PACKED_SUFFIXES = (".h5", ".hdf5"), (".tif", ".tiff"), (".gz", ".zip")
-NO_UNIT = ("", "1", "length")  # "length" is written by jobs without a unit
-PARK_SYSTEMS = 50432  # tag of a TIFF in which Park Systems' microscopes keep heights
-NO_TABLE = "in a text all lines must be numbers, but those that begin with #"
-MISSING = (
-    f"is neither .npy nor HDF5 with a two-dimensional dataset; {NO_TABLE}; instruments' formats are read by "
-    "SurfaceTopography, which is not installed here: run tools/setup.sh surfaces (or pip install SurfaceTopography)"
-)
-
-
 def is_array(path: str, dataset: str | None) -> bool:
     """Whether the file is .npy or HDF5 with a two-dimensional dataset, of which each rank can read its own part.
 
@@ -232,11 +230,11 @@ def opened(path: str, dataset: str | None) -> Iterator[Measurement]:
     with named(path), damage_reported("cannot be read as heights (.npy or HDF5), perhaps truncated"):
         try:
             if path.lower().endswith(PACKED_SUFFIXES):
-                with _unpacked(path, dataset) as (inner, of_inner), _read(inner, of_inner) as found:
-                    yield found
+                with _unpacked(path, dataset) as (inner, of_inner), _read(inner, of_inner) as measured:
+                    yield measured
             else:
-                with _read(path, dataset) as found:
-                    yield found
+                with _read(path, dataset) as measured:
+                    yield measured
         except FileNotFoundError:
             raise InputError("no such file") from None
 
@@ -282,12 +280,14 @@ def _unpacked(path: str, dataset: str | None) -> Iterator[tuple[str, str | None]
         yield inner, dataset
 
 
-def _checked(found: Measurement) -> Measurement:
-    if found.array.dtype.kind not in "fiu":
-        raise InputError(f"heights must be real numbers, not {found.array.dtype}")
-    if len(found.array.shape) != 2 or not found.array.size:
-        raise InputError(f"array of shape {tuple(found.array.shape)}: must be two-dimensional and not empty")
-    return found
+def _checked(measured: Measurement) -> Measurement:
+    """The measurement; raises InputError unless it is a matrix of real numbers."""
+    array = measured.array
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"heights must be real numbers, not {array.dtype}")
+    if len(array.shape) != 2 or not array.size:
+        raise InputError(f"array of shape {tuple(array.shape)}: must be two-dimensional and not empty")
+    return measured
 
 
 def _described(dataset: h5py.Dataset) -> Measurement:
@@ -312,9 +312,9 @@ def _described(dataset: h5py.Dataset) -> Measurement:
 
 def _two_dimensional(file: h5py.File) -> list[str]:
     """Names of the two-dimensional datasets."""
-    found = []
-    file.visititems(lambda key, item: found.append(key) if getattr(item, "ndim", 0) == 2 else None)
-    return found
+    names: list[str] = []
+    file.visititems(lambda key, item: names.append(key) if getattr(item, "ndim", 0) == 2 else None)
+    return names
 
 
 def _dataset(file: h5py.File, name: str | None) -> h5py.Dataset:
@@ -322,11 +322,10 @@ def _dataset(file: h5py.File, name: str | None) -> h5py.Dataset:
         if not hasattr(file.get(name), "dtype"):
             raise InputError(f"holds no dataset {printable(name)!r}")
         return file[name]
-    found = _two_dimensional(file)
-    usual = [key for key in found if key in ("height", "heights")]
-    choice = usual or found
+    names = _two_dimensional(file)
+    choice = [key for key in names if key in ("height", "heights")] or names
     if len(choice) != 1:
-        listed = printable(", ".join(found[:5]), 200) or "none"
+        listed = printable(", ".join(names[:5]), 200) or "none"
         raise InputError(f'say which dataset holds the heights (path = "file.h5:dataset"); found: {listed}')
     return file[choice[0]]
 

@@ -172,10 +172,10 @@ class Sum(Surface):
 
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         first, *others = self.parts
-        found = first.heights(grid, length_unit)
+        total = first.heights(grid, length_unit)
         for other in others:
-            found += other.heights(grid, length_unit)
-        return found
+            total += other.heights(grid, length_unit)
+        return total
 
 
 def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
