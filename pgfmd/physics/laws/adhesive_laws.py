@@ -165,10 +165,10 @@ class Potential(AttractiveWall):
     def check(self) -> None:
         """Raises InputError unless the formula is finite between the gaps, and attracts somewhere."""
         try:
-            found = _spline(self.pressure, self.gaps)
+            _, _, largest_tension = _spline(self.pressure, self.gaps)
         except ValueError as error:
             raise wrong(self, "pressure", str(error)) from None
-        if not found[2] > 0:
+        if not largest_tension > 0:
             raise wrong(self, "pressure", 'attracts nowhere between the gaps; without attraction: kind = "formula"')
 
     @property

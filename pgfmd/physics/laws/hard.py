@@ -46,8 +46,9 @@ class HardWall(ContactLaw):
         return excess(pressure, gap, residual, compliance, level, self.highest)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Makes the gap 0 where there is pressure, and nowhere negative."""
-        return finish_rows(pressure, gap, level, units.pressure, units.height)
+        """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is `highest`.
+        """
+        return finish_rows(pressure, gap, level, self.highest, units.pressure, units.height)
 
 
 @_jit
@@ -101,18 +102,16 @@ def excess(
 
 
 @_jit
-def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, unit: float, height: float) -> float:
-    """p = unit · p and gap = height · (0 where p > 0, max(gap − level, 0) elsewhere); returns the largest violation
-    before: |gap − level| where p > 0, level − gap elsewhere.
+def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float) -> float:
+    """p = unit · p and gap = height · (gap − level), clipped to ≥ 0 where p = 0, ≤ 0 where p = top, and 0 elsewhere;
+    returns the largest |change| of gap − level.
     """
     largest = 0.0
     for i in range(gap.shape[0]):
         for j in range(gap.shape[1]):
-            away = gap[i, j] - level
-            closed = pressure[i, j] > 0
-            wrong = abs(away) if closed else -away
-            if wrong > largest:
-                largest = wrong
-            gap[i, j] = 0.0 if closed or away < 0 else height * away
-            pressure[i, j] *= unit
+            p, away = pressure[i, j], gap[i, j] - level
+            right = max(away, 0.0) if p <= 0 else min(away, 0.0) if p >= top else 0.0
+            largest = max(largest, abs(away - right))
+            gap[i, j] = height * right
+            pressure[i, j] = unit * p
     return largest

@@ -17,7 +17,6 @@ import numpy as np
 
 from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
-from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.law import Units
 
@@ -44,29 +43,11 @@ class Hardness(HardWall):
         return Hardness(hardness=self.hardness / units.pressure)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is σ_Y.
-
-        Yielded points get σ_Y to the last digit: their gap is not 0, so that an error there is of first order in
-        energy.
+        """As under the hard wall.  Yielded points get σ_Y to the last digit: their gap is not 0, so that an error there
+        is of first order in energy.
         """
         yields = pressure >= self.hardness
-        violation = finish_rows(pressure, gap, level, self.hardness, units.pressure, units.height)
+        violation = super().finish(pressure, gap, level, units)
         pressure[yields] = units.highest
         np.minimum(pressure, units.highest, out=pressure)
         return violation
-
-
-@compiled()
-def finish_rows(pressure: np.ndarray, gap: np.ndarray, level: float, top: float, unit: float, height: float) -> float:
-    """p = unit · p and gap = height · (gap − level), clipped to ≥ 0 where p = 0, ≤ 0 where p = top, and 0 elsewhere;
-    returns the largest |change| of gap − level.
-    """
-    largest = 0.0
-    for i in range(gap.shape[0]):
-        for j in range(gap.shape[1]):
-            p, away = pressure[i, j], gap[i, j] - level
-            right = max(away, 0.0) if p <= 0 else min(away, 0.0) if p >= top else 0.0
-            largest = max(largest, abs(away - right))
-            gap[i, j] = height * right
-            pressure[i, j] = unit * p
-    return largest

@@ -115,13 +115,13 @@ class Solid(Section):
 
     def in_units(self, height: float, pressure: float) -> Solid:
         """The same solid, with displacements and pressures in these units; wave numbers keep theirs."""
-        found = copy.copy(self)
+        scaled = copy.copy(self)
         for field in dataclasses.fields(self):
             if field.metadata["unit"] == "pressure" and getattr(self, field.name) is not None:
-                object.__setattr__(found, field.name, getattr(self, field.name) * height / pressure)
-        if not 0 < found.contact_modulus < math.inf:
+                object.__setattr__(scaled, field.name, getattr(self, field.name) * height / pressure)
+        if not 0 < scaled.contact_modulus < math.inf:
             raise InputError(f"contact_modulus = {self.contact_modulus!r}: too far from the pressures of this contact")
-        return found
+        return scaled
 
     def factor(self, q: np.ndarray) -> np.ndarray:
         """F(q) for q > 0 (rad/length), of the same shape."""
