@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from pgfmd.application.ensemble import Ensemble, is_ensemble, mean_loads
-from pgfmd.application.info import known
+from pgfmd.application.info import comma_separated, known
 from pgfmd.application.job import differences, parse
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
@@ -172,16 +171,14 @@ def _known(value: float, form: str) -> str:
 
 def as_csv(rows: Sequence[Row]) -> str:
     """The differences in full precision."""
-    lines = io.StringIO()
-    writer = csv.writer(lines, lineterminator="\n")
-    names = list(Row.__dataclass_fields__)
-    writer.writerow([*names, "difference", "error"])
-    writer.writerows([*asdict(row).values(), row.difference, row.error] for row in rows)
-    return lines.getvalue().rstrip("\n")
+    return comma_separated([*Row.__dataclass_fields__, "difference", "error"], _entries(rows))
 
 
 def as_json(rows: Sequence[Row], notes: Sequence[str]) -> str:
     """The differences, and those of the jobs; null for what is not known."""
-    entries = [asdict(row) | {"difference": row.difference, "error": row.error} for row in rows]
-    return json.dumps(known({"differs": list(notes), "numbers": entries}), ensure_ascii=False, indent=2)
+    return json.dumps(known({"differs": list(notes), "numbers": _entries(rows)}), ensure_ascii=False, indent=2)
+
+
+def _entries(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    return [asdict(row) | {"difference": row.difference, "error": row.error} for row in rows]
 

@@ -7,7 +7,7 @@ import io
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,11 @@ def as_csv(results: Results | Runs) -> str:
     rows: list[dict[str, float | str]] = [{"load": load.index, **load.numbers} for load in results]
     if isinstance(results, Runs):
         rows = [{"run": load.results.directory.name, **row} for load, row in zip(results, rows, strict=True)]
-    names = list(dict.fromkeys(name for row in rows for name in row)) or ["load", *LOADS]
+    return comma_separated(list(dict.fromkeys(name for row in rows for name in row)) or ["load", *LOADS], rows)
+
+
+def comma_separated(names: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """CSV text of these columns, nan where a row lacks one."""
     lines = io.StringIO()
     writer = csv.DictWriter(lines, names, restval="nan", lineterminator="\n")
     writer.writeheader()

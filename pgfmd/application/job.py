@@ -39,6 +39,14 @@ from pgfmd.solvers.options import CONTROLS, Load, Solver
 from pgfmd.surfaces.rigid_surface import Surface
 from pgfmd.surfaces.surface_kinds import SURFACES
 
+PLUGINS = many(text())
+NO_UNIT = "length"  # the length_unit of jobs that do not say one
+NEEDED = {
+    "grid": "n, the points per side (those of a file of heights if it is left out)",
+    "surface": "kind, the sort of heights",
+    "load": f"one of {', '.join(CONTROLS)}",
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Run(Section):
@@ -286,15 +294,6 @@ def parse(
         missing = at_fault == "--set" and "no such file" in str(error)
         hint = " (a path after --set counts from the working directory)" * missing
         raise InputError(f"{at_fault}: {error}{hint}") from None
-
-
-PLUGINS = many(text())
-NO_UNIT = "length"  # the length_unit of jobs that do not say one
-NEEDED = {
-    "grid": "n, the points per side (those of a file of heights if it is left out)",
-    "surface": "kind, the sort of heights",
-    "load": f"one of {', '.join(CONTROLS)}",
-}
 
 
 def _load_plugins(paths: Any) -> tuple[Plugin, ...]:

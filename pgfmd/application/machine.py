@@ -28,6 +28,13 @@ from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI, library
 from pgfmd.parallel.threads import threads_per_rank
 
+log = logging.getLogger("pgfmd")
+
+TOO_MUCH = 1.2  # an estimate above this many times a node's memory is refused; estimates are right to 15 %
+CGROUPS = (  # files with limit and use of memory: of version 2, and of version 1
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
 LIBRARIES = ("numpy", "scipy", "numba", "pyfftw", "mpi4py", "mpi4py-fft", "h5py")
 
 
@@ -105,15 +112,6 @@ def gather(ranks: int, extra_versions: dict[str, str], origin: Origin) -> dict[s
     }
 
 
-log = logging.getLogger("pgfmd")
-
-TOO_MUCH = 1.2  # an estimate above this many times a node's memory is refused; estimates are right to 15 %
-CGROUPS = (
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-)
-
-
 def available_memory() -> float:
     """Bytes that this process can still get: as the system reports, or fewer if its control group allows no more."""
     return min([_physical(), *_meminfo("MemAvailable"), *(limit - used for limit, used in _control_groups())])
@@ -134,8 +132,8 @@ def _meminfo(name: str) -> list[float]:
 
 def _control_groups() -> list[tuple[float, float]]:
     """(limit, used) in bytes of each control group that gives both."""
-    found = [[line.strip() for name in names for line in _lines(name)] for names in CGROUPS]
-    return [(float(pair[0]), float(pair[1])) for pair in found if len(pair) == 2 and all(map(str.isdigit, pair))]
+    pairs = [[line.strip() for name in names for line in _lines(name)] for names in CGROUPS]
+    return [(float(pair[0]), float(pair[1])) for pair in pairs if len(pair) == 2 and all(map(str.isdigit, pair))]
 
 
 def _lines(name: str) -> list[str]:
@@ -148,9 +146,9 @@ def _lines(name: str) -> list[str]:
 
 def _nodes(comm: MPI.Comm) -> list[tuple[str, int, float]]:
     """Name, number of ranks and bytes of memory of the node of each rank.  Collective."""
-    found = comm.allgather((platform.node(), largest_memory()))
-    ranks = Counter(node for node, _ in found)
-    return [(node, ranks[node], largest) for node, largest in found]
+    nodes = comm.allgather((platform.node(), largest_memory()))
+    ranks = Counter(node for node, _ in nodes)
+    return [(node, ranks[node], largest) for node, largest in nodes]
 
 
 def room_per_rank(comm: MPI.Comm) -> float:

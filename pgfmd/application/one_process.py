@@ -24,6 +24,9 @@ from pgfmd.surfaces.file import ORDERS, FromFile, Source, fill_missing, jumps, r
 from pgfmd.surfaces.readers import opened
 from pgfmd.surfaces.rigid_surface import refined_heights
 
+MOST_COMPARED = 2**26  # points of a file up to which its edges are compared: that reads it whole
+MOST_TESTED = 2**22  # points of all surfaces up to which `doubts` makes them: a few seconds
+
 
 def job_on(surface: str, overrides: Sequence[str] = ()) -> Job:
     """The job of a result folder or of a TOML file; for any other file, a job on its heights and cell.  Raises
@@ -84,9 +87,6 @@ def line(contact: Certified) -> str:
     )
 
 
-MOST_COMPARED = 2**26  # points of a file up to which its edges are compared: that reads it whole
-
-
 def job_on_file(path: str) -> str:
     """The text of a job on a file of heights, as `path` or `path:dataset`.  Points, size and unit stay in the file.
 
@@ -136,9 +136,6 @@ observables = ["histogram", "spectra", "patches"]
 """
     parse(text, "new job", folder=os.getcwd())
     return text
-
-
-MOST_TESTED = 2**22  # points of all surfaces up to which `doubts` makes them: a few seconds
 
 
 def doubts(job: Job) -> list[str]:

@@ -94,8 +94,8 @@ class Results:
     def columns(self) -> dict[str, Dataset]:
         """Unit and description of each column of `loads`."""
         with self._open(OBSERVABLES_FILE) as file:
-            found = {name: file[TABLE][name].attrs for name in self.loads}
-            return {name: Dataset(about["units"], about["description"]) for name, about in found.items()}
+            columns = {name: file[TABLE][name].attrs for name in self.loads}
+            return {name: Dataset(about["units"], about["description"]) for name, about in columns.items()}
 
     @property
     def units(self) -> dict[str, str]:
