@@ -122,7 +122,7 @@ def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]
 
 def _check(first: Side, other: Side) -> None:
     if first.imposed != other.imposed:
-        raise InputError(f"{first.name} imposes {first.imposed}, {other.name} {other.imposed}: no load is the same")
+        raise InputError(f"{first.name} imposes {first.imposed}, {other.name} {other.imposed}: loads differ")
     for name in first.units:
         if first.units[name] != other.units.get(name, first.units[name]):
             raise InputError(

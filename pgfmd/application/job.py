@@ -62,7 +62,7 @@ class Run(Section):
         unit="s",
     )
     time_limit: float = key(
-        number(above=0, infinite=True), math.inf, "of the run; it stops in time, to be restarted", unit="s"
+        number(above=0, infinite=True), math.inf, "of the run, which stops before it, ready for --restart", unit="s"
     )
     io_hints: tuple[str, ...] = key(
         many(assignment()),
@@ -103,7 +103,7 @@ class Written(Section):
         makers = {field: name for name, kind in OBSERVABLES.items() for field in kind.fields}
         for field in self.fields:
             if field in makers and makers[field] not in self.observables:
-                raise wrong(self, "fields", f'{field} is a field of the observable "{makers[field]}": list that, too')
+                raise wrong(self, "fields", f'{field} comes from the observable "{makers[field]}": list that as well')
 
     @property
     def asked(self) -> list[Observable]:

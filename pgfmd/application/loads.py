@@ -92,7 +92,7 @@ class Checkpoints:
             log.warning("%s: %s; it is not used", self.path, error)
             return None
         if not math.isclose(self._total(pressure), total, rel_tol=ROUNDING):
-            log.warning("%s: the pressure is not the one that was written; it is not used", self.path)
+            log.warning("%s: damaged: its pressure is not the one that was written; it is not used", self.path)
             return None
         log.info("load %d continues from its checkpoint", index + 1)
         return pressure

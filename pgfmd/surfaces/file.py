@@ -199,8 +199,8 @@ class FromFile(Surface):
     missing: str = key(
         choice("few", "refuse", "interpolate"),
         "few",
-        "points that were not measured (NaN, masked, left out of a list) are filled by Laplace's equation, "
-        '"few": as long as they are at most a third, "interpolate": always',
+        "what becomes of points that were not measured (NaN, masked, left out of a list): Laplace's equation fills "
+        'them, with "few" if they are at most a third, with "interpolate" always, with "refuse" never',
     )
     detrend: str = key(
         choice("none", "mean", "plane", "quadratic"), "none", "subtract the mean, plane or paraboloid that fits best"
@@ -229,8 +229,8 @@ class FromFile(Surface):
         if self.periodic != "as-is" and not cell.domain.wraps:
             raise wrong(self, "periodic", f'boundary = "{cell.boundary}" under [grid] has no cell to close')
         if self.periodic == "mirror" and any(count % 2 for count in cell.n):
-            allowed = f"doubles the file, the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
-            raise wrong(self, "periodic", allowed)
+            fault = f"mirror images double the file, but the grid of {cell.n[0]} x {cell.n[1]} points cannot be halved"
+            raise wrong(self, "periodic", fault)
 
     def extent(self, length_unit: str | None = None) -> Extent:
         with opened(*self.source) as measured:

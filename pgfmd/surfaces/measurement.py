@@ -163,7 +163,7 @@ def holes_in_words(holes: int, size: int, rule: str) -> str:
         raise InputError("no point was measured")
     if holes > FEW * size and rule == "few":
         raise InputError(
-            f'{part}: too many to fill them unasked; missing = "interpolate" under [surface] does so all the same '
+            f'{part}: too many to fill them unasked; missing = "interpolate" under [surface] fills them '
             "(contacts there are lost), or cut out a part that was measured"
         )
     return f"{part}: interpolated between their neighbours" * (holes > 0)

@@ -40,15 +40,15 @@ class Cone(Surface):
 
 @dataclass(frozen=True, kw_only=True)
 class Punch(Surface):
-    """A flat end about the centre of the cell, 0 high if not tilted, which falls by −d²/(2 edge) beyond its rounded
-    border at the distance d, or by `depth` at once.
+    """A flat end about the centre of the cell, at height 0 if not tilted.  At the distance d outside it the surface is
+    lower by d²/(2 edge), at most `depth`; with a sharp edge by `depth`.
     """
 
     kind = "punch"
-    shape: str = key(choice("round", "square"), "round", "of its end")
+    shape: str = key(choice("round", "square"), "round", "of the end")
     radius: float = key(POSITIVE, about="of a round end, half the side of a square one", unit="length", needed=True,
                         example=100.0)  # fmt: skip
-    depth: float = key(POSITIVE, 1e3, "of what lies around, below the end", unit="length")
+    depth: float = key(POSITIVE, 1e3, "of the surroundings below the end", unit="length")
     edge: float = key(number(low=0), 0.0, "radius of the rounded border; 0: sharp", unit="length")
     tilt: tuple[float, float] = key(pair(number()), (0.0, 0.0), "slopes of the end along x and y", unit="1")
 

@@ -161,7 +161,7 @@ def _on_lattice(points: np.ndarray, lateral: str | None, value: str | None) -> M
     """The heights of points (count, 3) as an array over the lattice that their coordinates form."""
     points = points[~np.isnan(points[:, 2])]
     if not len(points) or not np.isfinite(points[:, :2]).all():
-        raise InputError("three columns are x, y and height, but not all of them are finite")
+        raise InputError("three columns are x, y and height, but not all of them are finite numbers")
     (i, step_x), (j, step_y) = (_lattice(points[:, axis]) for axis in (0, 1))
     shape = int(i.max()) + 1, int(j.max()) + 1
     if min(shape) < 2:

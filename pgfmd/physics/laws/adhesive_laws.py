@@ -111,7 +111,7 @@ class Dugdale(RangedWall):
     edge: float = key(
         number(low=0, high=2),
         0.0,
-        "width over range in which the traction falls to 0, about the range, by a cubic polynomial; 0: it jumps",
+        "width, over range, of the interval about the range in which the traction falls to 0, as a cubic; 0: it jumps",
         unit="1",
     )
 

@@ -47,7 +47,7 @@ class Homogeneous(Solid):
     def check(self) -> None:
         super().check()
         if math.isinf(self.thickness) and self.base != "bonded":
-            raise wrong(self, "base", "belongs to a slab; a half-space has none: give thickness as well")
+            raise wrong(self, "base", "only a slab has a base: give thickness as well")
 
     @property
     def needs_poisson(self) -> bool:

@@ -52,7 +52,7 @@ class Solid(Section):
     young: float | None = key(POSITIVE, about="E, with poisson", unit="pressure")
     poisson: float | None = key(POISSON, about="ν", unit="1", example=0.25)
     contact_modulus: float = key(
-        POSITIVE, about="E' = E/(1 − ν²); at 1 pressures are in units of E'", unit="pressure", example=1.0
+        POSITIVE, about="E' = E/(1 − ν²); 1: pressures are in units of E'", unit="pressure", example=1.0
     )
 
     def check(self) -> None:
