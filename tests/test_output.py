@@ -47,7 +47,7 @@ def writer(comm, folder, **options):
     effective = job.as_toml(job.parse(JOB))
     rows = slab(SHAPE[0], comm.size, comm.rank)
     mode = options.pop("mode", "new")
-    origin = Origin(JOB, effective, 3, command="pgfmd run")
+    origin = Origin(JOB, effective, 3)
     return output.ResultWriter(comm, folder, origin, output.Form(SHAPE, LENGTHS, rows, groups=LAYOUT, **options), mode)
 
 

@@ -81,15 +81,12 @@ def versions() -> str:
 
 @dataclass(frozen=True)
 class Origin:
-    """The input of a run: the TOML text, the effective job, the number of its loads, digests of the files that it
-    names, and the command (None: that of this process).
-    """
+    """The input of a run: TOML text, effective job, number of loads, and digests of the files that the job names."""
 
     job_toml: str = ""
     effective_toml: str = ""
     loads: int = 0
     inputs: dict[str, str] = field(default_factory=dict)
-    command: str | None = None
 
 
 def gather(ranks: int, extra_versions: dict[str, str], origin: Origin) -> dict[str, str | int]:
@@ -100,7 +97,7 @@ def gather(ranks: int, extra_versions: dict[str, str], origin: Origin) -> dict[s
         "softwareVersion": __version__,
         "format_version": FORMAT_VERSION,
         "commit": git_commit(),
-        "command": command_line() if origin.command is None else origin.command,
+        "command": command_line(),
         "job_toml": origin.job_toml,
         "effective_toml": origin.effective_toml,
         "inputs": json.dumps(origin.inputs),
