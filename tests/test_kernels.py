@@ -274,6 +274,20 @@ def test_combine_columns(rng, twice):
     assert np.allclose(out, np.einsum("jt,ijt->ij", weights, picked), rtol=1e-13, atol=0)
 
 
+def test_combine_rows(rng):
+    """Σ_t w_t rows[first + t]."""
+    rows, first, weights, out = rng.random((12, 5)), np.array([0, 4, 1]), rng.random((3, 8)), np.empty((3, 5))
+    kernels.combine_rows(rows, first, weights, out)
+    assert np.allclose(out, [w @ rows[at : at + 8] for at, w in zip(first, weights, strict=True)], rtol=1e-13, atol=0)
+
+
+def test_gap_of_a_displacement(rng):
+    """u − h − base, and Σ u²."""
+    u, h, gap = rng.standard_normal((3, 6, 9))
+    assert active_set.gap_of(u, h, 0.3, gap) == pytest.approx(np.sum(u**2), rel=1e-13, abs=0)
+    assert np.allclose(gap, u - h - 0.3, rtol=0, atol=1e-14)
+
+
 def test_vectors_of_conjugate_gradients(rng):
     """(Σ a b, Σ a, Σ b) in double precision; d = f d + z − m; x += s d and r −= s (p − m), in single."""
     a, b, direction, z, x = rng.standard_normal((5, 1000)).astype(np.float32)

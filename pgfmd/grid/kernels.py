@@ -166,6 +166,18 @@ def combine_columns(field: np.ndarray, columns: np.ndarray, weights: np.ndarray,
 
 
 @jit
+def combine_rows(rows: np.ndarray, first: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
+    """out[i] = Σ_t weights[i, t] rows[first[i] + t] over t < `TAPS`; (rows of out, `TAPS`) weights"""
+    for i in range(out.shape[0]):
+        line = out[i]
+        line[:] = 0
+        for t in range(weights.shape[1]):
+            weight, row = weights[i, t], rows[first[i] + t]
+            for j in range(line.size):
+                line[u(j)] += weight * row[u(j)]
+
+
+@jit
 def sum_over_blocks(field: np.ndarray, start: int, size: int, sums: np.ndarray) -> None:
     """sums[(start + i) // size, j // size] += field[i, j]; rows are summed first, in a vectorised loop."""
     line = np.zeros(sums.shape[1] * size, sums.dtype)

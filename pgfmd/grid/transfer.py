@@ -184,13 +184,8 @@ def restrict_locally(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.n
     if (below, above) != (low, high):
         rows, low = rows[domain.indices(np.arange(below, above), fine.shape[0]) - low], below
     out = new_field(coarse.local_shape)
-
-    def combine(a: int, b: int) -> None:
-        for i in range(a, b):
-            at = first[start + i] - low
-            out[i] = weights[start + i] @ rows[at : at + TAPS]
-
-    fine.threads.deal(combine, len(out))
+    first, weights = first[start:stop] - low, weights[start:stop]
+    fine.threads.deal(lambda a, b: kernels.combine_rows(rows, first[a:b], weights[a:b], out[a:b]), len(out))
     return out
 
 

@@ -252,8 +252,7 @@ class Relaxation:
         state.base = base = state.base + state.level if state.gap.dtype == np.float32 else 0.0
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            squares[first] = (float(np.vdot(rows, rows)),)
-            np.subtract(rows, self.heights[first:stop] + base, out=state.gap[first:stop])
+            squares[first] = (gap_of(rows, self.heights[first:stop], base, state.gap[first:stop]),)
 
         self.grid.convolve(source(state.pressure), self.compliance[precision], drain, precision)
         (self.squares[1],) = self.grid.reduction.sums_of_blocks(squares, 1)
@@ -316,6 +315,18 @@ class Relaxation:
         if state.gap.dtype == np.float32:  # rounds gaps in contact, near `level`, once more
             squares[1] += state.contact * state.level**2
         return self.rounding.bound(squares, self.heights_squared, 2 * state.energy, precision)
+
+
+@jit
+def gap_of(displacement: np.ndarray, heights: np.ndarray, base: float, gap: np.ndarray) -> float:
+    """gap = u − (h + base) for rows of a displacement u; returns Σ u²."""
+    total = 0.0
+    for i in range(gap.shape[0]):
+        for j in range(gap.shape[1]):
+            value = np.float64(displacement[i, u(j)])
+            gap[i, u(j)] = value - (heights[i, u(j)] + base)
+            total += value * value
+    return total
 
 
 @jit
