@@ -150,7 +150,7 @@ def test_finish_rows(rng):
     """p and the gap in other units, the gap nowhere negative and 0 in contact; how far it was from that."""
     p, gap = np.maximum(rng.standard_normal((9, 7)), 0), rng.standard_normal((9, 7))
     pressure, opened = p.copy(), gap.copy()
-    violation = finish_rows(pressure, opened, 0.05, 3.0, 2.0)
+    violation = finish_rows(pressure, opened, 0.05, np.inf, 3.0, 2.0)
     assert np.allclose(pressure, 3 * p, rtol=1e-15, atol=0)
     assert np.allclose(opened, np.where(p > 0, 0, 2 * np.maximum(gap - 0.05, 0)), rtol=1e-14, atol=0)
     assert violation == pytest.approx(np.where(p > 0, np.abs(gap - 0.05), 0.05 - gap).max(), rel=1e-14, abs=0)
