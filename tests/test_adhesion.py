@@ -254,15 +254,16 @@ def sure(contact, state, hold):
 
 
 def test_the_bound_holds_on_dense_problems():
-    """The distance of loosely solved states from their minimum is at most the bound, θ estimated by Lanczos."""
+    """The distance of loosely solved states from their minimum is at most the bound, θ estimated by Lanczos, also where
+    that converges in a few steps; all have one."""
     for seed in range(12):
-        heights = np.random.default_rng(seed).normal(size=(8, 8))
+        heights = np.random.default_rng(seed).normal(size=(4 + seed % 2 * 4,) * 2)
         contact = AdhesiveContact(branch(heights, AdhesiveWall(work=0.6, range=1.2), Load(mean_gap=(1.0,))).problem)
         hold = Hold("mean_gap", 1.0 + seed / 12)
         loose = contact.minimise(contact.undeformed(hold.gap), hold, 1e-3)
         _, bound, _ = sure(contact, loose, hold)
         tight = contact.minimise(loose.gap.copy(), hold, 1e-14)
-        assert loose.energy - tight.energy <= bound * (1 + 1e-6) + 1e-14
+        assert loose.energy - tight.energy <= bound * (1 + 1e-6) + 1e-14 and math.isfinite(bound)
 
 
 def test_the_estimate_counts_points_that_may_open():

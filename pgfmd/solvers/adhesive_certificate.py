@@ -23,8 +23,9 @@ from pgfmd.solvers.adhesive_inner import Steps, apply, conjugate_gradients, decr
 from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 
 LEAST_STEPS, LANCZOS = 12, 24  # least and most steps that estimate θ
+ROUNDING = 1e-12  # share of ⟨r, Pr⟩ beyond which single precision makes Ritz values of its own
 SURE = 0.1  # residual norm of the least Ritz value, over it, with which they end
-SHAKE = 0.1  # noise in the start over the residual, in the norm of P: finds what the residual does not hold
+SHAKE = 0.05  # noise in the start over the residual, in the norm of P: finds what the residual does not hold
 RITZ = 0.9  # part of the least Ritz value less its residual that counts as θ
 PART = 0.45  # of the estimated θ, for which a proof is tried: less proves few more, in a larger distance t
 WORTH = 0.2  # least estimate of θ with which one is: K_M is too soft for smaller ones
@@ -57,8 +58,8 @@ def estimated(
         return ROUNDED * (state.residual * sum(map(math.sqrt, both))) ** 2 / 2
 
     def enough(first: float, left: float, steps: Steps) -> bool:
-        if len(steps) < LEAST_STEPS:
-            return False
+        if len(steps) < LEAST_STEPS or left <= ROUNDING:
+            return left <= ROUNDING
         floor, rest = least_ritz(steps)
         short = distance(contact, hold, floor, state.residual**2 * decrement(first, steps, math.inf) / 2) > far
         return short or (left <= LEFT * floor and rest <= SURE * floor)
