@@ -369,6 +369,15 @@ def test_every_figure_on_every_kind_of_run(runs, names):
             assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(("name", "solved"), [("kept", True), ("bare", False)])
+def test_the_legend_names_f_as_solved_only_where_it_is_drawn(runs, name, solved):
+    """"bare" did not solve low-passed surfaces."""
+    sheet = figures.draw("persson_spectrum", [runs[name]])
+    labels = sum((panel.get_legend_handles_labels()[1] for panel in sheet.panels), [])
+    assert "$f(q)$, Persson" in labels and ("$f(q)$, solved" in labels) == solved
+    plotting.plt.close(sheet.figure)
+
+
 def test_loads_are_never_taken_for_seeds(runs):
     """Loads of one run are settings of their own; runs that differ by the seed alone are samples of one setting."""
     both = samples.ensembles(reading.loads([runs["seed1"], runs["seed2"]]))

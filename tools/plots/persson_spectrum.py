@@ -54,7 +54,8 @@ def draw(loads: list[Load], areas: tuple[float, ...] = ()) -> Sheet:
             _draw(sheet, (panel, below), group, title, look)
         lines = sheet.panels[panel + columns * linear]
         lines.plot([], [], color=BLACK, lw=0.9, label="$f(q)$, Persson")
-        lines.plot([], [], color=BLACK, lw=0.9, ls="--", label="$f(q)$, solved")
+        if any("lowpass_area" in load.kept for load in setting):
+            lines.plot([], [], color=BLACK, lw=0.9, ls="--", label="$f(q)$, solved")
         sheet.label(panel, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="log", columns=3)
         if linear:
             sheet.label(panel + columns, r"$q\,/\,q_l$", r"$|\tilde\sigma|^2$ / full contact, $f(q)$", scale="semilogx")
