@@ -112,8 +112,8 @@ def _parser() -> argparse.ArgumentParser:
             action="append",
             default=[],
             metavar="section.key=value",
-            help="change the job; the value as in TOML, quotes may be left out; paths count from the working "
-            "directory, not from the job's folder (repeatable)",
+            help="change the job; the value as in TOML, quotes around a single text may be left out; paths count from "
+            "the working directory, not from the job's folder (repeatable)",
         )
 
     info = commands.add_parser("info", help="what was run, and the table of loads", allow_abbrev=False)
