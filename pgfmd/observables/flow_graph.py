@@ -234,6 +234,15 @@ def potential_flux(graph: Graph, x: np.ndarray) -> np.ndarray:
     return out
 
 
+@compiled(inline="always")
+def place(order: np.ndarray, before: int, i: int) -> int:
+    """How far after `before` a point comes in an order."""
+    m = 0
+    while order[before + m] != i:
+        m += 1
+    return m
+
+
 @compiled()
 def shared_flux(
     graph: Graph, coarse: Graph, above: np.ndarray, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray
@@ -245,13 +254,10 @@ def shared_flux(
     order, begin = grouped(aggregate, len(r), len(coarse.first) - 1)
     first, other, weight, border = graph
     largest, total, in_slab = np.diff(begin).max() if len(begin) > 1 else 0, 0.0, len(first) == 0
-    place, table, target = np.zeros(len(r), np.int32), np.empty((largest, largest)), np.empty(largest)
+    table, target = np.empty((largest, largest)), np.empty(largest)
     for a in range(len(begin) - 1):
         n, before = begin[a + 1] - begin[a], begin[a]
-        for m in range(n):
-            place[order[before + m]] = m
-            for j in range(n):
-                table[m, j] = 0.0
+        table[:n, :n] = 0.0
         for m in range(n):
             i = order[before + m]
             target[m] = r[i]
@@ -260,7 +266,7 @@ def shared_flux(
                 j, t, _ = face(first, other, weight, border, i, k)
                 b = aggregate[j]
                 if b == a and j != i:
-                    table[m, place[j]] += t
+                    table[m, place(order, before, j)] += t
                 if b == a or t == 0:
                     continue
                 c = coarse.first[a]
@@ -290,7 +296,7 @@ def shared_flux(
             for k in range(low, stop):
                 j, t, _ = face(first, other, weight, border, i, k)
                 if aggregate[j] == a and t > 0:
-                    difference = target[m] - target[place[j]] if j != i else 0.0
+                    difference = target[m] - target[place(order, before, j)] if j != i else 0.0
                     total += t * difference * difference
                     if len(flux) and (not in_slab or k & 2):
                         flux[2 * i + (k & 1) if in_slab else k] = t * difference
