@@ -30,8 +30,9 @@ LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 # Under a hard wall the area is about erf(exp(−FALL · gap/rms height)): 25 contacts of .01 … .8 (256², H = .3, .8,
-# λ_s = 4a … 64a) had .36 … 1.5 times as much, and take .75 … 1.06 of the time that it gives.
-FALL = 2.6
+# λ_s = 4a … 64a) had .36 … 1.5 times as much, and take .75 … 1.06 of the time that it gives.  SUMMIT:
+# the highest point over the rms height, 2.2 … 4.2, low so that contacts count as too large rather than too small.
+FALL, SUMMIT = 2.6, 2.4
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
 START = 1.0  # seconds until a run has read its job, on 1 and 2 ranks of the same machine, loops compiled before
 PER_LOAD = 0.03  # seconds of a load on the smallest grid: solving .003, measuring .024, writing .003
@@ -42,7 +43,7 @@ LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
 # Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
 # several solutions (2.2 … 2.8; the mean gap of an open patch 3.3).  Closure to 1e-3 took 6 … 9 at 256² and 512²,
 # to 1e-4 9 … 14.
-SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.8, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
+SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.6, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
 SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 OPEN_AREA = 0.45  # assumed with open boundaries where it is not known: between areas that need least memory and most
@@ -220,9 +221,11 @@ class Plan:
         if job.imposed.control == "contact_area":
             return list(targets)
         full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
-        by_gap = job.imposed.control == "mean_gap" and job.cell.domain.wraps and job.wall.kind == "hard"
-        if by_gap and (rms := job.surface.whole.known_height(job.cell)):
-            return [math.erf(math.exp(-FALL * max(gap, 0.0) / rms)) for gap in targets]
+        by_approach = job.imposed.control == "displacement" and job.solid.only_inwards
+        rms = job.surface.whole.known_height(job.cell) if job.cell.domain.wraps and job.wall.kind == "hard" else None
+        if rms and (job.imposed.control == "mean_gap" or by_approach):
+            gaps = [SUMMIT * rms - target if by_approach else target for target in targets]
+            return [math.erf(math.exp(-FALL * max(gap, 0.0) / rms)) for gap in gaps]
         if job.imposed.control != "pressure" or not full:  # it may underflow
             return [GAPS_FROM if job.cell.domain.wraps else OPEN_AREA]
         areas = [math.erf(target / full) for target in targets]
