@@ -40,7 +40,6 @@ class Peak(Observable):
     """The largest pressure, known on rank 0 only, with an error, and a curve."""
 
     name = "peak"
-    where = "output.peak"
     layout = {
         "loads": {"peak": Dataset("{pressure}", "largest pressure"), "peak_error": Dataset("{pressure}", "its error")},
         "sorted": {"pressure": Dataset("{pressure}", "pressures in order", ("pressure",))},

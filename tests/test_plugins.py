@@ -70,7 +70,6 @@ class Peak(Observable):
     """The largest pressure."""
 
     name = "peak"
-    where = "output.peak"
     layout = {"loads": {"peak": Dataset("{pressure}", "largest pressure")}}
 
     def measure(self, contact):

@@ -43,7 +43,6 @@ class Adhesion(Observable):
     """Energy, branch, jumps and stability of a contact under a wall that attracts; measured there in every run."""
 
     name = "adhesion"
-    where = "output.adhesion"
     layout = {"loads": COLUMNS}
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:

@@ -33,7 +33,6 @@ class Bearing(Observable):
     """
 
     name = "bearing"
-    where = "output.bearing"
     layout = {
         "bearing": {"threshold": Dataset("{length}", "height above which the surface has the relative area f_c")},
         "bearing_spectrum": spectrum_layout("1", "|Θ̃|² of the bearing area (1 above the threshold, 0 below)"),

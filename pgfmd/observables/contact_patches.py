@@ -41,7 +41,6 @@ class ContactPatches(Observable):
     """A table of the contact patches, one entry each, in the order of the numbers in the field `labels`."""
 
     name = "patches"
-    where = "output.patches"
     layout = {"patches": {**SHAPES, **LOADS, **LINES}}
 
     connectivity: int = key(choice(8, 4), 8, "8: points are neighbours over edges and corners; 4: over edges")

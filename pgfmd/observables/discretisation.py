@@ -88,7 +88,6 @@ class Discretisation(Observable):
     name = "discretisation"
     attraction = False
     needs_period = "heights are coarsened by their Fourier modes"
-    where = "output.discretisation"
     layout = {
         "discretisation": {
             "contact_area_corrected_error": Dataset("1", "estimated error of contact_area_corrected"),

@@ -23,7 +23,6 @@ class GapSlope(Observable):
 
     name = "gap_slope"
     needs_period = "from the modes of the gap"
-    where = "output.gap_slope"
     layout = {"loads": {"gap_rms_slope": Dataset("1", "rms slope of the gap over the cell, from its modes")}}
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:

@@ -41,7 +41,6 @@ class Histogram(Observable):
     """
 
     name = "histogram"
-    where = "output.histogram"
     layout = {
         "pressure_histogram": _layout("{pressure}", "the pressure over the contact"),
         "pressure_histogram_log": _layout("{pressure}", "the pressure over the contact, bins even in its logarithm"),

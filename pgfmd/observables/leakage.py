@@ -39,7 +39,6 @@ class Leakage(Observable):
     """
 
     name = "leakage"
-    where = "output.leakage"
     fields = ("flux_x", "flux_y")
     needs_period = "the mean gradient acts across the cell"
     layout = {

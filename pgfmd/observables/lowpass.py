@@ -49,7 +49,6 @@ class Lowpass(Observable):
     needs_period = "heights are filtered by their Fourier modes"
     name = "lowpass"
     attraction = False
-    where = "output.lowpass"
     layout = {
         "lowpass_area": {
             "q": Dataset("1/({length})", "cut-off wave number, radians per length", ("q",)),

@@ -39,6 +39,10 @@ class Observable(Section):
     attraction: ClassVar[bool] = True
     needs_period: ClassVar[str] = ""
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.where = f"output.{getattr(cls, 'name', '')}"
+
     def check_in(self, domain: Domain) -> None:
         """Raises InputError for a domain on which it cannot be measured."""
         if self.needs_period and not domain.wraps:

@@ -39,7 +39,6 @@ class PartialSlip(Observable):
     """
 
     name = "partial_slip"
-    where = "output.partial_slip"
     fields = ("traction",)
     attraction = False
     layout = {

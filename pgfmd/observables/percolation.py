@@ -26,7 +26,6 @@ class Percolation(Observable):
 
     name = "percolation"
     needs_period = "paths wind around the cell"
-    where = "output.percolation"
     layout = {
         TABLE: {
             **{
@@ -81,7 +80,6 @@ class ClosingLoad(Observable):
     """The loads between which the gap ceases to percolate; in every run that imposes load.percolation."""
 
     name = "closing_load"
-    where = "output.closing_load"
     needs_period = "paths wind around the cell"
     layout = {TABLE: COLUMNS}
 

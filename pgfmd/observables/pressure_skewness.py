@@ -22,7 +22,6 @@ class PressureSkewness(Observable):
     """⟨(p − σ_c)³⟩_c / ⟨(p − σ_c)²⟩_c^(3/2) over the points in contact, σ_c = ⟨p⟩_c; NaN if all bear the same."""
 
     name = "pressure_skewness"
-    where = "output.pressure_skewness"
     layout = {"loads": {"pressure_skewness": Dataset("1", "skewness of the pressure over the contact")}}
 
     def measure(self, contact: Contact) -> Groups:

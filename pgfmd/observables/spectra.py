@@ -33,7 +33,6 @@ class Spectra(Spectrum):
     """
 
     name = "spectra"
-    where = "output.spectra"
     layout = {
         "stress_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure"),
         "contact_spectrum": spectrum_layout("1", "|Θ̃|² of the contact"),
@@ -66,7 +65,6 @@ class GapSpectrum(Spectrum):
 
     name = "gap_spectrum"
     needs_period = "the gap does not vanish at the border"
-    where = "output.gap_spectrum"
     layout = {"gap_spectrum": spectrum_layout("{length}^2", "|g̃|² of the gap")}
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
@@ -95,7 +93,6 @@ class Acf(Observable):
 
     name = "acf"
     needs_period = "mean over all pairs of points at one distance"
-    where = "output.acf"
     layout = {
         **acf_layout("stress", "{pressure}^2", "stress autocorrelation ⟨σ(r) σ(r')⟩"),
         **acf_layout("contact", "1", "contact autocorrelation ⟨Θ(r) Θ(r')⟩"),

@@ -37,7 +37,6 @@ class Stiffness(Observable):
 
     name = "stiffness"
     attraction = False
-    where = "output.stiffness"
     fields = ("current_density",)
     layout = {
         TABLE: {

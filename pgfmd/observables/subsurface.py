@@ -37,7 +37,6 @@ class Subsurface(Observable):
     """
 
     name = "subsurface"
-    where = "output.subsurface"
     fields = ("von_mises",)
     needs_period = "from the modes of the cell"
     layout = {
