@@ -40,8 +40,8 @@ def heights_of(surface: str, n: int) -> np.ndarray:
     if kind == "punch":
         return np.where(r2 <= (0.3 * SIDE) ** 2, 0.0, -SIDE)
     hurst, length = values
-    lambda_s = float(length[1:]) * SIDE / n if length[0] == "=" else float(length)
-    table = {"kind": "self-affine", "hurst": float(hurst), "lambda_s": lambda_s, "rms_slope": SLOPE, "seed": 3}
+    table = {"kind": "self-affine", "hurst": float(hurst), "rms_slope": SLOPE, "seed": 3}
+    table["lambda_s"] = float(length.lstrip("="))  # in spacings of the grid on which it is made
     count = n if length[0] == "=" else 512
     rough = pgfmd.surface({"grid": {"n": count, "length": SIDE}, "surface": table, "solid": {"contact_modulus": 1.0}})
     rough = rough if count == n else _finer(rough, n)
