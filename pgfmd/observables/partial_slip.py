@@ -62,7 +62,7 @@ class PartialSlip(Observable):
         is met.
         """
         once = 55.0 if is_rough(cell, cutoff) else 36.0
-        return Cost(transforms=once if self.shift is None else 4 * once, memory=62.0)
+        return Cost(transforms=once if self.shift is None else 4 * once, memory=50.0)
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError without friction or Poisson's ratio, and unless wall is hard and solid a half-space."""
