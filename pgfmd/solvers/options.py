@@ -176,7 +176,7 @@ class Load(Section):
     )  # fmt: skip
     jump_accuracy: float = key(
         number(low=0, high=1), 0.02,
-        "width to which the place of a jump between two targets is bisected, over their distance; 0: none is found",
+        "a jump is bisected until its energy is known to 2 %, or to a 64th of this over the step; 0: none is found",
         unit="1",
     )  # fmt: skip
     area_tolerance: float = key(
