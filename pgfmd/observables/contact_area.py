@@ -24,8 +24,8 @@ The solver: an error e of the pressure moves the line by e over the rise of the 
 order of the rms pressure in contact, on a thin slab K(π/a) a g_rms: the pressure follows the slope of the surface.  The
 more is in contact, the more does a change of the pressure open or close: 1/(1 − f_c).
 
-FACTORS: so that errors are large enough in 19 cases of 20; from 400 contacts (`tools/bench/error_bars.py held`, seeds
-77 and 78), and tested on others.
+FACTORS: their ratios from 400 contacts (`tools/bench/error_bars.py held`, seeds 77 and 78), their size so that errors
+are large enough in 96 % of 320 others (seeds 20261125 and 20261126); tested on 400 more.
 """
 
 from __future__ import annotations
@@ -162,7 +162,9 @@ def contact_line(grid: SlabGrid, pressure: np.ndarray, gap: np.ndarray, solid: S
     return ContactLine(grid, (pressure, gap, halo), solid, edge_tables(grid.spacing, solid))
 
 
-FACTORS = {"line": (0.25, 0.0035, 0.8), "line on a thin slab": (0.2, 0.003, 0.15), "staircase": (0.75, 0.005, 0.8)}
+FACTORS = {
+    "line": (0.225, 0.0032, 0.72), "line on a thin slab": (0.18, 0.0027, 0.135), "staircase": (0.675, 0.0045, 0.72),
+}  # fmt: skip
 """Of the random and the systematic part by the grid, and of the part by the solver, for each way to correct an area."""
 
 
