@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import weakref
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -352,7 +353,7 @@ def test_a_seed_that_takes_too_much_memory_does_not_stop_the_others(comm, shared
         simulate(job, group, directory, **options)
 
     monkeypatch.setattr(runner, "simulate", stand_in)
-    monkeypatch.setattr(ensembles.Plan, "rank_groups", lambda *_: comm.size)
+    monkeypatch.setattr(ensembles, "Plan", lambda _: SimpleNamespace(rank_groups=lambda *_: comm.size))
     with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 4: MemoryError"):
         pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
     assert pgfmd.Ensemble(shared_tmp_path / "out").failed == {4: "MemoryError"}

@@ -14,11 +14,13 @@ from job_texts import rough_job
 
 import pgfmd
 from pgfmd.application import estimate, job
+from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import holders, largest_shares
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.options.text import readable
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.solvers.active_set import cropping
+from pgfmd.surfaces.self_affine import SelfAffine
 
 
 def text_of(n: int, pressure: float, wall: dict, **solver) -> str:
@@ -247,3 +249,11 @@ def test_a_small_shared_memory_is_told_of(monkeypatch):
     assert said(2) and not said(1) and not said(2, 1) and not said(2, transform="mpi4py-fft")
     monkeypatch.setattr(estimate, "shared_memory", lambda: ("/dev/shm", 4096**2 * 8))
     assert not said(2)
+
+
+@pytest.mark.parametrize("length", [1e-160, 1e-85, 1.0, 1e150])
+def test_known_heights_scale_with_the_cell(length):
+    """The rms height of a self-affine surface, known before the run, is proportional to the cell, at any length."""
+    surface = SelfAffine(hurst=0.8, lambda_s=4.0, rms_slope=0.1)
+    one, other = (surface.known_height(Cell(n=(64, 64), length=side)) for side in (1.0, length))
+    assert other == pytest.approx(one * length, rel=1e-12, abs=0)

@@ -78,10 +78,11 @@ def test_failure_on_one_rank_ends_all(tmp_path, where):
 
 
 FAULTY_SEED = """
+import types
 import pgfmd.grid.transpose
 from pgfmd.errors import InputError, SolverError
 from pgfmd.application import ensemble_run
-ensemble_run.Plan.rank_groups = lambda *_: {groups}
+ensemble_run.Plan = lambda _: types.SimpleNamespace(rank_groups=lambda *_: {groups})
 owner, calls = pgfmd.grid.transpose.SharedStrips, []
 original = owner.put
 def failing(*arguments):

@@ -91,10 +91,12 @@ class SelfAffine(Surface):
         return self.rms_slope
 
     def known_height(self, cell: Cell) -> float | None:
-        k_s, k_l, k_r = (2 * math.pi / max(length, 2 * min(cell.spacings)) for length in self.wavelengths(cell))
-        waves = np.geomspace(k_l, k_s, 256)  # of the weight k dk ∝ k² in ⟨h²⟩, k⁴ in ⟨|∇h|²⟩
-        power = self_affine_variance(self.hurst, k_l, k_r, k_s)(waves**2) * waves**2
-        return self.rms_slope * math.sqrt(power.sum() / (power * waves**2).sum())
+        shortest, longest, roll_off = (max(length, 2 * min(cell.spacings)) for length in self.wavelengths(cell))
+        k_s, k_r = max(longest / shortest, 1.0), longest / roll_off  # in units of 2π/λ_l: squares do not overflow
+        waves = np.geomspace(1.0, k_s, 256)  # of the weight k dk ∝ k² in ⟨h²⟩, k⁴ in ⟨|∇h|²⟩
+        power = self_affine_variance(self.hurst, 1.0, k_r, k_s)(waves**2) * waves**2
+        ratio = math.sqrt(power.sum() / (power * waves**2).sum())
+        return self.rms_slope * ratio * longest / (2 * math.pi)
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         wavelengths = self.wavelengths(Cell(n=grid.shape, length=grid.lengths))

@@ -47,7 +47,7 @@ CALLS = {  # functions, and the largest number of a call that fails
 ERRORS = ("OSError(28, 'the last straw')", "MemoryError('the last straw')", "InputError('the last straw')",
           "KeyboardInterrupt('the last straw')")  # fmt: skip
 SCRIPT = """
-import importlib, sys, time
+import importlib, sys, time, types
 from pathlib import Path
 from mpi4py import MPI
 from pgfmd.application import cli, ensemble_run, simulate
@@ -69,7 +69,7 @@ setattr(owner, name, staticmethod(failing) if path and isinstance(vars(owner).ge
 for each in list(sys.modules.values()):
     if getattr(each, "__name__", "").startswith("pgfmd") and not path and getattr(each, name, None) is original:
         setattr(each, name, failing)
-ensemble_run.Plan.rank_groups = lambda *_: {groups}
+ensemble_run.Plan = lambda _: types.SimpleNamespace(rank_groups=lambda *_: {groups})
 sys.exit(cli.main())
 """
 
