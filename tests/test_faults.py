@@ -141,7 +141,7 @@ pgfmd.solve(np.split(heights, 2)[comm.rank], mean_gap=3.0, boundary="open", comm
 """  # the first guess of a mean gap is from half as many points each way
 
 
-@pytest.mark.parametrize("script", [FAULTY_SOLVE, FAULTY_SEARCH], ids=["a solution", "the coarse grid of a search"])
+@pytest.mark.parametrize("script", broad([FAULTY_SOLVE, FAULTY_SEARCH]), ids=["a solution", "coarse grid of a search"])
 def test_failure_on_one_rank_ends_a_script(mpirun, tmp_path, script):
     """An exception of one rank in `pgfmd.solve` leaves it there, without waiting for the others, so that
     `python -m mpi4py` ends them all.
