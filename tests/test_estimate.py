@@ -89,7 +89,7 @@ def test_contacts_of_bodies_are_explored(radius):
     asked = job.parse(sphere_text(512, radius))
     unknown, plan = estimate.Plan(asked), estimate.explored(asked)
     assert unknown.contact_areas() == [estimate.OPEN_AREA]
-    (found,) = plan.reaches
+    (found,) = plan.extents
     assert found.area == pytest.approx(np.pi * radius**2, rel=0.15)
     assert found.part == pytest.approx(min((2 * np.sqrt(2 * cropping.MARGIN) * radius) ** 2, 1), rel=0.15)
     assert (plan.bytes_per_point() < 0.9 * unknown.bytes_per_point()) == (found.part < 0.5)

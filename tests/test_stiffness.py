@@ -185,7 +185,7 @@ def test_refused(comm):
     slab = ContactProblem(grid, np.zeros(grid.local_shape), elastic(1.0, 3.0), HardWall())
     with pytest.raises(InputError, match="half-spaces"):
         RoughSurface(slab, [Stiffness(conductivities=(1.0, 1.0))])
-    with pytest.raises(InputError, match="half_grid needs a period"):
+    with pytest.raises(InputError, match='half_grid needs boundary = "periodic"'):
         Stiffness(half_grid=True).check_in(OPEN)
     with pytest.raises(InputError, match='observable "stiffness"'):
         job.parse(rough_job(8, load={"pressure": [0.1]}, output={"fields": ["current_density"]}))

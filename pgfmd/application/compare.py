@@ -33,7 +33,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Row:
-    """A number of a load, its target and index in the first run, in the first run and in another one."""
+    """A number of a load: index and target of the load in the first run, the number there and in another run."""
 
     run: str
     load: int
@@ -148,7 +148,7 @@ def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
     """The differences as an aligned table below those of the jobs.  Numbers that are equal, such as the imposed one,
     are left out.
     """
-    head = ("load", "number", "first", "other", "difference", "error", "of it", "relative")
+    head = ("load", "number", "first", "other", "difference", "error", "in errors", "relative")
     parts = []
     for run in dict.fromkeys(row.run for row in rows):
         lines = [head]
@@ -161,7 +161,7 @@ def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
         about = [note.removeprefix(run + ":") for note in notes if note.startswith(run + ":")]
         same = ["all numbers of the loads that both have are the same"]
         parts.append("\n".join([f"{run} less {first}", *about, *(table if len(table) > 1 else same)]))
-    legend = "\n\nof it: the difference over the error of both together; —: no error is known"
+    legend = "\n\nin errors: the difference over the joint error; —: no error is known"
     return "\n\n".join(parts) + legend * any(row.difference for row in rows)
 
 

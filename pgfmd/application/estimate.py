@@ -30,7 +30,7 @@ LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 # Under a hard wall the area is about erf(exp(−FALL · gap/rms height)): 25 contacts of .01 … .8 (256², H = .3, .8,
-# λ_s = 4a … 64a) had .36 … 1.5 times as much, and take .75 … 1.06 of the time that it gives.  SUMMIT:
+# λ_s = 4a … 64a) had .36 … 1.5 times this area, and .75 … 1.06 times the time estimated from it.  SUMMIT:
 # the highest point over the rms height, 2.2 … 4.2, low so that contacts count as too large rather than too small.
 FALL, SUMMIT = 2.6, 2.4
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)
@@ -71,7 +71,7 @@ class Estimate:
     seconds: float
 
 
-class Reach(NamedTuple):
+class Extent(NamedTuple):
     """Of a contact: its relative area, the part of the patch on which it is solved, and the bytes per point of the
     torus for the gap outside that part.
     """
@@ -83,10 +83,10 @@ class Reach(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """A job, and the reach of its contacts, if `explored` has found it."""
+    """A job, and the extents of its contacts, if `explored` has found it."""
 
     job: Job
-    reaches: tuple[Reach, ...] = ()
+    extents: tuple[Extent, ...] = ()
 
     def estimate(self, ranks: int, room: float = math.inf, per_node: int | None = None) -> Estimate:
         """Memory, size of the files and time of the job on `ranks` ranks with one core each, roughly.
@@ -174,8 +174,8 @@ class Plan:
         searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
         kept = FIELD_BYTES + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
         torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
-        if reaches := [each for each in self.reaches if each.part <= WORTH]:
-            most = max(reaches, key=lambda each: each.part)
+        if small := [each for each in self.extents if each.part <= WORTH]:
+            most = max(small, key=lambda each: each.part)
             kept = RECTANGLE_BYTES[int(8 * most.part * math.prod(job.cell.n) >= RETURNED)]
             measuring = MEASURING_BYTES + max((cost.memory for cost in self.measuring_costs()), default=0.0)
             return max(measuring, WHOLE_BYTES + most.torus + kept * most.part)
@@ -198,7 +198,7 @@ class Plan:
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
         arrays = Arrays(scaled, single, strips)
         costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in self.contact_areas()]
-        for number, each in enumerate(self.reaches):
+        for number, each in enumerate(self.extents):
             if each.part <= WORTH:
                 work = solver_cost(method, min(each.area / each.part, most), slabs).transforms
                 costs[number] = Cost(each.part * work + OUTSIDE, costs[number].memory)
@@ -216,8 +216,8 @@ class Plan:
         """
         job = self.job
         targets = job.imposed.targets
-        if self.reaches:
-            return [each.area for each in self.reaches]
+        if self.extents:
+            return [each.area for each in self.extents]
         if job.imposed.control == "contact_area":
             return list(targets)
         full = job.solid.contact_modulus * (job.surface.whole.known_slope() or 0.0) / math.sqrt(2)
@@ -244,11 +244,11 @@ class Plan:
             "surface": ": ".join(filter(None, [job.surface.whole.kind, understood["surface"]])),
             "solid": ": ".join(filter(None, [job.solid.kind, understood["solid"]])) + "; " + in_words(job.solid),
             "seeds": f"{len(job.surface.seeds)}, {self.rank_groups(ranks)} at a time" if job.surface.seeds else "",
-            "loads": f"{loads} by {job.load.control}" + f"; contact area not known, {OPEN_AREA} taken" * unknown,
+            "loads": f"{loads} by {job.load.control}" + f"; contact area unknown, {OPEN_AREA} assumed" * unknown,
             "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} "
             f"({readable(BASE_BYTES)} for each rank, of which {readable(LIBRARY_BYTES)} are shared, and "
             f"{self.bytes_per_point():.0f} bytes per grid point)",
-            "of a rank": f"up to {readable(total.memory)}, where what ranks of a node share counts for each"
+            "of a rank": f"up to {readable(total.memory)}, memory shared within a node included"
             * (ranks > 1),
             "shared": self.shortage(ranks, here),
             "files": readable(total.files),
@@ -282,13 +282,13 @@ def explored(job: Job) -> Plan:
     logging.disable()  # warnings about the heights are for the run
     try:
         with suppress(InputError, SolverError):
-            return Plan(job, _reached(job))
+            return Plan(job, _extents(job))
     finally:
         logging.disable(before)
     return Plan(job)
 
 
-def _reached(job: Job) -> tuple[Reach, ...]:
+def _extents(job: Job) -> tuple[Extent, ...]:
     """The reach of some loads of a job.  Raises InputError or SolverError if it cannot be found."""
     from pgfmd.grid.slab_grid import SlabGrid  # compiles loops
     from pgfmd.parallel.mpi import MPI
@@ -316,7 +316,7 @@ def _reached(job: Job) -> tuple[Reach, ...]:
         part = math.prod((stop - first) / shape)
         wide = np.maximum(stop, shape - first) / shape
         area = float(np.mean(contact.pressure > 0))
-        found.append(Reach(area, part, TABLE_BYTES * math.prod(wide) + WORKSPACE["blocked"] * wide[1]))
+        found.append(Extent(area, part, TABLE_BYTES * math.prod(wide) + WORKSPACE["blocked"] * wide[1]))
     return tuple(found)
 
 

@@ -24,8 +24,8 @@ The solver: an error e of the pressure moves the line by e over the rise of the 
 order of the rms pressure in contact, on a thin slab K(π/a) a g_rms: the pressure follows the slope of the surface.  The
 more is in contact, the more does a change of the pressure open or close: 1/(1 − f_c).
 
-FACTORS: their ratios from 400 contacts (`tools/bench/error_bars.py held`, seeds 77 and 78), their size so that errors
-are large enough in 96 % of 320 others (seeds 20261125 and 20261126); tested on 400 more.
+FACTORS: their ratios from 400 contacts (`tools/bench/error_bars.py held`, seeds 77 and 78), their size so that bars
+exceed errors in 96 % of 320 others (seeds 20261125 and 20261126); tested on 400 more.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ until their gaps fit the elastic deformation, and F changes with it, by the slop
 
 In a strip of width a along the edges of contacts, pressures (∝ √d, d: distance to the edge) and gaps differ from those
 of the continuum.  The energy at given load is least at the solution, so that only the energy of the strip is missing,
-pressure times displacement (∝ a²) times width: a³, and at random places a^(5/2).  Of the change between both grids
+pressure times displacement (∝ a²) times width: a³, its random part a^(7/2).  E_el and the gap are derivatives of it by
+the load, and have a^(5/2), see below.  Of the change between both grids
 1/√(1 + 2⁵) is then the error of the finer one, and 1.96 times this is .34; c is a tenth more, as MODES numbers do not
 give an exact size, and b = 0.
 
@@ -24,8 +25,8 @@ the least energy, of order 3, while w + pd and p̄g' have opposite errors of ord
 edges that move with the load pass points.  At λ_s = 4a, 8a, 16a, 32a, the measured errors of the sum are .57, .46, .29,
 .26 of those of w (rms).  At f_c = .02, the gap's own long waves change half as much as its mean.
 
-⟨p²⟩ and the perimeter also have errors of one sign, of second order: b = 1/3.  Their c are such that the error is large
-enough in 19 cases of 20: of ⟨p²⟩ for 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; λ_s = 4a to 32a), of
+⟨p²⟩ and the perimeter also have errors of one sign, of second order: b = 1/3.  With their c the bar exceeds the
+error in 19 cases of 20: of ⟨p²⟩ for 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; λ_s = 4a to 32a), of
 the perimeter for 320 others, half of them slabs (`tools/bench/error_bars.py held`, seeds 20261125 and 20261126).
 
 **Band.** Where roughness reaches the pixel, the coarser grid lacks a part of it.  The errors against the same heights,
@@ -33,7 +34,7 @@ interpolated onto a grid eight times finer, are then estimated from the contact.
 the elastic energy of single pixels at edges, Σ p²/K(π/a) over all edges between a pixel in contact and one that is not
 (under laws by which everything touches, over all pixels); the errors of E_el and of the mean gap times p̄ are up to BAND
 of it.  That of ⟨p²⟩ is estimated by (s e)^1.5 ⟨p²⟩, s the roughness of the surface (`rough_surface`), e the number of
-edges per pixel in contact.  BAND: so that errors are smaller in 19 of 20 of 213 contacts with λ_s = 1 … 3 pixels;
+edges per pixel in contact.  BAND: so that bars exceed errors in 19 of 20 of 213 contacts with λ_s = 1 … 3 pixels;
 those of E_el and of the gap in 62 of 64, half of them slabs.
 
 **Solver.** In contact the solver leaves a residual r = g − λ, whose mean with the weights p is 0.  Let w be the change
@@ -45,7 +46,7 @@ median, at most LEVEL times in 92 %.  Without such a w, the mean gap is right to
 B = 2√(C(E_el + ζp̄/2)) + C with the certified energy error C (`solvers.controls`), times SOLVER.
 
 ⟨p²⟩ is right to far less than 2η⟨p²⟩, η the relative error of the pressure.  A share η of the points at the edges is on
-the wrong side, at random, each with a length of about two pixels.  SOLVER: so that errors are smaller in 19 of 20 of
+the wrong side, at random, each with a length of about two pixels.  SOLVER: so that bars exceed errors in 19 of 20 of
 825 solutions (165 surfaces with H = .3, .5 and .8, λ_s from 1 to 64 pixels and f_c from .01 to .8, to 1e-4 … 1e-8,
 against 1e-12).
 """
@@ -82,7 +83,7 @@ class Discretisation(Observable):
     That of the area follows from the contact itself (`contact_area`).  The others compare with contacts on a grid with
     half as many points each way; where the grid does not resolve the surface, its part follows from the pressures at
     edges (see above).  An estimate is no bound.  On rough surfaces it is at least as large as the true error in 19
-    cases of 20, and about three times as large in the median.  With a single contact, both grids may agree by chance.
+    cases of 20, and about three times as large in the median.  With a single patch, both grids may agree by chance.
     """
 
     name = "discretisation"

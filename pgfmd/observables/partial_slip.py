@@ -96,7 +96,7 @@ class PartialSlip(Observable):
                 break
             load = min(max(lower + stiffness * missed / ratio, lower / 4), (lower + mean) / 2)
         else:
-            raise InputError(f"output.partial_slip.shift = {self.shift:g}: all of the contact slips before that")
+            raise InputError(f"output.partial_slip.shift = {self.shift:g}: gross slip begins at a smaller shift")
         total = mu * (mean - lower)
         # ∫ approach dp̄ from the lower load to the upper one follows from the energies: dE_el = p̄ d(approach)
         work = contact.approach * mean - found.approach * lower - contact.elastic_energy + found.elastic_energy

@@ -1,4 +1,6 @@
-"""Whether contact and gap percolate, the narrowest place of the widest path through the gap, and where it closes."""
+"""Whether contact and gap percolate, the narrowest place of the widest path through the gap, and the
+load at which the gap ceases to percolate.
+"""
 
 from __future__ import annotations
 
@@ -86,5 +88,5 @@ class ClosingLoad(Observable):
     def measure(self, contact: Contact) -> Groups:
         """As the search found."""
         if not contact.details.keys() >= COLUMNS.keys():
-            raise InputError("output.observables: closing_load is that of load.percolation, which is not imposed")
+            raise InputError("output.observables: closing_load needs load.percolation")
         return {TABLE: {name: np.array(contact.details[name]) for name in COLUMNS}}

@@ -70,7 +70,7 @@ class Stiffness(Observable):
     def check_in(self, domain: Domain) -> None:
         """Raises InputError for a half grid of an open patch."""
         if self.half_grid and not domain.wraps:
-            raise InputError('output.stiffness.half_grid needs a period, not boundary = "open": its heights are waves')
+            raise InputError('output.stiffness.half_grid needs boundary = "periodic": Fourier modes coarsen heights')
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError for walls without a stiffness, and for a conductance of what is no half-space."""

@@ -21,8 +21,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.solids.solid import Solid
 
-SURE = 0.7  # part of the tolerance of an approach that is left to the certified error
-MOST = 0.98  # the same of an approach that is met better, together with its distance
+SURE = 0.7  # least part of the tolerance of an approach that is left to the certified error
+MOST = 0.98  # largest sum of that part and of the distance from the target
 NOISE = 4.0  # error of ln p̄ at an imposed area over √(relative energy error): up to 3.6 in 12 solves, 512² … 8192²
 STEP = 0.5  # largest change of ln p̄ in one step: a level that falls by more may lose contact
 

@@ -30,7 +30,7 @@ from pgfmd.theory import adhesion
 
 LEAP, LEAST_LEAP = 0.2, 16  # change of the points within the range: over the larger number, and in points
 LOOSE = 1e-4  # tolerance of the first state halfway, which only tells whether the area jumps
-KNOWN = 0.02  # error of the energy lost in a jump, over it, with which its place is bisected no further
+KNOWN = 0.02  # relative error of a jump's energy loss at which bisection ends
 SUDDEN = 0.75  # part of a change of points within the range that one half of an interval has if it jumps there
 WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight contact errs by 1–2 % at 2, 5–11 % at .8
 NEAR_PIXELS = 4.0  # for μ_T ≤ 1
@@ -219,8 +219,8 @@ class Branch:
         """Makes the ends the last state before a jump and the first after it; False if it is gradual.  Collective.
 
         A jump that makes up half of the change or more leaves at least `SUDDEN` of it in one half of the interval.
-        Halving divides by 4 what the trapezoid rule errs by where there is none: the rest is lost.  Ends where the
-        energy lost is `KNOWN`, whatever force was between, but after six halvings beyond `jump_accuracy` at most.
+        Where there is no jump, halving divides the error of the trapezoid rule by 4; what does not fall is lost.  Ends
+        when the loss is `KNOWN`, or after six halvings beyond `jump_accuracy`.
         """
         width, loose = self.load.jump_accuracy * abs(ends[1][0] - ends[0][0]), LOOSE
         while not self._known(ends) and abs(ends[1][0] - ends[0][0]) > width / 64:

@@ -176,7 +176,7 @@ class Load(Section):
     )  # fmt: skip
     jump_accuracy: float = key(
         number(low=0, high=1), 0.02,
-        "a jump is bisected until its energy is known to 2 %, or to a 64th of this over the step; 0: none is found",
+        "a jump is bisected until its energy loss is known to 2 %, or to this/64 of the step; 0: none is sought",
         unit="1",
     )  # fmt: skip
     area_tolerance: float = key(

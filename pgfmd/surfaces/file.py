@@ -34,8 +34,8 @@ ACCURACY = 1e-12  # norm of the residual, relative to that at the start, at whic
 ORDERS = {"mean": 0, "plane": 1, "quadratic": 2}  # of the polynomial that is subtracted
 CLIFF = 5.0  # jump between opposite edges over the rms step between neighbours above which the user is warned
 WAYS_OUT = (
-    'the cell is periodic, so a cliff is pressed there; write boundary = "open" under [grid] for a patch of a larger '
-    'surface, or close the cell by periodic = "mirror" or "taper", detrend, under [surface]'
+    'the cell is periodic, so the contact sees a step there; write boundary = "open" under [grid] for a patch of a '
+    'larger surface, or under [surface] detrend, or periodic = "mirror" or "taper"'
 )
 SLOPES = (1e-6, 10.0)  # range of the rms slope between neighbours; beyond it, units are probably confused
 MARGIN = 0.1  # part of a side that a taper changes at each edge
@@ -199,8 +199,8 @@ class FromFile(Surface):
     missing: str = key(
         choice("few", "refuse", "interpolate"),
         "few",
-        "what becomes of points that were not measured (NaN, masked, left out of a list): Laplace's equation fills "
-        'them, with "few" if they are at most a third, with "interpolate" always, with "refuse" never',
+        "points that were not measured (NaN, masked, left out of a list) are filled by Laplace's equation: "
+        '"few", if they are at most a third; "interpolate", always; "refuse", never',
     )
     detrend: str = key(
         choice("none", "mean", "plane", "quadratic"), "none", "subtract the mean, plane or paraboloid that fits best"

@@ -40,17 +40,17 @@ class Cone(Surface):
 
 @dataclass(frozen=True, kw_only=True)
 class Punch(Surface):
-    """A flat end about the centre of the cell, at height 0 if not tilted.  At the distance d outside it the surface is
-    lower by d²/(2 edge), at most `depth`; with a sharp edge by `depth`.
+    """A flat punch at the centre of the cell, at height 0 if not tilted.  Beyond its face the height falls by
+    d²/(2 edge), d the distance, at most to −depth; with edge = 0 by `depth` at once.
     """
 
     kind = "punch"
-    shape: str = key(choice("round", "square"), "round", "of the end")
-    radius: float = key(POSITIVE, about="of a round end, half the side of a square one", unit="length", needed=True,
+    shape: str = key(choice("round", "square"), "round", "of the face")
+    radius: float = key(POSITIVE, about="of a round face, half the side of a square one", unit="length", needed=True,
                         example=100.0)  # fmt: skip
-    depth: float = key(POSITIVE, 1e3, "of the surroundings below the end", unit="length")
+    depth: float = key(POSITIVE, 1e3, "of the surroundings below the face", unit="length")
     edge: float = key(number(low=0), 0.0, "radius of the rounded border; 0: sharp", unit="length")
-    tilt: tuple[float, float] = key(pair(number()), (0.0, 0.0), "slopes of the end along x and y", unit="1")
+    tilt: tuple[float, float] = key(pair(number()), (0.0, 0.0), "slopes of the face along x and y", unit="1")
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         x, y = _from_centre(grid)

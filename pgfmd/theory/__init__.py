@@ -6,7 +6,7 @@
 - `bearing`: contact by cutting a Gaussian surface at a height
 - `exponential`: linear response of an exponential wall
 - `hertz`: one parabolic asperity, free and on a periodic cell
-- `adhesion`: one parabolic asperity that sticks (JKR, DMT, Maugis), and whether a rough surface does
+- `adhesion`: one adhesive paraboloid (JKR, DMT, Maugis), and whether a rough surface adheres
 - `exact`: exact solutions of periodic contact (Westergaard, strip punch); limits and a table for the 2-D sinusoid
 - `lattice_edge`: the edge of a contact between the points of a grid
 - `reference_set`: numbers of self-affine contacts with their errors

@@ -1,4 +1,4 @@
-"""Adhesion of a rigid paraboloid r²/(2R) to an elastic half-space, and a criterion for rough surfaces that stick.
+"""Adhesion of a rigid paraboloid r²/(2R) to an elastic half-space, and a criterion by which rough surfaces adhere.
 
 Johnson, Kendall and Roberts 1971, doi:10.1098/rspa.1971.0141 (JKR); Derjaguin, Muller and Toporov 1975,
 doi:10.1016/0021-9797(75)90018-1 (DMT); Maugis 1992, doi:10.1016/0021-9797(92)90285-T.

@@ -1,6 +1,6 @@
 """Open patches by this program and its peers: equal pressures, areas, and processor time on one core.
 
-    python tools/bench/open_peers.py equal --n 512 1024  # pressures, with the peers' symbol (Love 1929) in ours
+    python tools/bench/open_peers.py equal --n 512 1024  # pressures, with the peers' coefficients in ours
     python tools/bench/open_peers.py slip --n 128 512  # friction .3 at ν = 0, half of the sliding load, against ASPHER
     python tools/bench/open_peers.py area --n 512 1024 2048 4096  # area, approach and mean gap against finer grids
     python tools/bench/open_peers.py speed --n 2048 --programs pgfmd ASPHER  # to a pressure error of 1e-4
@@ -8,7 +8,8 @@
 Rows are appended to jobs/benchmark/open.csv (--csv); one that is there is not measured again.  Surfaces: `rough:H:λ_s`
 with λ_s in units of 1/512 of the side, or (`rough:.8:=16`) in spacings; `tip:H:λ_s`, the same on a paraboloid, so that
 contact ends before the border; `sphere:a`, of contact radius a sides; `punch`.  The rms slope is .1, E' = 1; errors are
-relative 2-norms, against a certified solution of the same equations: ours with the symbol that the program has.
+relative 2-norms, against a certified solution of the same equations: ours
+with the influence coefficients of the program.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def load_of(surface: str, area: float) -> float:
 
 @contextlib.contextmanager
 def love() -> Iterator[None]:
-    """In the block our symbol is that of pixels under uniform pressure (Love 1929), which the peers have."""
+    """In the block our influence coefficients are the peers', of uniform pressure on pixels (Love 1929)."""
     from pgfmd.physics.solids import open_kernel
 
     def kernel(x, y):
@@ -170,17 +171,17 @@ def error_of(pressure: np.ndarray, reference: np.ndarray) -> float:
     return float(np.linalg.norm(pressure - reference) / np.linalg.norm(reference))
 
 
-def gaps_of(heights: np.ndarray, pressure: np.ndarray, symbol=contextlib.nullcontext) -> dict:
-    """Area, approach and mean gap that belong to a pressure under a symbol."""
+def gaps_of(heights: np.ndarray, pressure: np.ndarray, coefficients=contextlib.nullcontext) -> dict:
+    """Area, approach and mean gap that belong to a pressure, with these influence coefficients."""
     import pgfmd
 
-    with symbol():
+    with coefficients():
         found = pgfmd.certify(heights, pressure, spacing=SIDE / len(heights), contact_modulus=1.0, boundary="open")
     return {"area": float(np.mean(pressure > 0)), "approach": found.displacement, "mean_gap": found.mean_gap}
 
 
 def equal(case: dict, heights: np.ndarray, program: str) -> dict:
-    """How far a peer's pressure is from ours with its symbol."""
+    """How far a peer's pressure is from ours with its coefficients."""
     with love():
         known = ours(heights, case["load"], 1e-16).pressure
     if program == "ASPHER":
@@ -191,8 +192,8 @@ def equal(case: dict, heights: np.ndarray, program: str) -> dict:
 
 
 def slip(case: dict, heights: np.ndarray, program: str) -> dict:
-    """Processor time for the contact and its partial slip, with the peer's symbol; how far its traction is from ours,
-    over ours, and its tangential shift (column `approach`).
+    """Processor time for the contact and its partial slip, with the peer's coefficients; how far its traction is
+    from ours, over ours, and its tangential shift (column `approach`).
     """
     import pgfmd
     from pgfmd.observables.contact import Contact
@@ -221,7 +222,7 @@ def slip(case: dict, heights: np.ndarray, program: str) -> dict:
 
 
 def area(case: dict, heights: np.ndarray, program: str) -> dict:
-    """Raw and corrected area, approach and mean gap, with our symbol or (program "Love") that of the peers."""
+    """Raw and corrected area, approach and mean gap, with our coefficients or (program "Love") that of the peers."""
     with love() if program == "Love" else contextlib.nullcontext():
         found = ours(heights, case["load"], 1e-10)
         row = {"area": found.contact_area, "approach": found.displacement, "mean_gap": found.mean_gap}
@@ -270,7 +271,7 @@ def main() -> int:
     parser.add_argument("--n", type=int, nargs="+", default=[512])
     parser.add_argument("--surfaces", nargs="+", default=["rough:.8:=16"])
     parser.add_argument("--area", type=float, nargs="+", default=[0.02], help="contact areas of rough surfaces, about")
-    parser.add_argument("--programs", nargs="+", help="all of the part if left out; Love: ours, the peers' symbol")
+    parser.add_argument("--programs", nargs="+", help="all of the part by default; Love: ours, peers' coefficients")
     parser.add_argument("--settings", nargs="+", default=["fft auto float"], help="of ASPHER: backend engine precision")
     parser.add_argument("--budget", type=float, default=600.0, help="seconds of processor time of one solution")
     parser.add_argument("--csv", type=Path, default=Path(__file__).parents[2] / "jobs" / "benchmark" / "open.csv")

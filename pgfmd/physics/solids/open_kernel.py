@@ -75,12 +75,12 @@ def tangential_action(grid: SlabGrid, poisson: float, along: bool) -> ColumnActi
 def _table(grid: SlabGrid, alpha: float, poisson: float, along: bool) -> np.ndarray:
     """The symbol of `tangential_action`; at ν = 0 along x, E' Â(q).  Collective.
 
-    Kernels over π: (1 − ν)/r + νx²/r³ and νxy/r³ (Johnson, Contact Mechanics, 1985, section 3.6): 1/r − ν∂²r/∂x² and
-    −ν∂²r/∂x∂y.  With r erf(α r) + exp(−α²r²)/√π α for the long-ranged part ϱ of r
+    π times the kernels: (1 − ν)/r + νx²/r³ and νxy/r³ (Johnson, Contact Mechanics, 1985, section 3.6), which are
+    1/r − ν∂²r/∂x² and −ν∂²r/∂x∂y.  With r erf(α r) + exp(−α²r²)/√π α for the long-ranged part ϱ of r
 
         ∂²ϱ/∂x² = g x²/r² + erf(α r) y²/r³,        g = (2α/√π) exp(−α²r²),
 
-    and ϱ leaves of r the modes −s/q², s = (2/q) erf(q/2α) − (2/√π α) exp(−q²/4α²).
+    and r − ϱ has the modes −s/q², s = (2/q) erf(q/2α) − (2/√π α) exp(−q²/4α²).
     """
     from scipy.special import erf  # slow to import
 

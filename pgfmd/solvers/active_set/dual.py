@@ -81,12 +81,12 @@ class GapSteps(Relaxation):
         self.settling.load = self.problem.load
 
     def _hold_mean(self, state: State) -> None:
-        """Multiplies the gap to the imposed mean: what clipping adds is little.  Collective."""
+        """Scales the gap to the imposed mean; clipping changed it little.  Collective."""
         assert self.imposed is not None
         state.aim, gap, threads = state.aim or Aim(self.imposed), state.gap, self.grid.threads
         parts = threads.collect(lambda a, b: float(gap[a:b].sum(dtype=np.float64)), len(gap), self.grid.band)
         if not (total := self.grid.reduction.sum(parts)) > 0:
-            raise SolverError("contact is full; allow a larger tolerance")
+            raise SolverError("full contact: no gap is left; allow a larger load.gap_tolerance")
         threads.scale(gap, -self.imposed.approach * self.grid.size / total)
 
     def _move_load(self, state: State, change: float) -> None:

@@ -246,7 +246,8 @@ def wrong_gap(exact: reference.Solved, answer: Answer, zeta) -> str:
     change = np.sqrt(2 * bound)
     level = (bound + np.sqrt(work) * change + 2 * bound) / count if zeta is None else change
     size = max(np.ptp(contact.heights), np.abs(exact.gap).max() if zeta else 0)
-    rounding = 1e-13 * size + 1.5e-15 * (zeta or 0)  # a digit of p̄ moves gaps by 2.2e-16 ζ
+    # p̄ sums up to 24² pressures in pairs: 10 roundings of 1.1e-16, and 2 digits of the logarithm, each times ζ.
+    rounding = 1e-13 * size + 1.5e-15 * (zeta or 0)
     room = 1.5 * (change + level) * exact.unit + rounding
     largest = np.abs(answer.gap.ravel() - exact.gap).max()
     if largest > room + (np.sqrt(2 * bound) * exact.unit if zeta is None else 0):
