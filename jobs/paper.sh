@@ -101,7 +101,7 @@ limits() {
                 "surface.seed=$seed load.pressure=$(pressures $h 1)" \
                 'output.observables=["histogram","spectra","patches","bearing"]'
         done
-        for seed in $(seq 5 16); do
+        for seed in $(seq 5 32); do
             echo "limit-bearing-h$h-s$seed jobs/paper/exponents.toml $(size 8192 1) surface.hurst=$h surface.seed=$seed" \
                 "load.pressure=[$([ "$h" = 0.3 ] && echo 0.00245 || echo 0.00316)]" \
                 'output.observables=["spectra","patches","bearing"]'
