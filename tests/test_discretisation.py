@@ -19,9 +19,11 @@ from pgfmd.grid.transfer import SubGrid, restrict
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.discretisation import (
     BAND,
+    FACTORS,
     MODES,
     band_errors,
     change_at_equal_load,
+    grid_errors,
     level_shift,
     long_waves,
     on_half_grid,
@@ -277,3 +279,20 @@ def test_long_waves_of_the_gap_are_as_uncertain_as_its_mean(comm):
         squares.append(np.abs(change_at_equal_load(waves(grid, heights), coarse, "mean_gap")) ** 2)
     mean, *others = np.mean(squares, axis=0)
     assert 1 / 2 < np.sqrt(np.mean(others) / mean) < 2
+
+
+@pytest.mark.parametrize("unit", [1e-160, 1e160])
+def test_errors_of_the_grid_keep_their_digits_in_any_unit(unit):
+    """They are proportional to the fields, though squares of these numbers overflow or vanish."""
+    rng = np.random.default_rng(3)
+
+    def waves():
+        return {name: rng.normal(size=MODES + 1) + 1j * rng.normal(size=MODES + 1) for name in ("load", *FACTORS)}
+
+    def in_units(fields):
+        return {name: unit * field for name, field in fields.items()}
+
+    fine, coarse = waves(), waves()
+    expected = {name: unit * error for name, error in grid_errors(fine, coarse, None).items()}
+    found = grid_errors(in_units(fine), in_units(coarse), None)
+    assert found == pytest.approx(expected, rel=1e-12, abs=0, nan_ok=True)

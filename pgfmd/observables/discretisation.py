@@ -247,8 +247,10 @@ def grid_errors(fine: Waves, coarse: Waves | None, line: ContactLine | None) -> 
     """
     errors = {}
     for name, (systematic, random) in FACTORS.items():
-        squares = np.full(2, np.nan) if coarse is None else np.abs(change_at_equal_load(fine, coarse, name)) ** 2
-        errors[name] = float(np.sqrt(systematic**2 * squares[0] + random**2 * np.mean(squares[1:])))
+        change = np.full(2, np.nan) if coarse is None else np.abs(change_at_equal_load(fine, coarse, name))
+        size = change.max() or 1.0  # squares of large units overflow
+        squares = (change / size) ** 2
+        errors[name] = float(size * math.sqrt(systematic**2 * squares[0] + random**2 * np.mean(squares[1:])))
     if line is None:
         errors["perimeter"] = np.nan
     return errors
@@ -276,9 +278,10 @@ def on_half_grid(
 
 def change_at_equal_load(fine: Waves, coarse: Waves, name: str) -> np.ndarray:
     """ΔF̃_k, k = 0, 1 …, from the `long_waves` of both grids."""
-    load, field = fine["load"][1:], fine[name][1:]
+    size = np.abs(fine["load"][1:]).max() or 1.0  # squares of large units overflow
+    load, field = fine["load"][1:] / size, fine[name][1:]
     slope = np.vdot(load, field).real / (np.vdot(load, load).real or np.inf)
-    return fine[name] - coarse[name] - slope * (fine["load"] - coarse["load"])
+    return fine[name] - coarse[name] - slope * ((fine["load"] - coarse["load"]) / size)
 
 
 def long_waves(problem: ContactProblem, solution: ContactSolution, line: ContactLine | None, count: int) -> Waves:
