@@ -12,7 +12,7 @@ from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.problem import ContactProblem
+from pgfmd.physics.problem import Aim, ContactProblem, Imposed, Measured
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
@@ -326,3 +326,18 @@ def test_a_flat_surface_is_flat_whatever_its_height(comm):
     )
     with pytest.raises(InputError, match="flat"):
         LoadControl(Load(displacement=(1.0,)), problem).check_targets([1.0])
+
+
+@pytest.mark.parametrize("target", [0.3, 0.55, 0.7])
+def test_a_search_does_not_go_to_and_fro(target):
+    """Where the area changes more than Persson's theory says, steps back and forth shrink: thirty meet any load.
+
+    The area here is erf(p̄⁴): with steps as that theory has them p̄ would go from one load to another and back.
+    """
+    size, load = 10**8, 0.4
+    aim = Aim(Imposed(1e-3, area=target), {size: 0.5}, pressure=load)
+    for _ in range(30):
+        at = Measured(0.0, aim.pressure, 1.0, round(size * math.erf(aim.pressure**4)), size)
+        if not aim.moves(at, 0.0):
+            break
+    assert aim.target.missed(at) <= 1

@@ -104,7 +104,8 @@ class Aim:
     """What a solver prescribes while it seeks a target: the level for an approach, the mean pressure for an area.
 
     stresses: number of points of a grid → rms stress of full contact there (Persson's s), up to a common factor; of
-    this grid and the finest at least.  solved: `Aim.loaded` at the end of each coarser grid.
+    this grid and the finest at least.  solved: `Aim.loaded` at the end of each coarser grid.  last: change of
+    ln p̄; most: the largest of the next ones.
     """
 
     target: Imposed
@@ -112,6 +113,8 @@ class Aim:
     level: float = 0.0
     pressure: float = 0.0
     solved: Sequence[float] = ()
+    last: float = 0.0
+    most: float = STEP
 
     def follow(self, at: Measured, least: float) -> None:
         """Sets the level of the imposed approach at this load, at least `least`, lowered by at most `STEP` · range."""
@@ -122,13 +125,17 @@ class Aim:
         """Changes the mean pressure if the area misses its target by more than its uncertainty; returns whether it did.
 
         error: of the energy, over 2 E_el.  The uncertainty must also be small enough that the change meets the target,
-        or leaves a fifth of the distance.
+        or leaves a fifth of the distance.  After a change back, changes are at most half as large: else a search can go
+        to and fro between two loads.
         """
         change, unsure = self._change(at), NOISE * math.sqrt(error)
         allowed = self.target.allowed
         if self.target.missed(at) <= 1 or abs(change) < allowed + unsure or unsure > max(allowed / 2, abs(change) / 5):
             return False
-        self.pressure = at.pressure * math.exp(change)
+        if change * self.last < 0:
+            self.most = abs(self.last) / 2
+        self.last = max(-self.most, min(change, self.most))
+        self.pressure = at.pressure * math.exp(self.last)
         return True
 
     def refine(self, at: Measured) -> Aim:
@@ -136,7 +143,7 @@ class Aim:
         if not self.target.area:
             return dataclasses.replace(self)
         pressure = at.pressure * math.exp(self._change(at))
-        return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)])
+        return dataclasses.replace(self, pressure=pressure, solved=[*self.solved, self.loaded(at)], last=0.0, most=STEP)
 
     def loaded(self, at: Measured) -> float:
         """ln of the mean pressure at which Persson's theory, area = erf(p̄/√2 s), gives the measured area, over the
