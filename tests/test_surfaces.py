@@ -16,6 +16,7 @@ from pgfmd.application import job
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
+from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
@@ -23,7 +24,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.exponential_wall.newton_from_coarse import solve_exponential_wall
 from pgfmd.surfaces.file import read_heights
-from pgfmd.surfaces.rigid_surface import coordinates
+from pgfmd.surfaces.rigid_surface import Sum, coordinates
 from pgfmd.surfaces.self_affine import SelfAffine, self_affine
 from pgfmd.theory import exact
 
@@ -281,3 +282,23 @@ def test_heights_of_a_text_travel_in_rows(comm, shared_tmp_path, monkeypatch):
     found, _ = read_heights(grid, (str(shared_tmp_path / "heights.txt"), None), False, 1, None)
     np.testing.assert_allclose(found, heights[grid.rows], rtol=1e-15)
     assert sent[1][1] == len(found) and (comm.rank or list(sent[0][1]) == list(np.diff(grid.starts)))
+
+
+@pytest.mark.parametrize(
+    ("shape", "lengths"),
+    [
+        ((96, 96), {}),
+        ((96, 96), {"lambda_r": 24.0}),
+        ((96, 96), {"lambda_l": 24.0}),
+        ((192, 24), {}),
+        ((64, 64), {"lambda_s": 48.0}),
+    ],
+)
+def test_the_height_known_beforehand_is_that_of_the_surfaces(shape, lengths):
+    """Its square is within a tenth the mean square height of 200 surfaces; that of two bodies is the sum of squares."""
+    options = {"hurst": 0.8, "lambda_s": 4.0, "rms_slope": 0.1} | lengths
+    surface, cell, grid = SelfAffine(**options), Cell(n=shape), SlabGrid(MPI.COMM_SELF, shape)
+    known = surface.known_height(cell)
+    squares = [np.mean(SelfAffine(**options, seed=seed).heights(grid) ** 2) for seed in range(200)]
+    assert known**2 == pytest.approx(np.mean(squares), rel=0.1)
+    assert Sum(surface, surface).known_height(cell) == pytest.approx(math.sqrt(2) * known)

@@ -20,6 +20,7 @@ from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
+LONGEST = 16  # multiples of the longest wave's number, for which `known_height` sums over modes
 HIGHEST = 1e150  # wave number of a wavelength 0 or tiny: its square is finite
 log = logging.getLogger("pgfmd")
 
@@ -93,10 +94,18 @@ class SelfAffine(Surface):
     def known_height(self, cell: Cell) -> float | None:
         shortest, longest, roll_off = (max(length, 2 * min(cell.spacings)) for length in self.wavelengths(cell))
         k_s, k_r = max(longest / shortest, 1.0), longest / roll_off  # in units of 2π/λ_l: squares do not overflow
-        waves = np.geomspace(1.0, k_s, 256)  # of the weight k dk ∝ k² in ⟨h²⟩, k⁴ in ⟨|∇h|²⟩
-        power = self_affine_variance(self.hurst, 1.0, k_r, k_s)(waves**2) * waves**2
-        ratio = math.sqrt(power.sum() / (power * waves**2).sum())
-        return self.rms_slope * ratio * longest / (2 * math.pi)
+        steps = [min(longest / side, HIGHEST) for side in cell.lengths]
+        first = max(1.0, (LONGEST + 0.5) * min(steps))  # from here on the sum over modes is nearly an integral
+        index = np.arange(LONGEST + 1)
+        square = np.add.outer(*((step * index) ** 2 for step in steps)).ravel()
+        weight = np.multiply.outer(*[np.where(index > 0, 2.0, 1.0)] * 2).ravel() * (square < first**2)
+        if k_s > first:
+            waves = np.geomspace(first, k_s, 256)
+            between = 2 * math.pi * waves**2 * math.log(waves[1] / waves[0]) / math.prod(steps)
+            square, weight = np.append(square, waves**2), np.append(weight, between)
+        power = self_affine_variance(self.hurst, 1.0, k_r, k_s)(square) * weight
+        total = float((power * square).sum())
+        return self.rms_slope * math.sqrt(power.sum() / total) * longest / (2 * math.pi) if total else None
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
         wavelengths = self.wavelengths(Cell(n=grid.shape, length=grid.lengths))
