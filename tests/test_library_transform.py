@@ -8,8 +8,10 @@ import sys
 import numpy as np
 import pytest
 from job_texts import SOLID
+from mpi4py import MPI
 
 from pgfmd.errors import InputError
+from pgfmd.grid import slab_grid
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import sink, source
 
@@ -124,3 +126,14 @@ def test_it_is_named_where_it_is_missing(tmp_path):
     words = [sys.executable, "-c", code, "run", tmp_path / "job.toml", "--output", tmp_path / "out"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "needs that package" in done.stderr.splitlines()[-1]
+
+
+def test_what_is_freed_does_not_stay():
+    """A grid that is freed has freed its library transforms and their communicators, also where others are kept."""
+    kept = len(slab_grid._spares)
+    grid = SlabGrid(MPI.COMM_SELF, (12, 10), transform="mpi4py-fft")
+    made = grid.transform()
+    grid.free()
+    assert len(slab_grid._spares) == kept
+    assert grid.transform() is not made
+    grid.free()

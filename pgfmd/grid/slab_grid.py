@@ -118,7 +118,7 @@ class SlabGrid:
         self.threads = Threads(threads if self.local_shape[0] * ny >= 512 * 512 else 1)
         self.transforms = 0.0
         self._transform_name = transform
-        alone = comm.size == 1 and self.modes <= MOST_MODES
+        alone = comm.size == 1 and self.modes <= MOST_MODES and transform != "mpi4py-fft"  # it has to be freed
         self._kind: Hashable = (self.shape, self.torus, transform, self.threads.count) if alone else None
         self._strips: Strips | None = None
         self._planned: dict[np.dtype, AnyTransform] = {}
