@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from job_texts import rough_job
+from mpi4py import MPI
 from scipy.optimize import lsq_linear
 from solids import elastic
 
@@ -170,3 +171,16 @@ def test_refused():
             asked.check_contact(solid, law)
     with pytest.raises(InputError, match="friction is missing"):  # before anything is computed
         job.parse(rough_job(8, load={"pressure": [0.1]}, output={"observables": ["partial_slip"]}))
+
+
+@pytest.mark.parametrize("spacing", [1e-153, 3e153])
+def test_a_traction_at_extreme_lengths(spacing):
+    """On a patch displacements are proportional to lengths, also where squares of wave numbers underflow."""
+    traction = np.random.default_rng(1).random((8, 6))
+
+    def displacement(unit):
+        grid, found = SlabGrid(MPI.COMM_SELF, (8, 6), (8 * unit, 6 * unit), domain=OPEN), np.empty((8, 6))
+        grid.convolve(source(traction), tangential_action(grid, 0.3, True), sink(found))
+        return found / unit
+
+    np.testing.assert_allclose(displacement(spacing), displacement(1.0), rtol=1e-12)

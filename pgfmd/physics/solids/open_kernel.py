@@ -88,10 +88,11 @@ def _table(grid: SlabGrid, alpha: float, poisson: float, along: bool) -> np.ndar
         far = _long_ranged(x, y, alpha)
         if not poisson:
             return far
-        square = x**2 + y**2
-        near, origin = 2 * alpha / math.sqrt(math.pi) * np.exp(-(alpha**2) * square), square == 0
-        change = near * x**2 + far * (y**2 + origin) if along else (near - far) * x * y
-        return far * along - poisson * change / (square + origin)
+        r = np.hypot(x, y)  # no squares of lengths: they may overflow
+        near, origin = 2 * alpha / math.sqrt(math.pi) * np.exp(-((alpha * r) ** 2)), r == 0
+        cos, sin = x / (r + origin), y / (r + origin)
+        change = near * cos**2 + far * (sin**2 + origin) if along else (near - far) * cos * sin
+        return far * along - poisson * change
 
     most = grid.torus[0] // 2 + 1
     if grid.domain.wraps or not (along or poisson):
@@ -101,12 +102,12 @@ def _table(grid: SlabGrid, alpha: float, poisson: float, along: bool) -> np.ndar
     for first in range(0, len(table), BAND):
         part = slice(first, min(first + BAND, len(table)))
         qx, qy = grid.qx[:, :most], grid.qy[part]
-        q = np.sqrt(np.maximum(qx**2 + qy**2, (1e-8 * alpha) ** 2))
+        q = np.maximum(np.hypot(qx, qy), 1e-8 * alpha)  # squares may underflow
         near = 2 * erf(q / (2 * alpha)) / q
         table[part] += near * along
         if poisson:
             near -= 2 / math.sqrt(math.pi) / alpha * np.exp(-((q / (2 * alpha)) ** 2))
-            table[part] -= poisson * near * qx * (qx if along else qy) / q**2
+            table[part] -= poisson * near * (qx / q) * ((qx if along else qy) / q)
     return table
 
 
