@@ -186,6 +186,21 @@ def test_loading_and_unloading_lose_energy_in_jumps(comm, heights, length, contr
         assert lost == pytest.approx(-np.trapezoid(pressures, gaps), rel=0.02)
 
 
+def test_a_jump_is_found_as_accurately_as_asked():
+    """With a tenth of the error of its loss, a fifth of the interval or less is left, and the loss stays within 2 %."""
+    heights, length, _, (high, low, _) = CYCLES["gap"]
+    widths, losses = [], []
+    for accuracy in (0.02, 0.002):
+        load = Load(mean_gap=tuple(np.linspace(low, high, 7)), jump_accuracy=accuracy)
+        run = branch(heights, AdhesiveWall(work=0.5, range=length), load, 1e-10)
+        found = [run.solution(target).details for target in load.targets]
+        (at,) = (each for each in found if np.isfinite(each["jump_to"]))
+        widths.append(abs(at["jump_to"] - at["jump_from"]))
+        losses.append(at["energy_drop"])
+    assert 0 < widths[1] <= widths[0] / 5
+    assert losses[1] == pytest.approx(losses[0], rel=0.02)
+
+
 @pytest.mark.mpi
 @pytest.mark.parametrize("count", [5, 17])
 def test_coarse_steps_without_a_jump_lose_no_energy(comm, count):

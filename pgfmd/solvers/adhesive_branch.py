@@ -220,7 +220,7 @@ class Branch:
 
         A jump that makes up half of the change or more leaves at least `SUDDEN` of it in one half of the interval.
         Where there is no jump, halving divides the error of the trapezoid rule by 4; what does not fall is lost.  Ends
-        when the loss is `KNOWN`, or after six halvings beyond `jump_accuracy`.
+        when the loss is known, or after six halvings beyond `jump_accuracy`.
         """
         width, loose = self.load.jump_accuracy * abs(ends[1][0] - ends[0][0]), LOOSE
         while not self._known(ends) and abs(ends[1][0] - ends[0][0]) > width / 64:
@@ -242,9 +242,9 @@ class Branch:
         return self._leapt(ends[0], ends[1])
 
     def _known(self, ends: list[Point]) -> bool:
-        """Whether the energy lost is known to a part `KNOWN` whatever force was between."""
+        """Whether the energy lost is known to a part `KNOWN`, or `jump_accuracy`, whatever force was between."""
         least, mean = self._lost(*ends)
-        return mean - least <= KNOWN * mean
+        return mean - least <= min(KNOWN, self.load.jump_accuracy) * mean
 
     def _lost(self, low: Point, high: Point) -> tuple[float, float]:
         """Energy per point lost from one state to the next, over w: the work done less the energy gained.
