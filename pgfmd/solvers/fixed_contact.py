@@ -74,7 +74,7 @@ class FixedContact(Relaxation):
         self.points = Unknowns(grid, (self.place, gap), 0.0, self.highest)
         gap[self.place == 0], gap[self.place == 2] = HUGE, -HUGE  # no limit there on the continued ε
         self.state = State(self.place, gap)
-        mean, action = float(solid.modes(grid, 0, 1)[0, 0]) if grid.comm.rank == 0 else 0.0, self.compliance[np.float32]
+        mean, action = solid.mean_mode(grid), self.compliance[np.float32]
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, action, mean)
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
 

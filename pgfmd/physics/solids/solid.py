@@ -172,6 +172,11 @@ class Solid(Section):
             return self.open_table(grid)[first:stop] / self.contact_modulus
         return self.compliance(np.sqrt(grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2))
 
+    def mean_mode(self, grid: SlabGrid) -> float:
+        """Compliance of the mean mode on the rank that holds it, 0 on others.  Collective as `modes`."""
+        modes = self.modes(grid, 0, 1)
+        return float(modes[0, 0]) if grid.columns.start == 0 and len(modes) else 0.0
+
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         """Column action p̃ ← factor · compliance(q) · p̃ in the given precision.  Collective as `modes`."""
         if not grid.domain.wraps:

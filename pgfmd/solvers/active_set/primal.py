@@ -39,8 +39,7 @@ class PressureSteps(Relaxation):
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         super().__init__(problem, exact)
         grid, solid = problem.grid, problem.solid
-        mean = float(solid.modes(grid, 0, 1)[0, 0]) if grid.comm.rank == 0 and not grid.domain.wraps else 0.0
-        action = self.compliance[np.float32]
+        mean, action = 0.0 if grid.domain.wraps else solid.mean_mode(grid), self.compliance[np.float32]
         self.inner = inner_response(grid, solid.half_space_compliance, solid.compliance, action, mean)
         self.feasible = Feasible(problem)
         self.preconditioner = MultilevelStiffness(grid, solid.half_space_stiffness, solid.stiffness)
