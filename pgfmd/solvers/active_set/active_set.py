@@ -95,7 +95,8 @@ class Relaxation:
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
     without halving the least error, and most_steps, before giving up; enough: the error at which to end.
     inner: the response between unknowns.  hidden:
-    twice the energy error of the last state that the residual of its system does not show.
+    twice the energy error of the last state that the residual of its system does not show.  moved: whether its system
+    is that of another load.
     """
 
     precision: Precision = np.float32
@@ -104,6 +105,7 @@ class Relaxation:
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
     hidden = enough = 0.0
+    moved = False
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
@@ -139,12 +141,13 @@ class Relaxation:
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
-            if self.exact and negligible and estimate <= tolerance and (self.met(state) or met_late > LATE):
+            ready = negligible and not self.moved and (self.met(state) or met_late > LATE)
+            if self.exact and ready and estimate <= tolerance:
                 state.error = self.certify(state, system, precision)
                 raised *= max(1.0, state.error / (max(estimate, MARGIN[precision] * tolerance) or tolerance))
             if monitor is not None:
                 monitor(state)
-            if negligible and state.error <= tolerance and (self.met(state) or met_late > LATE):
+            if ready and state.error <= tolerance:
                 return state
             met_late += negligible and state.error <= tolerance
             if precision is np.float64 and rounding > max(tolerance, estimate):
@@ -172,7 +175,7 @@ class Relaxation:
         state.level, state.base = state.level + state.base, 0.0
 
     def left(self, wanted: float, enough: float) -> float:
-        """The part of the estimate that is left after a step with these arguments of `improve`, at least."""
+        """The part of the estimate that a step with these arguments of `improve` probably leaves."""
         return wanted**2
 
     @staticmethod

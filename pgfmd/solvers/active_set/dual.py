@@ -70,7 +70,9 @@ class GapSteps(Relaxation):
         state.energy, state.load = (work - self.mean * self.problem.load) / 2, self.problem.load
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
-        if pressure := self.next_pressure(state, system.square + self.hidden):
+        pressure = self.next_pressure(state, system.square + self.hidden)
+        self.moved = pressure > 0
+        if self.moved:
             system.lower(pressure - self.problem.mean_pressure)
             self.set_load(pressure)
         return system

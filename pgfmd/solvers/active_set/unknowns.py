@@ -31,7 +31,7 @@ class Unknowns:
 
     Attributes: count, the number of them; lists and extended, `Points` without and with a halo of `HALO` rows; own,
     the slice of the columns of `extended` that are those of `lists`; alone: on one rank, whose halo
-    repeats its own rows.
+    repeats its own rows, or is empty where fields end at the border.
     Vectors on the set are arrays (count,), or `SetVector`s if neighbouring ranks need them.
     """
 
