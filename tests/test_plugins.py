@@ -17,6 +17,7 @@ from pgfmd.application.job import as_toml, load, parse
 from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
+from pgfmd.observables.observable import Observable
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.parallel.collectives import from_root
 from pgfmd.physics.laws.exponential_law import ExponentialWall
@@ -266,3 +267,16 @@ def test_a_law_that_contradicts_itself_is_refused(changed, words):
         return
     with pytest.raises(InputError, match=f'wall.kind = "wrong": {words}'):
         pgfmd.solve(heights, 0.01, wall=law)
+
+
+def test_an_observable_may_say_where_its_keys_stand():
+    """The table of a subclass is [output.NAME], unless the class says something else."""
+
+    class Plain(Observable):
+        name = "plain"
+
+    class Elsewhere(Observable):
+        name = "elsewhere"
+        where = "output.there"
+
+    assert (Plain.where, Elsewhere.where) == ("output.plain", "output.there")

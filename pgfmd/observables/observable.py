@@ -41,7 +41,8 @@ class Observable(Section):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.where = f"output.{getattr(cls, 'name', '')}"
+        if "where" not in vars(cls):
+            cls.where = f"output.{getattr(cls, 'name', '')}"
 
     def check_in(self, domain: Domain) -> None:
         """Raises InputError for a domain on which it cannot be measured."""
