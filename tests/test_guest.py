@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import multiprocessing
 import os
 import re
@@ -14,8 +15,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from conftest import ROOT
+from job_texts import rough_job
+from mpi4py import MPI
 
 import pgfmd
+from pgfmd.application.job import parse
+from pgfmd.application.simulate import simulate
+from pgfmd.physics.problem import ContactProblem
 
 STATE = """
 import gc, locale, logging, os, signal, sys, threading, warnings
@@ -148,3 +154,15 @@ print(resident() - before)
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert int(done.stdout) < 2e6, done.stderr
+
+
+def test_a_run_keeps_no_fields(tmp_path):
+    """After a run nothing holds its fields, not even until Python next looks for circles: runs follow one another."""
+    job = parse(rough_job(32, load={"pressure": [0.01, 0.02]}))
+    gc.collect()
+    gc.disable()
+    try:
+        simulate(job, MPI.COMM_SELF, tmp_path / "out")
+        assert not [each for each in gc.get_objects() if isinstance(each, ContactProblem)]
+    finally:
+        gc.enable()

@@ -222,7 +222,8 @@ class Loads:
             )  # fmt: skip
 
     def finish(self, phases: dict[str, float]) -> None:
-        """Mark the run as complete.  If nothing was solved, raises SolverError, and earlier results stay."""
+        """Mark the run as complete, at last.  If nothing was solved, raises SolverError, and earlier results stay."""
+        del self.control  # it holds `_solve_at`: a circle, which would keep the fields for a while
         if self.unreachable and all(index in self.unreachable for index in self.pending):
             raise SolverError("; ".join(map(str, self.unreachable.values())))
         for index in self.unreachable:
