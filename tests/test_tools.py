@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
 import signal
 import subprocess
@@ -317,6 +318,21 @@ def test_a_signal_ends_all_runs(tmp_path, number):
     while any(_state(pid)[:1] not in ([], ["Z"]) for pid in family) and time.monotonic() < end:
         time.sleep(0.1)
     assert family and all(_state(pid)[:1] in ([], ["Z"]) for pid in family)
+
+
+def test_a_run_that_is_killed_ends_all(tmp_path):
+    """Of two runs one is killed, as where memory runs out: the other ends too, with one line and exit code 1."""
+    job = ROOT / "jobs" / "paper" / "large.toml"
+    command = [sys.executable, str(PAPER / "runs.py"), str(tmp_path), "--jobs", "2"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdin.write("".join(f"run{seed} {job} grid.n=2048 surface.seed={seed}\n" for seed in (1, 2)))
+        process.stdin.close()
+        while not all((tmp_path / f"run{seed}.log").exists() for seed in (1, 2)) and process.poll() is None:
+            time.sleep(0.1)
+        family = [path.name for path in Path("/proc").glob("[0-9]*") if _state(path.name)[1:2] == [str(process.pid)]]
+        os.kill(int(max(family, key=int)), signal.SIGKILL)
+        assert process.wait(60) == 1
+        assert re.fullmatch("runs.py: error: a run was killed .*\n", process.stderr.read())
 
 
 def _state(pid: str) -> list[str]:

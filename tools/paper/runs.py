@@ -15,6 +15,7 @@ import multiprocessing
 import signal
 import sys
 import time
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from pgfmd.application import job as config
@@ -56,10 +57,6 @@ def run(line: str, folder: Path) -> str:
     return f"{name}: {time.perf_counter() - began:.1f} s"
 
 
-def _run(task: tuple[str, Path]) -> str:
-    return run(*task)
-
-
 def main(arguments: list[str] | None = None) -> int:
     """The command line; exit code 0, 2 if a job is not valid, 1 if a run failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -77,22 +74,30 @@ def main(arguments: list[str] | None = None) -> int:
     began = time.perf_counter()
     for stop in (signal.SIGINT, signal.SIGTERM):
         signal.signal(stop, _end)
-    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
-        tasks = [(line, options.results) for line in todo]
+    with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+        tasks = [pool.submit(run, line, options.results) for line in todo]
         try:
-            for number, done in enumerate(pool.imap_unordered(_run, tasks), 1):
-                print(f"{time.perf_counter() - began:6.0f} s  {number} of {len(todo)}: {done}", flush=True)
+            for number, task in enumerate(as_completed(tasks), 1):
+                print(f"{time.perf_counter() - began:6.0f} s  {number} of {len(todo)}: {task.result()}", flush=True)
         except RuntimeError as error:
-            print(f"runs.py: error: {error}", file=sys.stderr)
+            killed = isinstance(error, BrokenExecutor)
+            why = "a run was killed from outside: too little memory for so many at a time?" if killed else error
+            print(f"runs.py: error: {why}", file=sys.stderr)
+            _end_runs()
+            pool.shutdown(cancel_futures=True)
             return 1
     return 0
 
 
 def _end(number: int, _) -> None:
     """End with all runs, which would go on, as each catches this signal itself."""
-    for run in multiprocessing.active_children():
-        run.kill()
+    _end_runs()
     sys.exit(128 + number)
+
+
+def _end_runs() -> None:
+    for process in multiprocessing.active_children():
+        process.kill()
 
 
 def _parts(line: str) -> tuple[str, list[str]]:
