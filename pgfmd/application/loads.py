@@ -258,7 +258,10 @@ class Loads:
             unit = problem.mean_pressure
             if problem.imposed is None:
                 unit *= self.grid.size / (self.grid.reduction.sum(state.pressure) or 1.0)
-        self.checkpoints.save(self._index, np.multiply(state.pressure, unit, dtype=np.float64))
+        pressure, grid = state.pressure, self.grid
+        if not isinstance(state, ContactSolution) and state.moved:
+            pressure = grid.layout.fetch(pressure, grid.rows.start - state.moved, grid.rows.stop - state.moved)
+        self.checkpoints.save(self._index, np.multiply(pressure, unit, dtype=np.float64))
 
 
 def of_first_load(job: Job) -> str:

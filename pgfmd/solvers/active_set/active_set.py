@@ -70,6 +70,7 @@ class State:
     coarser grid.  load: Σ p.  aim: what is prescribed where no load is given.  energy: ½⟨p, Gp⟩.  error: of
     the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of
     those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kε‖/‖p‖ of a certificate.
+    moved: see `balance`.
     """
 
     pressure: np.ndarray
@@ -84,6 +85,7 @@ class State:
     between: int = 0
     iterations: int = 0
     pressure_error: float = 0.0
+    moved: int = 0
     estimated: bool = False
     aim: Aim | None = None
 

@@ -15,6 +15,7 @@ from pgfmd.parallel.collectives import shared
 from pgfmd.physics.problem import Aim, ContactProblem, Measured
 from pgfmd.physics.solids.solid import multiply
 from pgfmd.solvers.active_set.active_set import Relaxation, State
+from pgfmd.solvers.active_set.balance import balanced
 from pgfmd.solvers.active_set.descent import Descent
 from pgfmd.solvers.active_set.dual import GapSteps
 from pgfmd.solvers.active_set.feasible import scale_to_load
@@ -165,9 +166,7 @@ class ActiveSetIteration(NestedIteration[State]):
         return state, False
 
     def relax(self, problem: ContactProblem, state: State, exact: bool = True) -> State:
-        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`); if the error stops
-        falling at a given load, by steps that lower the energy each time.  Collective.
-        """
+        """Relaxes a state with pressures or gaps as unknowns, whichever cost less (`GAPS_FROM`).  Collective."""
         if problem.imposed is not None and problem.imposed.area:
             known = self.stresses or {problem.grid.size: 1.0}
             state.aim = state.aim or Aim(problem.imposed, known, pressure=problem.mean_pressure)
@@ -178,10 +177,21 @@ class ActiveSetIteration(NestedIteration[State]):
         by_gaps &= problem.law.highest == np.inf and problem.grid.domain.wraps
         by_gaps &= state.between > part * problem.grid.size
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
-        solver = (ThinSteps if is_thin(problem) else steps)(problem, exact)
+        with balanced(problem, state):
+            solver = self._relaxed(problem, state, ThinSteps if is_thin(problem) else steps, exact)
+        if exact:
+            problem.grid.make_room()
+            solver.widen(state)
+        return state
+
+    def _relaxed(self, problem: ContactProblem, state: State, steps: type[Relaxation], exact: bool) -> Relaxation:
+        """Relaxes a state by these steps; if the error stops falling at a given load, by steps that lower the energy
+        each time.  Returns the freed solver.  Collective.
+        """
+        solver, given = steps(problem, exact), problem.imposed is None
         while True:
             try:
-                state = solver.relax(state, self.tolerance, self.watch(problem))
+                solver.relax(state, self.tolerance, self.watch(problem))
             except SolverError as failure:
                 if not shared(problem.grid.comm, failure):
                     raise
@@ -192,10 +202,7 @@ class ActiveSetIteration(NestedIteration[State]):
                 solver, state.clipped = Descent(problem, exact), False
             else:
                 solver.free()
-                if exact:
-                    problem.grid.make_room()
-                    solver.widen(state)
-                return state
+                return solver
 
 
 solve_hard_wall = ActiveSetIteration.contact
