@@ -171,7 +171,8 @@ def draw(
         alike = [other for other in of if quantity(other, loads).axis == vertical.axis]
         known = [load for load in loads if math.isfinite(y(load))]
         if len(known) < len(loads):
-            sheet.notes.append(f"{len(loads) - len(known)} of {len(loads)} loads have no {what.replace('_', ' ')}")
+            name = vertical.word or what.replace("_", " ")
+            sheet.notes.append(f"{len(loads) - len(known)} of {len(loads)} loads have no number for “{name}”")
         for name, groups in _curves(known, horizontal).items():
             title = ", ".join(filter(None, ([vertical.word or vertical.axis, name] if len(alike) > 1 else [name])))
             points = sorted(((float(np.mean([x(load) for load in group])), group) for group in groups), key=_place)
