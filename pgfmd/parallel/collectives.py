@@ -22,7 +22,8 @@ from pgfmd.parallel.mpi import MPI, patiently
 T = TypeVar("T")
 
 BUSY_WAIT = 0.05  # seconds for which a rank polls without sleeping
-SLEEP, LONGEST_SLEEP = 0.02, 0.05  # part of the time waited so far; seconds.  A barrier is late by log₂ P sleeps
+# Part of the time waited so far; seconds.  A barrier is late by log₂ P sleeps: without the cap by 8 % on 64 ranks.
+SLEEP, LONGEST_SLEEP = 0.02, 2e-4
 
 FAILED = 32000  # tag of messages between ranks that have failed, below the least upper bound in the MPI standard
 
@@ -53,19 +54,19 @@ class Reduction:
 
     def sum(self, local: ArrayLike) -> float:
         """Sum of all entries of `local` over all ranks.  Collective."""
-        return self.comm.allreduce(float(np.sum(local, dtype=np.float64)), MPI.SUM)
+        return self._one(float(np.sum(local, dtype=np.float64)), MPI.SUM)
 
     def max(self, local: ArrayLike) -> float:
         """Largest entry over all ranks (-inf if there is none).  Collective."""
-        return self.comm.allreduce(float(np.max(local, initial=-np.inf)), MPI.MAX)
+        return self._one(float(np.max(local, initial=-np.inf)), MPI.MAX)
 
     def min(self, local: ArrayLike) -> float:
         """Smallest entry over all ranks (inf if there is none).  Collective."""
-        return self.comm.allreduce(float(np.min(local, initial=np.inf)), MPI.MIN)
+        return self._one(float(np.min(local, initial=np.inf)), MPI.MIN)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """Σ a b over all entries and ranks, accumulated in float64.  Collective."""
-        return self.comm.allreduce(float(np.einsum("i,i->", np.ravel(a), np.ravel(b), dtype=np.float64)), MPI.SUM)
+        return self._one(float(np.einsum("i,i->", np.ravel(a), np.ravel(b), dtype=np.float64)), MPI.SUM)
 
     def sums(self, *values: float) -> np.ndarray:
         """Several local numbers summed over the ranks in one message.  Collective."""
@@ -85,7 +86,15 @@ class Reduction:
 
     def any(self, flag: bool) -> bool:
         """Whether the flag is set on at least one rank.  Collective."""
-        return bool(self.comm.allreduce(bool(flag), MPI.LOR))
+        return bool(self._one(float(flag), MPI.MAX))
+
+    def _one(self, value: float, operation: MPI.Op) -> float:
+        """A number reduced over the ranks; as a buffer, in half the time of a pickled object."""
+        if self.comm.size == 1:
+            return value
+        out = np.array([value])
+        self.comm.Allreduce(MPI.IN_PLACE, out, operation)
+        return float(out[0])
 
 
 def await_all(comm: MPI.Comm) -> None:

@@ -51,7 +51,8 @@ def best_shift(grid: SlabGrid, counts: np.ndarray) -> int:
     """Rows by which the contact is best moved, at most half of those of a slab; 0 if that hardly pays.  counts: of the
     points in contact in each row of this rank.  Collective.
     """
-    rows, half = np.concatenate(grid.comm.allgather(counts)), grid.shape[0] // grid.comm.size // 2
+    rows, half = np.empty(grid.shape[0], np.int64), grid.shape[0] // grid.comm.size // 2
+    grid.comm.Allgatherv(counts.astype(np.int64), (rows, np.diff(grid.starts)))
     before = np.concatenate([[0], np.cumsum(np.tile(rows, 3))])
     shifts = np.arange(-half, half + 1)
     fullest = np.diff(before[np.add.outer(shifts + len(rows), grid.starts)], axis=1).max(axis=1)
