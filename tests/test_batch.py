@@ -101,6 +101,6 @@ def test_no_progress_no_queue(tmp_path, name):
 @pytest.mark.skipif(shutil.which("shellcheck") is None, reason="needs shellcheck")
 def test_scripts_are_clean():
     """shellcheck finds nothing in the batch scripts."""
-    scripts = [ROOT / "jobs" / name for name in ("slurm.sh", "pbs.sh", "scaling.sh")]
+    scripts = [ROOT / "jobs" / name for name in ("slurm.sh", "pbs.sh", "scaling.sh", "acceptance.sh")]
     done = subprocess.run(["shellcheck", "-x", *map(str, scripts)], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout

@@ -118,11 +118,12 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     clock.watch(Exchange, ("start",), "halos", lambda exchange: bool(exchange.requests))
     clock.watch(Exchange, ("finish",), "halos")
     clock.watch(Strips, ("meet", "begin"), "all-to-alls")
-    clock.watch(ExchangedStrips, ("_alltoall",), "all-to-alls", lambda strips, *_: strips.peers.size > 1)
+    clock.watch(ExchangedStrips, ("_exchange",), "all-to-alls", lambda strips, *_: strips.peers.size > 1)
     sent = Clock()  # of bytes
     sent.watch(
-        ExchangedStrips, ("_alltoall",), "all-to-alls",
-        lambda _, counts, __, kind: int(counts[0].sum()) * kind.itemsize,
+        ExchangedStrips, ("_exchange",), "all-to-alls",
+        lambda strips, dtype, back: int(strips._layout(dtype.itemsize)[back][0].sum() * strips._blocks[dtype.itemsize])
+        * dtype.itemsize,
     )  # fmt: skip
     fastest: dict[str, float] = {"solve": np.inf}
     for _ in range(REPEATS):
