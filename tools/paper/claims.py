@@ -13,8 +13,8 @@ paper gives, or with which its figure can be read:
 u is the 95 % uncertainty of our number: Student's t times the standard error over seeds.  With `minus` and `paired`,
 seeds are subtracted one by one before that.  The spread over defensible choices, such as fit ranges, is printed beside
 it; it counts only where there are no seeds, since a claim is judged with the choice that was fixed before the runs.
-    agrees       the number lies in the range, and u is small enough for the part to have failed: at most half the
-                 range's width, or the distance to its only end
+    agrees       the number lies in the range, and u is at most half the width of the range, or the distance to its
+                 only end, so that the part could have failed
     differs      the number lies outside by more than u
     cannot tell  otherwise, also where no uncertainty is known (unless `exact`)
 
@@ -45,7 +45,7 @@ AGREES, IN_A_RANGE, DIFFERS, CANNOT_TELL, IDENTITY, VIOLATED, NOT_RUN, GIVEN = (
 ORDER = (AGREES, IN_A_RANGE, DIFFERS, CANNOT_TELL, IDENTITY, VIOLATED, NOT_RUN)
 KINDS = {
     "result": "Results",
-    "conjecture": "A conjecture, which the paper leaves to others",
+    "conjecture": "An observation, and a conjecture that the paper draws from it",
     "quotation": "Quotations of other work",
     "slip": "Slips and normalisations",
     "identity": "Identities",

@@ -299,10 +299,10 @@ def _introduction(runs: list[dict], asked: list[Claim], findings: dict[str, Find
 solid touches a rigid surface that is rough on many scales: how the pressure is distributed, and how pressure and
 contact are correlated in space. {found}</p>
 <p>The paper makes {len(asked)} claims that can be tested, and {len(runs)} runs of pgfmd {html.escape(versions)} test
-them. Of its {counts.total()} own results: <b>{said}</b>. {others} claims more are identities, slips, quotations and one
+them. Of its {counts.total()} own results: <b>{said}</b>. The other {others} are identities, slips, quotations and one
 conjecture. Nothing was fitted to the paper. Each claim is judged under the paper's conditions, with its estimators, at
-the accuracy that it gives or with which its figures can be read. A column of its own says what stands beside a verdict,
-and what larger cells and better estimators show.</p>
+the accuracy that it gives; where it gives none, at that named under “Here”. A column of its own says what stands beside
+a verdict, and what larger cells and better estimators show.</p>
 <p class="small">{units} <code>jobs/paper.sh --full</code> makes the figures of the limits; a report without its runs
 takes them from <code>jobs/paper/results</code>. Largest certified relative energy error of any run: {worst:.1e}.</p>"""
 
