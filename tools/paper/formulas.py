@@ -44,12 +44,18 @@ def _sentence(run: str) -> str:
     """A run of words of a formula, with what does not belong to it on either side."""
     if not any(map(SYMBOL.search, run.split())):
         return html.escape(unicodedata.normalize("NFC", run))
+    opened: list[int] = []
+    for at, sign in enumerate(run):
+        if sign == "(":
+            opened.append(at)
+        elif sign == ")" and opened:
+            opened.pop()
+    if opened:  # closed by a word: the bracket is not of the formula
+        return f"{_sentence(run[: opened[0]])}({_sentence(run[opened[0] + 1 :])}"
     end = len(run.rstrip(" ,.;:\n"))
     start = 0
     while end > start and run[:end][-1] == ")" and run[start:end].count(")") > run[start:end].count("("):
         end -= 1
-    while start < end and run[start] == "(" and run[start:end].count("(") > run[start:end].count(")"):
-        start += 1
     formula = run[start:end]
     tail = re.search(r"[\s=≤≥<>+−±·×/∝≈…]*$", formula)
     formula, rest = formula[: tail.start()], tail[0] + run[end:]
