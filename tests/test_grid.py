@@ -77,6 +77,24 @@ def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
     assert caplog.text.count("/dev/shm is too small") == (comm.rank == 0)
 
 
+def test_nodes_that_are_not_alike(comm, monkeypatch, caplog):
+    """Nodes of 2, 2, … ranks, and of one where ranks are odd in number: strips of all ranks are exchanged then, spectra
+    are right, and one line on rank 0 says so.
+    """
+    if comm.size == 1:
+        pytest.skip("one rank is one node")
+    pair = comm.Split(comm.rank // 2)
+    transpose._warn.cache_clear()
+    monkeypatch.setattr(transpose, "node_of", lambda _: pair)
+    alone = comm.Dup()  # peers are remembered for each communicator
+    whole, grid = field((9, 8)), SlabGrid(alone, (9, 8))
+    assert np.abs(grid.forward(whole[grid.rows]) - np.fft.rfft2(whole).T[grid.columns]).max(initial=0) <= 1e-13
+    assert caplog.text.count("different numbers of ranks") == (comm.rank == 0 and comm.size % 2)
+    grid.free()
+    alone.Free()
+    pair.Free()
+
+
 class Node:
     """Rank 0 of as many ranks as a node has, or of as many nodes, whose messages are kept."""
 

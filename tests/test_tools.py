@@ -670,6 +670,8 @@ parts = [{ what = "x", finding = "N: y", number = [1, 1] }]
         ("a patch of 8 a, (λ_s = a)", ["(<msub>λ s</msub>=a)"]),
         ("κ = f_c E'g/p̄ and √(8/π), ⟨σ²⟩_c", ["κ=<msub>f c</msub><msup>E ′</msup>g/<mover>p ¯</mover>",
                                               "<msqrt>8 / π</msqrt>", "<msub>⟨<msup>σ 2</msup>⟩ c</msub>"]),
+        ("at H = 0.8 (32 surfaces): below", ["H=0.8"]),
+        ("at 0.1 λ_s² (τ = 0.09 up to there)", ["0.1<msubsup>λ s 2</msubsup>", "τ=0.09"]),
         ("Figure 2, Campañá's “P” over 4 to 8", []),
     ],
 )  # fmt: skip

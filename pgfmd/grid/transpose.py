@@ -24,7 +24,7 @@ import numpy as np
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import ALIGNMENT, aligned_bytes, row_stride
 from pgfmd.parallel.collectives import node_of, peers_of, slab_starts
-from pgfmd.parallel.mpi import MPI, datatype, shared_memory
+from pgfmd.parallel.mpi import MPI, datatype, shared_memory, world
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part
@@ -285,8 +285,11 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> 
     try:
         if node.size == comm.size:
             return SharedStrips(comm, shape)
-        peers = peers_of(comm, node)
-        return ExchangedStrips(comm, shape, *((MPI.COMM_SELF, comm) if peers is None else (node, peers)))
+        if (peers := peers_of(comm, node)) is not None:
+            return ExchangedStrips(comm, shape, node, peers)
+        if comm.rank == 0 and comm.size == world().size:  # some ranks, of a coarser grid, are often unlike on nodes
+            _warn("nodes hold different numbers of ranks, or ranks that are not numbered one after the other")
+        return make_strips(comm, shape, shared=False)
     except NoSharedMemory as failure:
         if comm.rank == 0:
             _warn(str(failure))
