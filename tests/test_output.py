@@ -344,6 +344,16 @@ def test_a_reader_does_not_refuse_a_run(comm, shared_tmp_path, monkeypatch):
     files.OutputFolder(folder).release()
 
 
+def test_large_fields_begin_on_pages(comm, shared_tmp_path, transport, monkeypatch):
+    """Fields as large as `ALIGNMENT` begin at a multiple of it, and are read as they were written."""
+    monkeypatch.setattr(hdf5_slabs, "ALIGNMENT", 512)
+    with writer(comm, shared_tmp_path / "out") as result:
+        write_load(result, 0)
+    with h5py.File(shared_tmp_path / "out" / "fields" / "load_0000.h5", "r", locking=False) as file:
+        assert [file[name].id.get_offset() % 512 for name in ("pressure", "gap")] == [0, 0]
+    np.testing.assert_array_equal(Results(shared_tmp_path / "out").field("gap", 0), -FIELD)
+
+
 @pytest.mark.parametrize("nodes", ["one node", "a node for each rank"])
 def test_both_transports_write_the_same_bytes(comm, shared_tmp_path, monkeypatch, nodes):
     """Files of fields are equal byte for byte, whether HDF5 with MPI writes them or each rank its rows

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 COLLECTIVE_BYTES = 2**30  # most of one rank in one collective write: counts of MPI-IO overflow at 2 GiB
 METADATA_BYTES = 2**16  # more than HDF5 needs for metadata
+ALIGNMENT = 1 << 20  # bytes: fields as large begin at a multiple, a page of memory and a stripe of Lustre
 
 
 @dataclass(frozen=True)
@@ -120,10 +121,11 @@ def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Creat
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, int]:
     """Reserve space and write the file without the numbers; returns the offset of each field in bytes.  Rank 0."""
-    files.reserve(path, size + METADATA_BYTES)
+    files.reserve(path, size + METADATA_BYTES + ALIGNMENT * len(names))
     with open(path, "r+b", buffering=0) as raw:
         target = _ReservedFile(raw)
-        with h5py.File(target, "w", libver=files.LIBVER) as file:
+        aligned = {"alignment_threshold": ALIGNMENT, "alignment_interval": ALIGNMENT}
+        with h5py.File(target, "w", libver=files.LIBVER, **aligned) as file:
             offsets = {name: create(file, name).id.get_offset() for name in names}
         raw.truncate(target.size)
     return offsets
