@@ -35,3 +35,12 @@ def test_what_is_wrong_is_said(tmp_path, capsys, name, value):
     (tmp_path / "checks.jsonl").write_text(json.dumps(line) + "\n")
     assert acceptance.main(["report", str(tmp_path)]) == 1
     assert f"**WRONG: 4 ranks: {name} " in (tmp_path / "acceptance.md").read_text()
+
+
+def test_ranks_that_failed_are_said(tmp_path):
+    """Runs that ended with an error, or not at all, stand in the first line, also where no other has ended."""
+    assert acceptance.main(["report", str(tmp_path), "--failed", "8", "16"]) == 1
+    text = (tmp_path / "acceptance.md").read_text()
+    assert (
+        "**WRONG: 8 ranks: ended with an error, or did not end; 16 ranks: ended" in text and "no run has ended" in text
+    )

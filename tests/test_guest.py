@@ -157,7 +157,7 @@ print(resident() - before)
 
 
 def test_a_run_keeps_no_fields(tmp_path):
-    """After a run nothing holds its fields, not even until Python next looks for circles: runs follow one another."""
+    """After a run nothing holds its fields, not even until the garbage collector runs: runs follow one another."""
     job = parse(rough_job(32, load={"pressure": [0.01, 0.02]}))
     gc.collect()
     gc.disable()

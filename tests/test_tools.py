@@ -332,7 +332,7 @@ def test_a_run_that_is_killed_ends_all(tmp_path):
         family = [path.name for path in Path("/proc").glob("[0-9]*") if _state(path.name)[1:2] == [str(process.pid)]]
         os.kill(int(max(family, key=int)), signal.SIGKILL)
         assert process.wait(60) == 1
-        assert re.fullmatch("runs.py: error: a run was killed .*\n", process.stderr.read())
+        assert re.fullmatch("runs.py: error: a run ended without a result .*\n", process.stderr.read())
 
 
 def _state(pid: str) -> list[str]:

@@ -30,7 +30,7 @@ LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
 AREA_EXCESS = 0.22  # of self-affine surfaces at small loads: κ = 1.95 (H = 0.8), in Persson's theory √(8/π) = 1.60; − 1
 # Under a hard wall the area is about erf(exp(−FALL · gap/rms height)): 60 contacts of .01 … .8 (256², H = .3, .8,
-# λ_s = 4a, 16a, 64a) had .47 … 2.3 times this area, in the median .98; with 2 and 2.6 .38 … 1.2 and .52 … 4.6.  SUMMIT:
+# λ_s = 4a, 16a, 64a) had .47 … 2.3 times this area, in the median .98 (2.0: .38 … 1.2; 2.6: .52 … 4.6).  SUMMIT:
 # the highest point over the rms height, 2.2 … 4.2, low so that contacts count as too large rather than too small.
 FALL, SUMMIT = 2.3, 2.4
 SECONDS_PER_POINT = 1.4e-8  # of one transform, on one core of a 2020s machine (FFTW, 4096 × 4096)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 COLLECTIVE_BYTES = 2**30  # most of one rank in one collective write: counts of MPI-IO overflow at 2 GiB
 METADATA_BYTES = 2**16  # more than HDF5 needs for metadata
-ALIGNMENT = 1 << 20  # bytes: fields as large begin at a multiple, a page of memory and a stripe of Lustre
+ALIGNMENT = 1 << 20  # bytes: datasets of at least this size start at a multiple of it, on a page and a Lustre stripe
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Creat
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, int]:
     """Reserve space and write the file without the numbers; returns the offset of each field in bytes.  Rank 0."""
-    files.reserve(path, size + METADATA_BYTES + ALIGNMENT * len(names))
+    files.reserve(path, size + METADATA_BYTES + ALIGNMENT * (len(names) + 2))
     with open(path, "r+b", buffering=0) as raw:
         target = _ReservedFile(raw)
         aligned = {"alignment_threshold": ALIGNMENT, "alignment_interval": ALIGNMENT}

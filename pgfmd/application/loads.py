@@ -222,13 +222,16 @@ class Loads:
             )  # fmt: skip
 
     def finish(self, phases: dict[str, float]) -> None:
-        """Mark the run as complete, at last.  If nothing was solved, raises SolverError, and earlier results stay."""
-        del self.control  # it holds `_solve_at`: a circle, which would keep the fields for a while
+        """Mark the run as complete.  If nothing was solved, raises SolverError, and earlier results stay."""
         if self.unreachable and all(index in self.unreachable for index in self.pending):
             raise SolverError("; ".join(map(str, self.unreachable.values())))
         for index in self.unreachable:
             self.writer.write_load(index, {"target": self.job.load.targets[index]})
         self.writer.finish(phases)
+
+    def release(self) -> None:
+        """Drops the control, to be called last: it holds `_solve_at`, a reference cycle that would keep the fields."""
+        del self.control
 
     def _solve_at(self, problem: ContactProblem, start: np.ndarray | None, tolerance: float) -> ContactSolution:
         """One contact by the job's method."""
@@ -259,8 +262,8 @@ class Loads:
             if problem.imposed is None:
                 unit *= self.grid.size / (self.grid.reduction.sum(state.pressure) or 1.0)
         pressure, grid = state.pressure, self.grid
-        if not isinstance(state, ContactSolution) and state.moved:
-            pressure = grid.layout.fetch(pressure, grid.rows.start - state.moved, grid.rows.stop - state.moved)
+        if not isinstance(state, ContactSolution) and state.shift:
+            pressure = grid.layout.fetch(pressure, grid.rows.start - state.shift, grid.rows.stop - state.shift)
         self.checkpoints.save(self._index, np.multiply(pressure, unit, dtype=np.float64))
 
 

@@ -6,7 +6,7 @@ import logging
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
 from pgfmd.application import machine
@@ -80,6 +80,7 @@ def simulate(
         ResultWriter(comm, directory, origin, form, mode, 0.0 if alone else HELD_BACK) as writer,
         nullcontext(interruptions) if interruptions else Interruptions(comm, directory, *limits) as asked,
         grid.freed(),
+        ExitStack() as at_end,
     ):
         refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
@@ -93,6 +94,7 @@ def simulate(
         cutoff = from_root(comm, job.surface.whole.cutoff, job.grid)  # may read a table from a file
         surface = RoughSurface(problem, job.output.asked, cutoff, fields=job.output.fields)
         loads = Loads(job, problem, writer, asked)
+        at_end.callback(loads.release)
         loads.refuse_impossible(alone)
         with phases("write"):
             loads.begin()

@@ -287,8 +287,8 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> 
             return SharedStrips(comm, shape)
         if (peers := peers_of(comm, node)) is not None:
             return ExchangedStrips(comm, shape, node, peers)
-        if comm.rank == 0 and comm.size == world().size:  # some ranks, of a coarser grid, are often unlike on nodes
-            _warn("nodes hold different numbers of ranks, or ranks that are not numbered one after the other")
+        if comm.rank == 0 and comm.size == world().size:  # the ranks of a coarser grid are often uneven over the nodes
+            _warn("nodes hold different numbers of ranks, or ranks not numbered one after the other")
         return make_strips(comm, shape, shared=False)
     except NoSharedMemory as failure:
         if comm.rank == 0:
@@ -299,4 +299,4 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> 
 @cache
 def _warn(reason: str) -> None:
     """A line in the log, once in a process."""
-    log.warning("no memory that the ranks of a node could share (%s): they exchange messages, which is slower", reason)
+    log.warning("the ranks of a node do not share memory (%s): all exchange messages, which is slower", reason)

@@ -22,8 +22,7 @@ from pgfmd.parallel.mpi import MPI, patiently
 T = TypeVar("T")
 
 BUSY_WAIT = 0.05  # seconds for which a rank polls without sleeping
-# Part of the time waited so far; seconds.  A barrier is late by log₂ P sleeps: without the cap by 8 % on 64 ranks.
-SLEEP, LONGEST_SLEEP = 0.02, 2e-4
+SLEEP = 2e-4  # seconds between polls after that.  A barrier is late by log₂ P sleeps: of 2 % of the time waited, 8 %
 
 FAILED = 32000  # tag of messages between ranks that have failed, below the least upper bound in the MPI standard
 
@@ -104,7 +103,7 @@ def await_all(comm: MPI.Comm) -> None:
     request, began = comm.Ibarrier(), time.monotonic()
     while not request.Test():
         waited = time.monotonic() - began
-        time.sleep(min(SLEEP * waited, LONGEST_SLEEP) if waited > BUSY_WAIT else 0)
+        time.sleep(SLEEP if waited > BUSY_WAIT else 0)
 
 
 @contextmanager

@@ -104,8 +104,8 @@ class Aim:
     """What a solver prescribes while it seeks a target: the level for an approach, the mean pressure for an area.
 
     stresses: number of points of a grid → rms stress of full contact there (Persson's s), up to a common factor; of
-    this grid and the finest at least.  solved: `Aim.loaded` at the end of each coarser grid.  last: change of
-    ln p̄; most: the largest of the next ones.
+    this grid and the finest at least.  solved: `Aim.loaded` at the end of each coarser grid.  last:
+    the last change of ln p̄; most: limit on the size of the next ones.
     """
 
     target: Imposed
@@ -125,8 +125,8 @@ class Aim:
         """Changes the mean pressure if the area misses its target by more than its uncertainty; returns whether it did.
 
         error: of the energy, over 2 E_el.  The uncertainty must also be small enough that the change meets the target,
-        or leaves a fifth of the distance.  After a change back, changes are at most half as large: else a search can go
-        to and fro between two loads.
+        or leaves a fifth of the distance.  When the sign of the change turns, its limit `most` becomes half of the last
+        one, so that the search converges; far below `allowed` it ends.
         """
         change, unsure = self._change(at), NOISE * math.sqrt(error)
         allowed = self.target.allowed
@@ -134,6 +134,8 @@ class Aim:
             return False
         if change * self.last < 0:
             self.most = abs(self.last) / 2
+        if self.most < allowed / 10:  # the area jumps here
+            return False
         self.last = max(-self.most, min(change, self.most))
         self.pressure = at.pressure * math.exp(self.last)
         return True

@@ -242,7 +242,7 @@ class Branch:
         return self._leapt(ends[0], ends[1])
 
     def _known(self, ends: list[Point]) -> bool:
-        """Whether the energy lost is known to a part `KNOWN`, or `jump_accuracy`, whatever force was between."""
+        """Whether the energy lost is known to `KNOWN` and `jump_accuracy`, whatever force was between."""
         least, mean = self._lost(*ends)
         return mean - least <= min(KNOWN, self.load.jump_accuracy) * mean
 

@@ -90,7 +90,7 @@ class AdhesiveState:
     residual: float = math.inf
     level: float = 0.0
     pressure_error: float = math.nan
-    moved: int = 0
+    shift: int = 0
     pressure: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property

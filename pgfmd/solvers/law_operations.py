@@ -35,7 +35,7 @@ class LawState:
     contact: int = 0  # points in contact
     iterations: int = 0
     pressure_error: float = math.nan  # ‖Kε‖/‖p̂‖, an estimate
-    moved: int = 0
+    shift: int = 0
     rounding: float = 0.0  # error that rounding of the gap and of the pressure's last digits may make
 
 

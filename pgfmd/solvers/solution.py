@@ -14,8 +14,8 @@ from pgfmd.grid.slab_grid import SlabGrid
 
 class SolverState(Protocol):
     """The state of any solver between steps: pressure and gap (nx_local, ny) in its own units, the level from which
-    gaps are measured, certified error, points in contact, iterations, an estimate of ‖p − p*‖/‖p‖, and moved: row i
-    of the fields is row i + moved of the periodic cell.
+    gaps are measured, certified error, points in contact, iterations, an estimate of ‖p − p*‖/‖p‖, and the
+    shift: row i of the fields is row i + shift of the periodic cell, other than 0 only within a relaxation.
     """
 
     pressure: np.ndarray
@@ -25,7 +25,7 @@ class SolverState(Protocol):
     contact: int
     iterations: int
     pressure_error: float
-    moved: int
+    shift: int
 
 
 Monitor = Callable[[SlabGrid, SolverState], None]

@@ -20,7 +20,7 @@ from pgfmd.surfaces.rigid_surface import SEED, SLACK, Surface, single
 if TYPE_CHECKING:
     from pgfmd.grid.slab_grid import SlabGrid
 
-LONGEST = 16  # multiples of the longest wave's number, for which `known_height` sums over modes
+LONGEST = 16  # `known_height` sums over modes −16 … 16 along each axis, and integrates over the rest
 HIGHEST = 1e150  # wave number of a wavelength 0 or tiny: its square is finite
 log = logging.getLogger("pgfmd")
 

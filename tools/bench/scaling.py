@@ -106,7 +106,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     from pgfmd.solvers.nested_iteration import NestedIteration
 
     comm, shared = MPI.COMM_WORLD, not exchanged
-    solve_hard_wall(problem_of(comm, 512, shared))  # so that nothing is compiled or loaded later
+    solve_hard_wall(problem_of(comm, max(512, comm.size), shared))  # so that nothing is compiled or loaded later
     problem, clock = problem_of(comm, n, shared), Clock()
     grid = problem.grid
     costs = {f"cost of {name}": value for name, value in _costs(grid).items()}

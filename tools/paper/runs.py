@@ -79,12 +79,13 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             for number, task in enumerate(as_completed(tasks), 1):
                 print(f"{time.perf_counter() - began:6.0f} s  {number} of {len(todo)}: {task.result()}", flush=True)
-        except RuntimeError as error:
-            killed = isinstance(error, BrokenExecutor)
-            why = "a run was killed from outside: too little memory for so many at a time?" if killed else error
-            print(f"runs.py: error: {why}", file=sys.stderr)
+        except BaseException as error:
             _end_runs()
             pool.shutdown(cancel_futures=True)
+            if not isinstance(error, RuntimeError):
+                raise
+            lost = "a run ended without a result (killed, perhaps for lack of memory, or crashed)"
+            print(f"runs.py: error: {lost if isinstance(error, BrokenExecutor) else error}", file=sys.stderr)
             return 1
     return 0
 

@@ -70,7 +70,7 @@ class State:
     coarser grid.  load: Σ p.  aim: what is prescribed where no load is given.  energy: ½⟨p, Gp⟩.  error: of
     the energy over 2 · energy, certified or estimated.  contact: number of points with p > 0; between: of
     those with 0 < p < σ_Y.  iterations: of conjugate gradients.  pressure_error: ‖Kε‖/‖p‖ of a certificate.
-    moved: see `balance`.
+    shift: row i of the fields is row i + shift of the periodic cell (`balance`).
     """
 
     pressure: np.ndarray
@@ -85,7 +85,7 @@ class State:
     between: int = 0
     iterations: int = 0
     pressure_error: float = 0.0
-    moved: int = 0
+    shift: int = 0
     estimated: bool = False
     aim: Aim | None = None
 
@@ -97,8 +97,8 @@ class Relaxation:
     `Rounding.bound`, where p > 0; summit, the largest height.  precision: the one to begin with; patience: steps
     without halving the least error, and most_steps, before giving up; enough: the error at which to end.
     inner: the response between unknowns.  hidden:
-    twice the energy error of the last state that the residual of its system does not show.  moved: whether its system
-    is that of another load.
+    twice the energy error of the last state that the residual of its system does not show.  load_changed:
+    whether that system is for a new load, so that its residual is no error of the state (`GapSteps`).
     """
 
     precision: Precision = np.float32
@@ -107,7 +107,7 @@ class Relaxation:
     coarse_part = 0.05  # tolerance of a coarse grid over the error of its start: long waves left there cost most later
     inner: MeshResponse | FullResponse
     hidden = enough = 0.0
-    moved = False
+    load_changed = False
 
     def __init__(self, problem: ContactProblem, exact: bool = True) -> None:
         grid, solid = problem.grid, problem.solid
@@ -143,7 +143,7 @@ class Relaxation:
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
             negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
             state.error = max(estimate, rounding)
-            ready = negligible and not self.moved and (self.met(state) or met_late > LATE)
+            ready = negligible and not self.load_changed and (self.met(state) or met_late > LATE)
             if self.exact and ready and estimate <= tolerance:
                 state.error = self.certify(state, system, precision)
                 raised *= max(1.0, state.error / (max(estimate, MARGIN[precision] * tolerance) or tolerance))

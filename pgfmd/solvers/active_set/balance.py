@@ -1,7 +1,9 @@
-"""Slabs with as much contact each: a periodic contact is moved along x while a grid is relaxed, and then back.
+"""Load balance: a periodic contact is shifted along x so that the slabs hold about equally many unknowns; it is shifted
+back when the grid has been relaxed.
 
-A patch of the longest wave fills one slab and leaves another empty, and each rank waits for the fullest.  A cell may be
-moved by any number of rows; for two ranks one of them halves the contact.
+A patch of the longest wave fills one slab and leaves another empty, and each rank waits for the fullest.  Any shift is
+an equivalent problem.  Shifts of up to half a slab are tried; for two ranks one of these puts half of the unknowns on
+each.
 """
 
 from __future__ import annotations
@@ -17,52 +19,59 @@ from pgfmd.parallel.layout import RowPlan
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.active_set import State
 
-LEAST = 1 << 20  # points of a rank from which moving pays
-WORTH = 0.05  # points of which the fullest slab is relieved, over the points of a slab, from which moving pays
+LEAST_POINTS = 1 << 20  # per rank, below which nothing is shifted
+LEAST_GAIN = 0.05  # decrease of the largest number of unknowns in a slab, over the points of a slab
 
 
 @contextmanager
-def balanced(problem: ContactProblem, state: State) -> Iterator[None]:
-    """In the block, heights, pressure and gap (nx_local, ny) are moved in place to where the slabs hold equally much
-    contact, if that pays.  Afterwards they are moved back, also after an error that all ranks raise.  Collective.
+def balanced(problem: ContactProblem, state: State, gaps: bool = False) -> Iterator[None]:
+    """In the block, heights, pressure and gap (nx_local, ny) are shifted in place, if that pays and the heights may be
+    written.  Afterwards they are shifted back, also after an error for which `shared` is true.  After any other error
+    the heights are lost: they are set to NaN.  Collective.
+
+    gaps: whether the unknowns are the points that are not in contact.
     """
     grid, shift = problem.grid, 0
-    if grid.comm.size > 1 and grid.domain.wraps and grid.size >= LEAST * grid.comm.size:
-        shift = best_shift(grid, np.count_nonzero(state.pressure, axis=1))
+    if grid.comm.size > 1 and grid.domain.wraps and grid.size >= LEAST_POINTS * grid.comm.size:
+        counts = np.count_nonzero(state.pressure, axis=1)
+        if grid.reduction.min(problem.heights.flags.writeable):
+            shift = best_shift(grid, grid.shape[1] - counts if gaps else counts)
     if shift == 0:
         yield
         return
 
     def move(rows: int) -> None:
-        state.moved += rows
+        state.shift += rows
         move_rows(grid, (problem.heights, state.pressure, state.gap), rows)
 
     move(shift)
     try:
         yield
-    except Exception as error:
-        if shared(grid.comm, error):
+    except BaseException as error:
+        if isinstance(error, Exception) and shared(grid.comm, error):
             move(-shift)
+        else:
+            problem.heights.fill(np.nan)
         raise
     move(-shift)
 
 
 def best_shift(grid: SlabGrid, counts: np.ndarray) -> int:
-    """Rows by which the contact is best moved, at most half of those of a slab; 0 if that hardly pays.  counts: of the
-    points in contact in each row of this rank.  Collective.
+    """Rows by which the contact is best shifted, at most half of those of a slab; 0 if the gain is below `LEAST_GAIN`.
+    counts: number of unknowns in each row of this rank.  Collective.
     """
     rows, half = np.empty(grid.shape[0], np.int64), grid.shape[0] // grid.comm.size // 2
     grid.comm.Allgatherv(counts.astype(np.int64), (rows, np.diff(grid.starts)))
     before = np.concatenate([[0], np.cumsum(np.tile(rows, 3))])
     shifts = np.arange(-half, half + 1)
     fullest = np.diff(before[np.add.outer(shifts + len(rows), grid.starts)], axis=1).max(axis=1)
-    best = int(np.argmin(fullest))
-    return int(shifts[best]) if fullest[half] - fullest[best] > WORTH * grid.size / grid.comm.size else 0
+    best = np.lexsort((np.abs(shifts), fullest))[0]
+    return int(shifts[best]) if fullest[half] - fullest[best] > LEAST_GAIN * grid.size / grid.comm.size else 0
 
 
 def move_rows(grid: SlabGrid, fields: Sequence[np.ndarray], rows: int) -> None:
-    """Row i of the fields (nx_local, ny) becomes row i + `rows` of the cell, in place; `rows`, of either sign, is at
-    most what a slab has.  Collective.
+    """After the call, row i of the fields (nx_local, ny) holds what row i + `rows` of the cell (periodic) held.  rows:
+    of either sign, not 0, at most as many as the smallest slab has.  Collective.
     """
     start, stop, count = grid.rows.start, grid.rows.stop, abs(rows)
     plan = RowPlan(grid.layout, [(stop, stop + rows) if rows > 0 else (start + rows, start)])

@@ -177,8 +177,10 @@ class ActiveSetIteration(NestedIteration[State]):
         by_gaps &= problem.law.highest == np.inf and problem.grid.domain.wraps
         by_gaps &= state.between > part * problem.grid.size
         steps: type[Relaxation] = GapSteps if by_gaps else PressureSteps
-        with balanced(problem, state):
-            solver = self._relaxed(problem, state, ThinSteps if is_thin(problem) else steps, exact)
+        if is_thin(problem):
+            steps = ThinSteps
+        with balanced(problem, state, gaps=steps is GapSteps):
+            solver = self._relaxed(problem, state, steps, exact)
         if exact:
             problem.grid.make_room()
             solver.widen(state)

@@ -71,8 +71,8 @@ class GapSteps(Relaxation):
         state.contact = state.between = count
         state.level, self.hidden = 0.0, self.settling.energy()
         pressure = self.next_pressure(state, system.square + self.hidden)
-        self.moved = pressure > 0
-        if self.moved:
+        self.load_changed = pressure > 0
+        if self.load_changed:
             system.lower(pressure - self.problem.mean_pressure)
             self.set_load(pressure)
         return system
