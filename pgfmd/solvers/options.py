@@ -176,7 +176,7 @@ class Load(Section):
     )  # fmt: skip
     jump_accuracy: float = key(
         number(low=0, high=1), 0.02,
-        "a jump is bisected until its loss is known to this (at most 2 %), or to this/64 of the step; 0: none is sought",
+        "a jump is bisected until its loss is known to this (at most 2 %), or this/64 of the step; 0: none is sought",
         unit="1",
     )  # fmt: skip
     area_tolerance: float = key(
