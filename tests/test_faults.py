@@ -239,7 +239,7 @@ def test_without_shared_memory(tmp_path, cause):
         environment = {name: "^sm" if disk is None else str(disk)}
         run = launching.start(3, "run", job, "--output", tmp_path / "out", environment=environment)
         code, stderr = launching.wait(run, 120)
-        assert code == 0 and stderr.count("they exchange messages") == 1, stderr
+        assert code == 0 and stderr.count("all exchange messages") == 1, stderr
     assert launching.distance(tmp_path / "out", tmp_path / "one")[1] < 1e-10
 
 

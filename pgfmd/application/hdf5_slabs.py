@@ -103,8 +103,9 @@ def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Creat
     """
     draft, comm = files.temporary(path), ranks.comm
     count = comm.allreduce(ranks.rows.stop - ranks.rows.start)
-    size = count * sum(field.row_bytes for field in fields.values())
-    size += 8 * (count + max(field.local.shape[1] for field in fields.values()))  # coordinates of the points
+    sizes = [count * field.row_bytes for field in fields.values()]
+    sizes += [8 * count, 8 * max(field.local.shape[1] for field in fields.values())]  # coordinates of the points
+    size = sum(sizes) + ALIGNMENT * sum(each >= ALIGNMENT for each in sizes)
     try:
         offsets = from_root(comm, _lay_out, draft, size, list(fields), create)
         if is_collective(comm):
@@ -121,7 +122,7 @@ def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Creat
 
 def _lay_out(path: Path, size: int, names: list[str], create: Create) -> dict[str, int]:
     """Reserve space and write the file without the numbers; returns the offset of each field in bytes.  Rank 0."""
-    files.reserve(path, size + METADATA_BYTES + ALIGNMENT * (len(names) + 2))
+    files.reserve(path, size + METADATA_BYTES)
     with open(path, "r+b", buffering=0) as raw:
         target = _ReservedFile(raw)
         aligned = {"alignment_threshold": ALIGNMENT, "alignment_interval": ALIGNMENT}
