@@ -28,8 +28,10 @@ fi
 rows=256
 for count in "${ranks[@]}"; do [ "$count" -le "$rows" ] || rows=$count; done
 
+read -ra launcher <<<"${LAUNCH:-mpirun -n}"
+
 launch() { # RANKS SCRIPT OPTIONS…
-    timeout --foreground -k 20 "${PATIENCE:-600}" ${LAUNCH:-mpirun -n} "$1" "$python" -m mpi4py "${@:2}"
+    timeout --foreground -k 20 "${PATIENCE:-600}" "${launcher[@]}" "$1" "$python" -m mpi4py "${@:2}"
 }
 
 failed=()

@@ -35,7 +35,7 @@ from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import load_control
-from pgfmd.solvers.solution import ContactSolution, SolverState
+from pgfmd.solvers.solution import ContactSolution, SolverState, pressure_in_place
 
 log = logging.getLogger("pgfmd")
 ROUNDING = 1e-9  # relative; sums over 2⁵⁰ points on different rank counts differ by far less
@@ -261,9 +261,7 @@ class Loads:
             unit = problem.mean_pressure
             if problem.imposed is None:
                 unit *= self.grid.size / (self.grid.reduction.sum(state.pressure) or 1.0)
-        pressure, grid = state.pressure, self.grid
-        if not isinstance(state, ContactSolution) and state.shift:
-            pressure = grid.layout.fetch(pressure, grid.rows.start - state.shift, grid.rows.stop - state.shift)
+        pressure = state.pressure if isinstance(state, ContactSolution) else pressure_in_place(self.grid, state)
         self.checkpoints.save(self._index, np.multiply(pressure, unit, dtype=np.float64))
 
 

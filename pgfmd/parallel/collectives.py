@@ -22,7 +22,7 @@ from pgfmd.parallel.mpi import MPI, patiently
 T = TypeVar("T")
 
 BUSY_WAIT = 0.05  # seconds for which a rank polls without sleeping
-SLEEP = 2e-4  # seconds between polls after that.  A barrier is late by log₂ P sleeps: of 2 % of the time waited, 8 %
+SLEEP = 2e-4  # seconds between polls after that; sleeps of 2 % of the time waited made barriers of 64 ranks 8 % late
 
 FAILED = 32000  # tag of messages between ranks that have failed, below the least upper bound in the MPI standard
 

@@ -29,7 +29,15 @@ class SolverState(Protocol):
 
 
 Monitor = Callable[[SlabGrid, SolverState], None]
-"""(grid, state): called after each outer step."""
+"""(grid, state): called after each outer step.  On several ranks fields may be shifted: see `pressure_in_place`."""
+
+
+def pressure_in_place(grid: SlabGrid, state: SolverState) -> np.ndarray:
+    """The pressure (nx_local, ny) of a state that a monitor sees, each row in its place in the cell.  Collective."""
+    if state.shift == 0:
+        return state.pressure
+    first = grid.rows.start - state.shift
+    return grid.layout.fetch(state.pressure, first, first + len(state.pressure))
 
 
 @dataclass(frozen=True)

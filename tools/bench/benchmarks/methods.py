@@ -45,6 +45,7 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.physics.solids.homogeneous import Homogeneous
     from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
+    from pgfmd.solvers.solution import pressure_in_place
 
     coarser = {}
 
@@ -52,8 +53,9 @@ def pgfmd_steps(case: Case, heights, mean_pressure, recorder: Recorder, toleranc
         if level is not grid:
             coarser[level.shape] = level.transforms * level.size / grid.size
             return
-        scale = mean_pressure * grid.size / MPI.COMM_WORLD.allreduce(float(state.pressure.sum()))
-        recorder.note(state.pressure, grid.transforms + sum(coarser.values()), scale)
+        pressure = pressure_in_place(grid, state)
+        scale = mean_pressure * grid.size / MPI.COMM_WORLD.allreduce(float(pressure.sum()))
+        recorder.note(pressure, grid.transforms + sum(coarser.values()), scale)
 
     recorder.start()
     grid = SlabGrid(MPI.COMM_WORLD, (case.n, case.n), threads=threads)
