@@ -39,7 +39,7 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     x, drawn = r / group.wavelengths[0], r > 0
     mean, below, ratio = stress.mean(axis=0), contact.mean(axis=0), stress / contact
     sheet.curve(0, x[drawn], below[drawn], r"$C_c$, lower bound", color=BLUE, ls="--")
-    sheet.curve(0, x[drawn], 2 * below[drawn], r"$2\,C_c$, upper bound", color=BLUE, ls=":")
+    sheet.curve(0, x[drawn], 2 * below[drawn], r"$2\,C_c$, upper bound if $m_2$ = 2", color=BLUE, ls=":")
     sheet.curve(0, x[drawn], m2.mean() * below[drawn], r"$m_2 C_c$", color=BLUE, ls="-.")
     sheet.curve(0, x[drawn], mean[drawn], r"$C_\sigma/\sigma_c^2$", error=_where(standard_error(stress), drawn),
                 color=RED, marker="o", ms=2)  # fmt: skip
@@ -49,8 +49,10 @@ def draw(loads: list[Load], area: float | None = None) -> Sheet:
     sheet.curve(1, x[drawn], ratio.mean(axis=0)[drawn], "simulation", color=RED, marker="o", ms=2,
                 error=_where(standard_error(ratio), drawn))  # fmt: skip
     bounds = (
-        (1.0, "lower bound", "--"), (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."), (2.0, "upper bound", ":"),
-    )  # fmt: skip
+        (1.0, "lower bound", "--"),
+        (float(m2.mean()), f"$m_2$ = {m2.mean():.3f}", "-."),
+        (2.0, "upper bound if $m_2$ = 2", ":"),
+    )
     for value, name, dashes in bounds:
         sheet.curve(1, x[drawn][[0, -1]], [value, value], name, color=BLACK, lw=0.8, ls=dashes)
     sheet.label(1, r"$\Delta r\,/\,\lambda_s$", r"$C_\sigma\,/\,(\sigma_c^2\,C_c)$", scale="semilogx")
