@@ -83,7 +83,7 @@ class Blocks:
         self._scatter = RowPlan(answering, [(layout.rows.start, layout.rows.stop)])
         # together: every rank holds rows of blocks, and the same ones in both layouts
         self.together = np.array_equal(layout.starts, answering.starts) and np.diff(layout.starts).all()
-        self.residuals, self.counts, self.shares, self.weights = np.empty((4, *self.place.local_shape), np.float32)
+        self.residuals, self.counts = np.empty((2, *self.place.local_shape), np.float32)
         self.coarser: Blocks | None = None
         if (blocks := self.place.grid) is not None:
             soft, stiff = SOFTENING * side / stiffness(np.array(1 / pixel)), stiffness(np.sqrt(blocks.q_squared()))
@@ -108,9 +108,6 @@ class Blocks:
         self.window.sum(counts)
         np.divide(1, np.maximum(self.window.own, 1), out=self.inverse_counts)
         self._gather.fetch(self.window.own, self.counts)
-        np.divide(1, np.maximum(self.counts, 1), out=self.shares)
-        # A block with few points in contact yields more: its weight is the fourth root of the part in contact.
-        np.sqrt(np.sqrt(self.counts / np.float32(self.area)), out=self.weights)
         if self.coarser is not None:
             self.coarser.prepare(_sums_of(self.counts))
 
@@ -158,8 +155,12 @@ class Blocks:
         if coarser is not None:
             coarser.respond()
 
+        def weights(first: int, stop: int) -> np.ndarray:
+            """The fourth root of the part of each block in contact: a block with few such points yields more."""
+            return np.sqrt(np.sqrt(self.counts[first:stop] / np.float32(self.area)))
+
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            part = self.residuals[first:stop], self.shares[first:stop], self.weights[first:stop]
+            part = self.residuals[first:stop], 1 / np.maximum(self.counts[first:stop], 1), weights(first, stop)
             if coarser is None:
                 np.multiply(*part[:2], out=rows)
                 rows *= part[2]
@@ -167,7 +168,7 @@ class Blocks:
                 kernels.rest_in_blocks(part, coarser.window.rows, coarser.window.start + first, FACTOR, rows)
 
         def drain(first: int, stop: int, rows: np.ndarray) -> None:
-            np.multiply(rows, self.weights[first:stop], out=loads[first:stop])
+            np.multiply(rows, weights(first, stop), out=loads[first:stop])
 
         blocks.convolve(fill, scaling(self.stiffness), drain, np.float32)
         if coarser is not None:

@@ -52,7 +52,8 @@ class ConjugateGradients:
         # sum · inverse_count: the mean to subtract, of a neutral system
         self.inverse_count, self.compliance = share * mean.neutral, mean.compliance
         self.capacity = mean.capacity * share**2
-        self.z, self.mean = np.empty_like(residual.own), 0.0
+        self.z: np.ndarray | None = None
+        self.mean = 0.0
         self.constant = total * self.inverse_count
         residual.own -= residual.own.dtype.type(self.constant)
         self.square = self._precondition()
@@ -61,9 +62,12 @@ class ConjugateGradients:
         """Iterates until √`square` is at most `wanted` times its first value, `MOST_ITERATIONS` times at most.  Returns
         x (count,) and the number of iterations; each applies A once.  Once only: the residual is lost.  Collective.
         """
+        if self.z is None:
+            self._precondition()
+        assert self.z is not None
         residual, z, direction = self.residual.own, self.z, SetVector(self.points)
-        real, d = residual.dtype.type, direction.own
-        x, product = np.zeros_like(residual), np.empty_like(residual)
+        real, d, x = residual.dtype.type, direction.own, np.zeros_like(residual)
+        product = z  # z is read before A is applied, and made anew after: a tenth less memory
         d[:] = 0
         before, goal, most = math.inf, wanted**2 * self.square, DIVERGED * self.square
         steps = 0
@@ -83,6 +87,10 @@ class ConjugateGradients:
         del self.residual, self.z  # the next system is made while this one still has its name
         return x, steps
 
+    def make_room(self) -> None:
+        """Frees the preconditioned residual, which `solve` makes anew."""
+        self.z = None
+
     def lower(self, number: float) -> None:
         """Takes a number off the residual of a system that is not neutral, before it is solved.  Collective."""
         self.residual.own -= self.residual.own.dtype.type(number)
@@ -90,6 +98,7 @@ class ConjugateGradients:
 
     def _precondition(self) -> float:
         """z = M · residual, and its mean; returns ⟨residual, z − mean⟩.  Collective."""
+        self.z = np.empty_like(self.residual.own) if self.z is None else self.z
         self.preconditioner(self.residual, self.z)
         square, sum_r, sum_z = self._sums(self.residual.own, self.z)
         self.mean = sum_z * self.inverse_count - sum_r * self.capacity

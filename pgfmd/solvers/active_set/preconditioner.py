@@ -58,6 +58,12 @@ class MultilevelStiffness:
         blocks.join(self._sums(points, out))
         self._subtract(blocks, points, out, out)
 
+    def make_room(self) -> None:
+        """Frees what is made anew for each set, and the transforms of the blocks if they are large.  Collective."""
+        self._rest = None
+        if self.blocks is not None and self.blocks.place.grid is not None:
+            self.blocks.place.grid.make_room()
+
     def free(self) -> None:
         """Frees the transforms of the blocks.  Collective."""
         if self.blocks is not None:

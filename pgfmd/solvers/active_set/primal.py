@@ -8,6 +8,8 @@ for the change so far, before the gap is computed by full transforms.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
@@ -77,10 +79,31 @@ class PressureSteps(Relaxation):
         return self._system(state, started and self.highest == math.inf)
 
     def compute_gap(self, state: State, precision: Precision) -> None:
-        """As `Relaxation.compute_gap`; the transforms of the mesh make room for those of the grid.  Collective."""
-        if self.exact and isinstance(self.inner, MeshResponse):
-            self.inner.make_room()
-        super().compute_gap(state, precision)
+        """As `Relaxation.compute_gap`; the transforms of the mesh make room for those of the grid, and these for the
+        system: the peak of memory is a quarter lower, for 3 % more time.  Collective.
+        """
+        with self._room():
+            super().compute_gap(state, precision)
+
+    def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
+        """As `Relaxation.certify`, with room as in `compute_gap`.  Collective."""
+        with self._room(system):
+            return super().certify(state, system, precision)
+
+    @contextmanager
+    def _room(self, system: ConjugateGradients | None = None) -> Iterator[None]:
+        """Frees what can be made anew of the mesh, the preconditioner and the system before the block, and the
+        transforms of the grid after it, if they are large.  Collective.
+        """
+        if not (self.exact and isinstance(self.inner, MeshResponse)):
+            yield
+            return
+        self.inner.make_room()
+        self.preconditioner.make_room()
+        if system is not None:
+            system.make_room()
+        yield
+        self.grid.make_room()
 
     def _system(self, state: State, loaded_only: bool = False) -> ConjugateGradients:
         """The system for a gap that is known.  Where an area that is sought asks for another load, the
@@ -130,30 +153,42 @@ class PressureSteps(Relaxation):
         if not isinstance(self.inner, MeshResponse) or self.highest < math.inf or system.square <= 0:
             self._solve(state, system, wanted)
             return
-        if self.exact:
-            self.grid.make_room()  # the peak of memory is an eighth lower, for 2 % more time
         goal, failures = self.left(wanted, enough) * system.square, 0
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
+            points, change = system.points, self._change(state, system, wanted)
+            if goal > SURE * square and wanted**2 * square < 1.1 * goal:
+                self._make(state, points, change)
+                return
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
             before = near.values(state.pressure)
-            self._solve(state, system, wanted)
-            if goal > SURE * square and wanted**2 * square < 1.1 * goal:
-                return
-            change, response = SetVector(near), np.empty(near.count, np.float32)
-            change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
-            self.inner.apply(change, response)
-            near.add(state.gap, response)
-            del near, before, change, response  # the peak of memory is a tenth lower
+            self._make(state, points, change)
+            del points, change
+            self._respond(state, near, before)
+            del near, before  # the peak of memory is a tenth lower
             system = self._system(state)
             if system.square < 1.1 * goal:
                 return
             failures += system.square > square / 2
             wanted = min(MOST_LEFT, (system.square / square) ** CUT_POWER)
 
+    def _respond(self, state: State, near: Unknowns, before: np.ndarray) -> None:
+        """Adds to the gap of some points what the change of their pressures makes of it, by the mesh.  Collective.
+
+        before: these pressures (count,) before the change.
+        """
+        change, response = SetVector(near), np.empty(near.count, np.float32)
+        change.own[...] = near.values(state.pressure) - before  # of pressures of double precision, if they have it
+        self.inner.apply(change, response)
+        near.add(state.gap, response)
+
     def _solve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
-        """Reduces the gap's deviation from a constant on the unknowns by the factor `wanted`, and makes the pressure
-        feasible.  Collective.
+        """`_change` and `_make`."""
+        self._make(state, system.points, self._change(state, system, wanted))
+
+    def _change(self, state: State, system: ConjugateGradients, wanted: float) -> np.ndarray:
+        """The change of the pressure (count,) that reduces the gap's deviation from a constant on the unknowns by the
+        factor `wanted`.  Collective.
         """
         change, steps = system.solve(MOVE_CUT if self.next_load else wanted)
         if self.next_load:
@@ -162,6 +197,10 @@ class PressureSteps(Relaxation):
             change *= np.float32(factor)
             self.set_load((state.load + factor * total) / self.grid.size)
             self.next_load = 0.0
-        system.points.add(state.pressure, change)
         state.iterations += steps
-        self.feasible.make(system.points, (state.pressure, state.gap))
+        return change
+
+    def _make(self, state: State, points: Unknowns, change: np.ndarray) -> None:
+        """Adds a change (count,) to the pressure, and makes that feasible.  Collective."""
+        points.add(state.pressure, change)
+        self.feasible.make(points, (state.pressure, state.gap))

@@ -12,10 +12,11 @@ from pgfmd.parallel.layout import Exchange
 
 HALO = 3  # rows of neighbouring ranks on either side: the radius of a stencil
 PIECE = 64  # points of a row; where few are unknowns, most pieces have none
+SHORT = 1 << 16  # columns up to which two bytes number them: a tenth less memory than four
 LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
 
 Points = tuple[np.ndarray, np.ndarray]
-"""(columns (count,) int32, offsets (rows + 1,)): the points of row i are columns[offsets[i]:offsets[i + 1]]; values are
+"""(columns (count,), offsets (rows + 1,)): the points of row i are columns[offsets[i]:offsets[i + 1]]; values are
 listed alike."""
 Fields = tuple[np.ndarray, np.ndarray]
 """Pressure and gap."""
@@ -40,9 +41,10 @@ class Unknowns:
         self.grid, rows = grid, grid.local_shape[0]
         self.halo = grid.around(HALO, rows)
         real = fields[1].dtype.type  # of the limits too, since loops that convert are slower
+        index = np.uint16 if grid.shape[1] <= SHORT else np.int32
 
         def choose(pressure: np.ndarray, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            counts, columns = np.empty(len(gap), np.int64), np.empty(gap.size, np.int32)
+            counts, columns = np.empty(len(gap), np.int64), np.empty(gap.size, index)
             found = choose_points((pressure, gap), real(level), real(highest), counts, columns)
             return counts, columns[:found].copy()
 
