@@ -56,6 +56,7 @@ class Options(TypedDict, total=False):
     base: str | None
     poisson: float
     method: str
+    storage: str
     area_tolerance: float
     gap_tolerance: float
     percolation_accuracy: float
@@ -116,6 +117,7 @@ def solve(
     base: str | None = None,
     poisson: float = 0.25,
     method: str = "auto",
+    storage: str = "float64",
     area_tolerance: float = 0.005,
     gap_tolerance: float = 1e-4,
     start: np.ndarray | None = None,
@@ -149,11 +151,11 @@ def solve(
     hard wall if this and zeta are None.  zeta: the range of an exponential wall with σ_ref = contact_modulus.
     thickness, base ("bonded" if None), poisson: a slab instead of a half-space.  solid: a solid, or its keys as in
     [solid], instead of these and contact_modulus.  comm: the ranks that solve together; None: this process alone.
-    method: see `solvers.options`.  start: a pressure to begin with, split like the fields of the answer.  refine: those
-    are on a grid with so many times the points each way, onto which the heights of a periodic surface are interpolated
-    by their Fourier modes.  tolerance: certified relative energy error (1e-8: pressures to some 1e-3 … 1e-4 of their
-    rms value).  threads: of this process; OMP_NUM_THREADS or the free cores if None.  progress: whether to show a bar;
-    None: in notebooks only.
+    method, storage: see `solvers.options`.  start: a pressure to begin with, split like the fields of the answer.
+    refine: those are on a grid with so many times the points each way, onto which the heights of a periodic surface are
+    interpolated by their Fourier modes.  tolerance: certified relative energy error (1e-8: pressures to some 1e-3 …
+    1e-4 of their rms value).  threads: of this process; OMP_NUM_THREADS or the free cores if None.  progress: whether
+    to show a bar; None: in notebooks only.
 
     Raises InputError for heights that are masked, not finite or wrongly split, values out of range and arguments that
     differ between ranks, SolverError if the tolerance cannot be reached, Unreachable if no load gives the target.
@@ -182,7 +184,9 @@ def solve(
         law = _law(wall, zeta)
         if name == "force" and min(targets) < 0 <= law.lowest:
             raise InputError(f"force = {show(force)}: must be a number ≥ 0 with wall.kind = {show(law.kind)}")
-        options = Solver(method=method, tolerance=_checked("tolerance", tolerance, number(above=0, below=1)))
+        options = Solver(
+            method=method, storage=storage, tolerance=_checked("tolerance", tolerance, number(above=0, below=1))
+        )
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness["percolation_accuracy"] = percolation_accuracy
         closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
@@ -193,6 +197,9 @@ def solve(
         own, grid = grid, grid.like(comm, (refine * grid.shape[0], refine * grid.shape[1]), grid.lengths)
         with own.freed():
             heights = interpolate(own, grid, heights)
+    options.check_storage(law, solid, domain, grid.lengths, grid.spacing)
+    grid.storage = np.dtype(storage).type
+    heights = heights.astype(grid.storage, copy=False)
     if start is not None:
         with raise_together(comm):
             like = _like("start", start, heights)

@@ -62,7 +62,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
         about: dict[str, Any] = from_root(comm, machine.gather, comm.size, {"MPI": library()}, origin)
         about |= {"seeds": np.array(seeds)}
         from_root(comm, ensemble.write, path, about, {}, "running")
-        machine.report(comm, memory)
+        machine.report(comm, memory, machine.available_memory())
         if comm.rank == 0:
             log.info("%d seeds, %d at a time", len(seeds), groups)
         failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)

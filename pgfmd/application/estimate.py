@@ -22,9 +22,10 @@ from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
 from pgfmd.solvers.options import cost as solver_cost
 
-FIELD_BYTES = 24.0  # per grid point: heights, pressure, gap
 PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth
-WAITING_BYTES = 24.0  # per point of a grid while a coarser one is solved: heights, perhaps scaled too, and strips
+# Per point of a grid while a coarser one is solved: heights, perhaps scaled too, and strips; in single precision, where
+# strips are freed first.
+WAITING_BYTES = {"float64": 24.0, "float32": 8.0}
 BASE_BYTES = 2.1e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
@@ -138,9 +139,11 @@ class Plan:
         blocked = workspace * (job.solver.transform == "blocked")
         packed = blocked * (1 - 1 / nodes)
         seen = blocked * (here - 1) / (here if nodes == 1 else 1) + packed
-        written = FIELD_BYTES + workspace
-        rank = max(peak(shares, self.bytes_per_point(ranks)), written * shares[0] + gathered) + seen * shares[0]
-        node = max(peak(of_node, self.bytes_per_point(nodes)), written * of_node[0] + gathered) + packed * of_node[0]
+        written = self.field_bytes + workspace
+        waiting = WAITING_BYTES[job.solver.storage]
+        solving, of_nodes = self.bytes_per_point(ranks), self.bytes_per_point(nodes)
+        rank = max(peak(shares, solving, waiting), written * shares[0] + gathered) + seen * shares[0]
+        node = max(peak(of_node, of_nodes, waiting), written * of_node[0] + gathered) + packed * of_node[0]
         return rank, node
 
     def rank_groups(self, ranks: int, room: float = math.inf) -> int:
@@ -161,18 +164,24 @@ class Plan:
 
         def fits(groups: int) -> bool:
             narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
-            return wide <= nx and BASE_BYTES + peak(largest_shares((nx, ny), narrow), self.bytes_per_point()) <= room
+            most = peak(largest_shares((nx, ny), narrow), self.bytes_per_point(), WAITING_BYTES[job.solver.storage])
+            return wide <= nx and BASE_BYTES + most <= room
 
         most = min(ranks, surfaces)
         # If nothing fits, one group takes least memory on each rank; it needs a row for each.
         return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
+
+    @property
+    def field_bytes(self) -> float:
+        """Bytes per grid point of heights, pressure and gap."""
+        return 3.0 * np.dtype(self.job.solver.storage).itemsize
 
     def bytes_per_point(self, slabs: int = 1) -> float:
         """Bytes per grid point at the peak of solving and measuring, on the fullest of so many slabs."""
         job = self.job
         costs = self.solving_costs(slabs) + self.measuring_costs()
         searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
-        kept = FIELD_BYTES + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
+        kept = self.field_bytes + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
         torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
         if small := [each for each in self.extents if each.part <= WORTH]:
             most = max(small, key=lambda each: each.part)
@@ -196,7 +205,7 @@ class Plan:
         effort = job.wall.newton_effort if method == "newton" else job.wall.effort
         most = 1.0 if cell.domain.wraps else GAPS_FROM  # open: pressures are the unknowns at any area
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
-        arrays = Arrays(scaled, single, strips)
+        arrays = Arrays(scaled, single, strips, job.solver.storage == "float64")
         costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in self.contact_areas()]
         for number, each in enumerate(self.extents):
             if each.part <= WORTH:
@@ -320,13 +329,13 @@ def _extents(job: Job) -> tuple[Extent, ...]:
     return tuple(found)
 
 
-def peak(shares: list[int], per_point: float) -> float:
+def peak(shares: list[int], per_point: float, waiting: float) -> float:
     """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
 
-    per_point: bytes per point of the grid that is solved or measured; finer grids keep `WAITING_BYTES` per point
+    per_point: bytes per point of the grid that is solved or measured; finer grids keep `waiting` bytes per point
     meanwhile.  A coarser grid can be the worst: fewer ranks hold it, with larger shares.
     """
-    return max(per_point * share + WAITING_BYTES * sum(shares[:level]) for level, share in enumerate(shares))
+    return max(per_point * share + waiting * sum(shares[:level]) for level, share in enumerate(shares))
 
 
 def gain(ranks: int) -> float:

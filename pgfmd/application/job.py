@@ -175,6 +175,7 @@ class Job:
             observable.check_in(self.grid.domain)
             observable.check_contact(self.solid, self.wall)
         self.solver.check_domain(self.wall, self.solid, self.grid.domain)
+        self.solver.check_storage(self.wall, self.solid, self.grid.domain, self.cell.lengths, self.cell.spacings)
 
     def _of_attraction(self) -> None:
         """For a wall that attracts: adds its columns to the output, and refuses observables that assume none attracts.

@@ -262,7 +262,7 @@ class Loads:
             if problem.imposed is None:
                 unit *= self.grid.size / (self.grid.reduction.sum(state.pressure) or 1.0)
         pressure = state.pressure if isinstance(state, ContactSolution) else pressure_in_place(self.grid, state)
-        self.checkpoints.save(self._index, np.multiply(pressure, unit, dtype=np.float64))
+        self.checkpoints.save(self._index, np.multiply(pressure, unit, dtype=self.grid.storage))
 
 
 def of_first_load(job: Job) -> str:

@@ -169,11 +169,11 @@ def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
             )
 
 
-def report(comm: MPI.Comm, per_rank: float) -> None:
+def report(comm: MPI.Comm, per_rank: float, available: float) -> None:
     """Log ranks, nodes, threads, libraries and the memory needed, `per_rank` bytes; warn of too little memory or too
-    few cores.  Collective.
+    few cores.  available: bytes on this node before the run took any.  Collective.
     """
-    here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available_memory()
+    here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available
     ranks = comm.gather(here)
     if ranks is not None:
         log.info("pgfmd %s, commit %s", __version__, git_commit()[:12])

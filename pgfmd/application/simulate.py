@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
+import numpy as np
+
 from pgfmd.application import machine
 from pgfmd.application.ensemble_run import run_ensemble
 from pgfmd.application.files import Form
@@ -66,10 +68,11 @@ def simulate(
     (asked to stop; `restart` continues).
     """
     phases, alone, mode = _Phases(), interruptions is None, _mode(overwrite, restart)
-    memory = machine.memory_per_rank(job, comm)
+    memory, available = machine.memory_per_rank(job, comm), machine.available_memory()
     if alone:
         machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
+    grid.storage = np.dtype(job.solver.storage).type
     inputs = {path: digest(comm, (path, dataset)) for path, dataset in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
     limits, output = (job.run.checkpoint_interval, job.run.time_limit), job.output
@@ -85,8 +88,9 @@ def simulate(
         refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
+            heights = heights.astype(grid.storage, copy=False)
             job.solid.prepare(grid)
-        machine.report(comm, memory)  # only now: for wrong input the error is the only line
+        machine.report(comm, memory, available)  # only now: for wrong input the error is the only line
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))
         for line in job.doubts if comm.rank == 0 else ():
             log.warning("%s", line)

@@ -22,16 +22,17 @@ def aligned_bytes(count: int, begin: int = 0, unit: int = ALIGNMENT) -> np.ndarr
     return raw[(begin - raw.ctypes.data) % unit :][:count]
 
 
-def new_field(shape: tuple[int, int], dtype: DTypeLike = np.float64) -> np.ndarray:
-    """A new array of float64, or of float32 in the second half of as much memory (`widened`), which begins at another
-    place of a page than those made before.
+def new_field(shape: tuple[int, int], dtype: DTypeLike = np.float64, widens: bool = True) -> np.ndarray:
+    """A new array of float64, or of float32 and, if it `widens`, in the second half of as much memory (`widened`),
+    which begins at another place of a page than those made before.
 
     Large arrays lie as far apart as they are long, and a page.  At 4096² that is 2²⁷ + 2¹² bytes: the first cache of
     AMD's Zen then seems to take entries at like places of two arrays for the same (Lipp et al. 2020,
     doi:10.1145/3320269.3384746, section 3), and a loop over pressure and gap takes seven times as long.
     """
     begin, size = next(_made) * STAGGER % PAGE, math.prod(shape)
-    return aligned_bytes(size * 8, begin, PAGE).view(dtype)[-size:].reshape(shape)
+    itemsize = 8 if widens else np.dtype(dtype).itemsize
+    return aligned_bytes(size * itemsize, begin, PAGE).view(dtype)[-size:].reshape(shape)
 
 
 def widened(field: np.ndarray, change: np.ufunc, number: float, rows: int) -> np.ndarray:

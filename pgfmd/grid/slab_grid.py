@@ -72,7 +72,11 @@ class SlabGrid:
     qx (1, Nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
     even_weight (Nx // 2 + 1,): 2 for a kx > 0 that stands for itself and −kx, else 1
     transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
+    storage: precision of heights, pressure and gap once they are known; set by who makes the grid; a hard wall alone
+    takes single precision
     """
+
+    storage: type[np.float32] | type[np.float64] = np.float64
 
     def __init__(
         self,
@@ -145,9 +149,11 @@ class SlabGrid:
             self._planned[dtype] = Transform(self._strips, self.shape, self.torus, dtype, self.threads)
         return self._planned[dtype]
 
-    def new_field(self, dtype: DTypeLike = np.float64) -> np.ndarray:
-        """A new field (nx_local, ny), not yet set; of float32 it may be `widened`."""
-        return new_field(self.local_shape, dtype)
+    def new_field(self, dtype: DTypeLike | None = None) -> np.ndarray:
+        """A new field (nx_local, ny), not yet set, by default as they are stored; where that is in double precision,
+        one of float32 may be `widened`.
+        """
+        return new_field(self.local_shape, dtype or self.storage, self.storage is np.float64)
 
     def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
         """Spectrum (nky_local, Nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""

@@ -58,6 +58,7 @@ def solve_contact(
             raise SolverError(f"{method} needs a given mean pressure")
         return solve_hard_wall(problem, options.tolerance, start, monitor, overwrite_heights)
     rescued = options.method == "auto" and "gfmd" in problem.law.methods and problem.grid.domain.wraps
+    rescued &= problem.grid.storage is np.float64
     limit = {"max_steps": options.max_iterations} if options.max_iterations else {}
     solver = partial(SOLVERS[method], problem, monitor=monitor, overwrite_heights=overwrite_heights, **limit)
     try:

@@ -87,7 +87,7 @@ class Dimensionless:
         heights *= self._heights.unit
         gap = np.subtract(mean_gap, heights, out=heights)
         return ContactSolution(
-            pressure=np.full(gap.shape, mean),
+            pressure=np.full(gap.shape, mean, gap.dtype),
             gap=gap,
             mean_pressure=mean,
             mean_gap=mean_gap,
@@ -294,11 +294,12 @@ def dimensionless_heights(problem: ContactProblem, overwrite: bool = False) -> H
         unit = problem.mean_pressure / solid.contact_modulus * max(grid.lengths)
         return Heights(np.zeros(grid.local_shape), 0.0, unit, unit, high, math.inf)
     if low == high:
-        return Heights(np.zeros(grid.local_shape), 0.0, 0.0, 0.0, high, math.inf)
+        return Heights(np.zeros(grid.local_shape, heights.dtype), 0.0, 0.0, 0.0, high, math.inf)
     depth = deepest(problem, high - low) if problem.mean_pressure > 0 and not problem.imposed else math.inf
     if problem.law.reach == 0 and depth == math.inf and problem.mean_pressure > 0 and max(abs(low), high) < MODERATE**2:
         mean, rms = _spread(grid, threads.collect(lambda a, b: _sums(heights[a:b]), rows, grid.band))
-        if 1 / MODERATE <= rms <= MODERATE and abs(mean) <= CENTRED * rms:
+        centred = max(CENTRED, float(np.finfo(heights.dtype).eps) / 2)
+        if 1 / MODERATE <= rms <= MODERATE and abs(mean) <= centred * rms:
             return Heights(heights, high, 1.0, rms, high, math.inf)
     out = heights if overwrite and depth == math.inf else grid.new_field()
 

@@ -26,17 +26,19 @@ from pgfmd.options.section import Section, key, wrong
 from pgfmd.options.text import show
 from pgfmd.physics.laws.law import ContactLaw
 from pgfmd.physics.laws.table import LAWS
-from pgfmd.physics.solids.solid import Solid
+from pgfmd.physics.solids.solid import SOFT, Solid
 
 SCALED = 8.0  # heights about their mean, over their rms value
 SINGLE = 8.0  # saved by a hard wall's pressure and gap in single precision
 MODERATE = 1e6  # largest rms height, and inverse of the smallest, that is solved without a scaled copy
 SINGLE_TO = 1.2e-13  # tolerance over points per side down to which rounding in single precision is unseen
 # Per unknown of the active set, which is the pressure of a point in contact or, where these are the majority, the gap
-# of one that is not: its column, now and before (8), direction, image, residual, preconditioned one, change (20), and
-# for pressures instead of a column before the columns near the contact and the pressures there (10), as measured.
-PER_PRESSURE, PER_GAP = 34.0, 28.0
-MESH = 4.5  # meshes, means over blocks, and what is measured of every contact, as measured
+# of one that is not: its column, now and before (4), direction, residual, preconditioned one, change (16), for
+# pressures the residual less its means (4); the rest as measured.
+PER_PRESSURE, PER_GAP = 26.0, 20.0
+MESH = 4.2  # meshes and means over blocks, as measured
+CERTIFIED = 3.4, 6.0  # while a contact is certified: meshes, and per unknown its column and residual
+MEASURED = 0.7  # what is measured of every contact
 # Newton's pressure as its root, residual, direction, image, change, response (24), targets (25), rows of the coarse
 # grid (6): single precision where that serves.
 NEWTON = 55.0
@@ -48,13 +50,15 @@ GAPS_FROM = 0.8  # contact area above which the active set's unknowns are the ga
 
 class Arrays(NamedTuple):
     """What decides on the memory beside the contact.  scaled: whether heights are scaled in an array of their own.
-    single: whether the active set can keep pressure and gap in single precision.  strips: bytes per point of the
-    transforms in double precision that it frees while it does not transform.
+    single: whether the active set can keep pressure and gap in single precision while it solves.  strips: bytes per
+    point of the transforms in double precision that it frees while it does not transform.  stored: whether fields are
+    stored in double precision.
     """
 
     scaled: bool = True
     single: bool = False
     strips: float = 0.0
+    stored: bool = True
 
 
 USUAL = Arrays()
@@ -75,9 +79,10 @@ def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0, arrays: 
     by_pressures = area <= GAPS_FROM
     most = fullest(area if by_pressures else 1 - area, slabs)
     work, unknowns = (6.5 + 22 * area, PER_PRESSURE) if by_pressures else (13.5 - 7 * area, PER_GAP)
-    saved, strips = (SINGLE + arrays.strips / 2) * arrays.single, arrays.strips
+    saved, half = SINGLE * (arrays.single and arrays.stored), 1 - arrays.single / 2
+    solving, certified = MESH + most * unknowns, CERTIFIED[0] + most * CERTIFIED[1] + half * arrays.strips
     # Solved, the fields are in double precision, and there are no strips.
-    return Cost(work, heights + MESH + max(most * unknowns + strips - saved, 0) - strips)
+    return Cost(work, heights + max(max(solving, certified) - saved, MEASURED) - arrays.strips)
 
 
 def fullest(area: float, slabs: int) -> float:
@@ -114,6 +119,11 @@ class Solver(Section):
     transform: str = key(
         choice(*TRANSFORMS), "blocked", "transforms by blocks that stay in cache, or by the library mpi4py-fft"
     )
+    storage: str = key(
+        choice("float64", "float32"), "float64",
+        "of heights, pressure and gap; float32 takes a third less memory, for hard walls on periodic cells: heights "
+        "are rounded to 6e-8 of the largest, and the contact of these is certified",
+    )  # fmt: skip
 
     def check(self) -> None:
         """`max_iterations` is given for dynamics only."""
@@ -126,6 +136,18 @@ class Solver(Section):
             allowed, kind = ", ".join(("auto", *law.methods)), show(law.kind)
             raise InputError(f"solver.method = {show(self.method)}: must be one of {allowed} for wall.kind = {kind}")
 
+    def check_storage(self, law: ContactLaw, solid: Solid, domain: Domain, *cell: tuple[float, float]) -> None:
+        """Raises InputError for what cannot be solved in single precision.  cell: sides, and sides of a pixel."""
+        if self.storage == "float64":
+            return
+        for reason in (
+            law.kind != "hard" and f"wall.kind = {show(law.kind)}",
+            self.method not in ("auto", "active-set") and f"solver.method = {show(self.method)}",
+            not domain.wraps and 'grid.boundary = "open"',
+            solid.softest(*cell) < SOFT and "so thin a solid",
+        ):
+            if reason:
+                raise InputError(f'solver.storage = "float32": not with {reason}; take "float64"')
 
     def check_domain(self, law: ContactLaw, solid: Solid, domain: Domain) -> None:
         """Raises InputError for what cannot be solved on that domain."""

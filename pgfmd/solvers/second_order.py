@@ -24,7 +24,7 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.solid import Solid
 
-DIGITS = 4 * np.finfo(np.float64).eps  # relative error of pressures, from transforms and from their last digits
+DIGITS = 4.0  # relative error of pressures, from transforms and from their last digits, in units of the last digit
 SINGLE = 1e-3  # relative error of ‖ε‖_K, from a transform in single precision
 # Error of a convolution over that of its input, per √log₂ 2N, without and with primes above 13 in N: measured at most
 # .7 and 1.3.
@@ -106,11 +106,12 @@ class Rounding:
 
 
 def last_digits(problem: ContactProblem, square: float, softness: float) -> float:
-    """A bound of the energy of errors δ in the last digits of a pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point, which the
-    certificate does not contain.  square: ⟨p²⟩; softness: ⟨p² φ''⟩ (`ContactLaw.softness`).
+    """A bound of the energy of errors δ in the last digits of a stored pressure, ½⟨δ, Gδ⟩ + ½⟨δ, φ''δ⟩ per point, which
+    the certificate does not contain.  square: ⟨p²⟩; softness: ⟨p² φ''⟩ (`ContactLaw.softness`).
     """
     longest = np.array(2 * math.pi / max(problem.grid.period))
-    return DIGITS**2 / 2 * (square * float(problem.solid.compliance(longest)) + softness)
+    digit = DIGITS * float(np.finfo(problem.grid.storage).eps)
+    return digit**2 / 2 * (square * float(problem.solid.compliance(longest)) + softness)
 
 
 def certified(square: float, rounding: float) -> float:

@@ -57,7 +57,7 @@ WORST = 0.4  # largest error of a start that counts
 MOVED = 1e-4  # the same where an area or a gap is sought; at 1e-5 searches cost 5 % more
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
-UNSEEN = 0.05  # rounding below this part of the tolerance is neglected
+UNSEEN, MOST_UNSEEN = 0.05, 0.3  # rounding below this part of the tolerance is neglected; in single storage, the second
 
 
 @dataclass
@@ -127,10 +127,13 @@ class Relaxation:
         Uncertifiable if that is due to rounding in double precision.
         """
         precision, patience = self.precision, Patience(self.patience)
-        met_late, asked = 0, tolerance
+        met_late, asked, rounding = 0, tolerance, 0.0
+        unseen = UNSEEN if self.grid.storage is np.float64 else MOST_UNSEEN
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
             if precision is np.float64:
+                if self.grid.storage is np.float32:
+                    raise uncertifiable(rounding, tolerance, "single")
                 self.widen(state)
             system, self.enough = self.linearise(state, precision), tolerance
             # Where the preconditioner is good, ½⟨r, Mr⟩ is .3 to .7 of the bound.
@@ -141,7 +144,7 @@ class Relaxation:
             if self.imposed is not None and self.exact:
                 tolerance = min(asked, max(self.imposed.needed(self.measured(state)), LEAST))
             rounding = self.rounding_bound(state, precision) / (2 * state.energy) if state.energy > 0 else 0.0
-            negligible = precision is np.float64 or rounding <= UNSEEN * tolerance
+            negligible = precision is np.float64 or rounding <= unseen * tolerance
             state.error = max(estimate, rounding)
             ready = negligible and not self.load_changed and (self.met(state) or met_late > LATE)
             if self.exact and ready and estimate <= tolerance:
@@ -159,7 +162,7 @@ class Relaxation:
             enough = MARGIN[precision] * tolerance / max(estimate, tolerance)
             wanted, before = self.next_cut(estimate, before, math.sqrt(enough)), estimate
             # Before rounding would show in the next estimate, precision changes.
-            if rounding > UNSEEN * max(tolerance, self.left(wanted, enough) * estimate) or patience.lost >= STUCK:
+            if rounding > unseen * max(tolerance, self.left(wanted, enough) * estimate) or patience.lost >= STUCK:
                 precision = np.float64
             self.improve(state, system, wanted, enough)
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
@@ -174,6 +177,14 @@ class Relaxation:
             state.gap = widened(state.gap, np.add, state.base, rows)
         elif state.base:
             state.gap += state.base
+        state.level, state.base = state.level + state.base, 0.0
+
+    def store(self, state: State) -> None:
+        """Brings a solved state to the precision in which it is kept, and to base 0.  Collective."""
+        if self.grid.storage is np.float64:
+            self.widen(state)
+            return
+        state.gap += np.float32(state.base)
         state.level, state.base = state.level + state.base, 0.0
 
     def left(self, wanted: float, enough: float) -> float:

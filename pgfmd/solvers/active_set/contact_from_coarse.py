@@ -57,7 +57,7 @@ def _full_contact(problem: ContactProblem) -> State | None:
         return None
     measured = 2 * squares[1] + grid.size * grid.reduction.max(heights) ** 2  # Σ h² + (h − max h)², as Σ h is 0
     error = Rounding(grid, problem.solid).bound(squares, measured, 2 * energy) / (2 * energy)
-    gap = np.zeros(grid.local_shape)
+    gap = np.zeros(grid.local_shape, grid.storage)
     return State(pressure, gap, clipped=True, energy=energy, error=error, contact=grid.size, between=grid.size)
 
 
@@ -183,7 +183,7 @@ class ActiveSetIteration(NestedIteration[State]):
             solver = self._relaxed(problem, state, steps, exact)
         if exact:
             problem.grid.make_room()
-            solver.widen(state)
+            solver.store(state)
         return state
 
     def _relaxed(self, problem: ContactProblem, state: State, steps: type[Relaxation], exact: bool) -> Relaxation:
@@ -199,7 +199,8 @@ class ActiveSetIteration(NestedIteration[State]):
                     raise
                 solver.free()
                 lost = isinstance(failure, Uncertifiable) or isinstance(solver, Descent)
-                if lost or not (given and problem.grid.domain.wraps):
+                wide = problem.grid.storage is np.float64  # as the descent needs
+                if lost or not (given and wide and problem.grid.domain.wraps):
                     raise
                 solver, state.clipped = Descent(problem, exact), False
             else:

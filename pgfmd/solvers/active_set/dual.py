@@ -120,7 +120,7 @@ class GapSteps(Relaxation):
         works: dict[int, tuple[float, ...]] = {}
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            displacement = self.heights[first:stop] + state.gap[first:stop]
+            displacement = np.add(self.heights[first:stop], state.gap[first:stop], dtype=np.float64)
             rows[...] = displacement
             sums.append((first, float(displacement.sum()), float(np.vdot(displacement, displacement))))
 
