@@ -71,6 +71,14 @@ def test_observables_are_those_of_double_precision(comm):
             assert np.allclose(one, two, rtol=1e-2, atol=1e-6 * one.max())
 
 
+@pytest.mark.parametrize("name", ["bearing", "partial_slip"])
+def test_observables_that_need_double_precision_are_refused(comm, name):
+    """One line, before anything is measured."""
+    contact = pgfmd.solve(rough(comm, 64), 0.01, storage="float32", comm=comm, threads=1)
+    with pytest.raises(InputError, match=f'{name} needs solver.storage = "float64"'):
+        contact.observables(name)
+
+
 def test_what_rounding_hides_is_refused(comm):
     """A tolerance below what single precision can certify raises an error that names the precision."""
     with pytest.raises(Uncertifiable, match="rounding in single precision"):

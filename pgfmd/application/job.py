@@ -173,6 +173,7 @@ class Job:
             raise InputError(f"output.observables: {ClosingLoad.name} needs load.percolation")
         for observable in self.output.asked:
             observable.check_in(self.grid.domain)
+            observable.check_storage(self.solver.storage == "float64")
             observable.check_contact(self.solid, self.wall)
         self.solver.check_domain(self.wall, self.solid, self.grid.domain)
         self.solver.check_storage(self.wall, self.solid, self.grid.domain, self.cell.lengths, self.cell.spacings)

@@ -30,7 +30,8 @@ class Observable(Section):
     name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.  The group
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
     fields: of `schema.FIELDS`, that it can write.  attraction: whether it can be measured where the wall attracts.
-    needs_period: why it is not measured with open boundaries; "" if it is.
+    needs_period: why it is not measured with open boundaries; "" if it is.  precise: whether it needs fields that are
+    stored in double precision.
     """
 
     name: ClassVar[str]
@@ -38,6 +39,7 @@ class Observable(Section):
     fields: ClassVar[tuple[str, ...]] = ()
     attraction: ClassVar[bool] = True
     needs_period: ClassVar[str] = ""
+    precise: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -49,6 +51,11 @@ class Observable(Section):
         if self.needs_period and not domain.wraps:
             why = f'needs a period, not boundary = "open": {self.needs_period}'
             raise InputError(f"output.observables: {self.name} {why}")
+
+    def check_storage(self, double: bool) -> None:
+        """Raises InputError if it cannot be measured on fields of that precision."""
+        if self.precise and not double:
+            raise InputError(f'output.observables: {self.name} needs solver.storage = "float64"')
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """What measuring one load costs, at most (what several observables need is computed once).

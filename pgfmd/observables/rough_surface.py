@@ -213,6 +213,7 @@ class RoughSurface:
         self.asked: dict[str, Any] = {name: given[name] for name in (*OBSERVABLES, *given) if name in given}
         for observable in self.asked.values():
             observable.check_in(self.grid.domain)
+            observable.check_storage(self.grid.storage is np.float64)
             observable.check_contact(problem.solid, problem.law)
         self.fields, self.seconds = frozenset(fields), dict[str, float]()
         options = Solver(method=problem.law.methods[0], tolerance=FURTHER)
