@@ -7,21 +7,32 @@ import logging
 import math
 import sys
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 
 import pgfmd.observables.observable_kinds  # noqa: F401  (fills the table of observables)
+from pgfmd.arguments import (
+    BOUNDARY,
+    SPACING,
+    agree,
+    alike,
+    checked,
+    own_copy,
+    rule_of_load,
+    section_of,
+    surface_of,
+    targets_of,
+)
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import DOMAINS, Domain
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import interpolate
 from pgfmd.observables.bottleneck import gap_percolates
 from pgfmd.observables.contact import Certified, Contact, certified
-from pgfmd.options.rules import POSITIVE, Rule, choice, integer, number, pair
-from pgfmd.options.section import Kinds, Section, build
-from pgfmd.options.text import printable, show
+from pgfmd.options.rules import POSITIVE, integer, number
+from pgfmd.options.text import show
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.parallel.mpi import ALONE, MPI
 from pgfmd.physics.laws.exponential_law import ExponentialWall
@@ -175,9 +186,9 @@ def solve(
     imposed |= {"displacement": displacement, "force": force, "percolation": percolation}
     with raise_together(comm):
         topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
-        heights = _surface(heights, topography)
-        name, targets, single = _targets(imposed)
-        refine, domain = _checked("refine", refine, integer(1)), DOMAINS[_checked("boundary", boundary, BOUNDARY)]
+        heights = surface_of(heights, topography)
+        name, targets, single = targets_of(imposed)
+        refine, domain = checked("refine", refine, integer(1)), DOMAINS[checked("boundary", boundary, BOUNDARY)]
         if refine > 1 and not domain.wraps:
             raise InputError('refine: must be 1 with boundary = "open": heights that do not wrap have no Fourier modes')
         solid = _solid(contact_modulus, thickness, base, poisson, solid)
@@ -185,12 +196,12 @@ def solve(
         if name == "force" and min(targets) < 0 <= law.lowest:
             raise InputError(f"force = {show(force)}: must be a number ≥ 0 with wall.kind = {show(law.kind)}")
         options = Solver(
-            method=method, storage=storage, tolerance=_checked("tolerance", tolerance, number(above=0, below=1))
+            method=method, storage=storage, tolerance=checked("tolerance", tolerance, number(above=0, below=1))
         )
         closeness: dict[str, Any] = {"area_tolerance": area_tolerance, "gap_tolerance": gap_tolerance}
         closeness["percolation_accuracy"] = percolation_accuracy
-        closeness = {key: _checked(key, value, _rule(key)) for key, value in closeness.items()}
-    _agree(comm, (name, targets, single, solid, law, options, closeness, refine, domain, start is None))
+        closeness = {key: checked(key, value, rule_of_load(key)) for key, value in closeness.items()}
+    agree(comm, (name, targets, single, solid, law, options, closeness, refine, domain, start is None))
     grid = _grid(comm, heights, spacing, threads, domain)
     _mend(grid, heights, topography)
     if refine > 1:
@@ -202,8 +213,8 @@ def solve(
     heights = heights.astype(grid.storage, copy=False)
     if start is not None:
         with raise_together(comm):
-            like = _like("start", start, heights)
-            start = like if single else _kept(like, start)  # a list is solved later
+            given = alike("start", start, heights)
+            start = given if single else own_copy(given, start)  # a list is solved later
     solid.prepare(grid)
     if name == "force":
         name, targets = "pressure", tuple(target / math.prod(grid.lengths) for target in targets)
@@ -277,14 +288,14 @@ def certify(
     comm = ALONE if comm is None else comm
     with raise_together(comm):
         topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
-        heights = _surface(heights, topography)
-        given = _like("pressure", pressure, heights)
+        heights = surface_of(heights, topography)
+        given = alike("pressure", pressure, heights)
         if not np.isfinite(given).all():
             raise InputError("pressure: all values must be finite")
         solid, law = _solid(contact_modulus, thickness, base, poisson, solid), _law(wall, zeta)
-        domain = DOMAINS[_checked("boundary", boundary, BOUNDARY)]
-        mean = None if mean_pressure is None else _checked("mean_pressure", mean_pressure, POSITIVE)
-    _agree(comm, (solid, law, mean, domain))
+        domain = DOMAINS[checked("boundary", boundary, BOUNDARY)]
+        mean = None if mean_pressure is None else checked("mean_pressure", mean_pressure, POSITIVE)
+    agree(comm, (solid, law, mean, domain))
     grid = _grid(comm, heights, spacing, threads, domain)
     _mend(grid, heights, topography)
     solid.prepare(grid)
@@ -292,18 +303,6 @@ def certify(
     if contact.projection.doubt and comm.rank == 0:
         log.warning("%s", contact.projection.doubt)
     return contact
-
-
-def _surface(values: Any, given: Any) -> np.ndarray:
-    """The heights of the arguments of `solve`, which a later change of what was given leaves alone; raises InputError.
-    """
-    heights = _real("heights", values)
-    if heights.ndim != 2 or heights.size == 0:
-        raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
-    if not np.isfinite(heights).all() and not is_topography(given):
-        at = ", ".join(map(str, np.argwhere(~np.isfinite(heights))[0]))
-        raise InputError(f"heights: [{at}] is {heights[~np.isfinite(heights)][0]}; all must be finite")
-    return _kept(heights, values)
 
 
 def _mend(grid: SlabGrid, heights: np.ndarray, given: Any) -> None:
@@ -314,56 +313,17 @@ def _mend(grid: SlabGrid, heights: np.ndarray, given: Any) -> None:
             warn_of_edges(grid, heights)
 
 
-def _like(name: str, values: Any, heights: np.ndarray) -> np.ndarray:
-    """An array of real numbers of the heights' shape; raises InputError."""
-    array = _real(name, values)
-    if array.shape != heights.shape:
-        raise InputError(f"{name} of shape {array.shape}: must be that of the heights, {heights.shape}")
-    return array
-
-
-def _kept(array: np.ndarray, given: Any) -> np.ndarray:
-    """The array, or a copy if it shares the memory of the given one, and somebody may write there."""
-    owner = array
-    while isinstance(owner.base, np.ndarray) and not owner.flags.writeable:
-        owner = owner.base
-    return array.copy() if owner.flags.writeable and np.may_share_memory(array, given) else array
-
-
 def _grid(comm: MPI.Comm, heights: np.ndarray, spacing: Any, threads: Any, domain: Domain) -> SlabGrid:
     """The grid of heights that are split over the ranks; raises InputError.  Collective."""
     with raise_together(comm):
-        ax, ay = _checked("spacing", 1.0 if spacing is None else spacing, SPACING)
-        threads = None if threads is None else _checked("threads", threads, integer(1))
+        ax, ay = checked("spacing", 1.0 if spacing is None else spacing, SPACING)
+        threads = None if threads is None else checked("threads", threads, integer(1))
     rows, ny = comm.allgather(len(heights)), heights.shape[1]
-    _agree(comm, (ax, ay, ny))
+    agree(comm, (ax, ay, ny))
     grid = SlabGrid(comm, (sum(rows), ny), (sum(rows) * ax, ny * ay), threads, domain=domain)
     if rows != list(np.diff(grid.starts)):
         raise InputError(f"heights: the ranks hold {rows} rows; expected {list(map(int, np.diff(grid.starts)))}")
     return grid
-
-
-def _agree(comm: MPI.Comm, asked: tuple) -> None:
-    """Raises InputError if the ranks were called with different arguments.  Collective."""
-    if any(other != asked for other in comm.allgather(asked)):
-        raise InputError("the ranks ask for different contacts: all arguments but heights and start must be the same")
-
-
-def _targets(imposed: Mapping[str, Any]) -> tuple[str, tuple[float, ...], bool]:
-    """The name of what is imposed, its values, and whether it was given as a number.  Raises InputError."""
-    given = [name for name, value in imposed.items() if value is not None]
-    if len(given) != 1:
-        raise InputError(f"give exactly one of {', '.join(imposed)}; found {' and '.join(given) or 'none'}")
-    value = imposed[given[0]]
-    values = list(value) if isinstance(value, range) else value
-    single = not isinstance(values, (list, tuple)) and np.ndim(values) == 0
-    return given[0], _checked(given[0], values, _rule("pressure" if given[0] == "force" else given[0])), single
-
-
-@cache
-def _rule(name: str) -> Rule:
-    """The rule of a key of [load]."""
-    return {field.name: field.metadata["rule"] for field in dataclasses.fields(Load)}[name]
 
 
 def _law(wall: ContactLaw | Mapping[str, Any] | None, zeta: float | None) -> ContactLaw:
@@ -372,7 +332,7 @@ def _law(wall: ContactLaw | Mapping[str, Any] | None, zeta: float | None) -> Con
         return HardWall() if zeta is None else ExponentialWall(zeta=zeta)
     if zeta is not None:
         raise InputError(f"zeta = {show(zeta)}: give it or a wall, not both")
-    return _made(LAWS, ContactLaw, wall)
+    return section_of(LAWS, ContactLaw, wall)
 
 
 def _solid(
@@ -382,20 +342,12 @@ def _solid(
     slab: dict[str, Any] = {"contact_modulus": contact_modulus, "thickness": thickness}
     slab |= {"base": base, "poisson": poisson}
     if solid is None:
-        _checked("poisson", poisson, POISSON)  # never None, as it may be in a job
+        checked("poisson", poisson, POISSON)  # never None, as it may be in a job
         return Homogeneous(**slab | {"base": "bonded" if base is None else base})
     for name, value in slab.items():
         if show(value) != show((solve.__kwdefaults__ or {})[name]):
             raise InputError(f"{name} = {show(value)}: give it or a solid, not both")
-    return _made(SOLIDS, Solid, solid)
-
-
-def _made(kinds: Kinds, sort: type[Section], given: object) -> Any:
-    """What was given as an object of that sort, or as a table of its keys; raises InputError."""
-    made = build(kinds, dict(given)) if isinstance(given, Mapping) else given
-    if not isinstance(made, sort):
-        raise InputError(f"{kinds.where} = {show(given)}: must be a {sort.__name__}, or a table of its keys")
-    return made
+    return section_of(SOLIDS, Solid, solid)
 
 
 def _contacts(
@@ -435,26 +387,3 @@ def _solve(
 
 
 IMPOSED = "pressure", "contact_area", "mean_gap", "displacement", "force"
-BOUNDARY = choice(*DOMAINS)
-SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow
-
-
-def _real(name: str, values: Any) -> np.ndarray:
-    """An array of real numbers in float64, row by row; raises InputError for anything else."""
-    if np.ma.is_masked(values):
-        raise InputError(f"{name}: {np.ma.count_masked(values)} values are masked; fill them")
-    try:
-        array = np.asarray(values)
-        if array.dtype.kind not in "fiu":
-            raise ValueError(f"not {array.dtype}")
-        return np.ascontiguousarray(array, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name}: must be an array of real numbers: {printable(str(error), 100)}") from None
-
-
-def _checked(name: str, value: object, rule: Rule) -> Any:
-    """The value of an argument as its rule converts it; raises InputError."""
-    try:
-        return rule.convert(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {show(value)}: must be {rule.allowed}") from None

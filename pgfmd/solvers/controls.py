@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from statistics import NormalDist
@@ -65,14 +66,25 @@ class Control:
     def summit(self) -> float:
         """Largest height, from the mean height.  Collective."""
         # Depths below the highest point keep their digits even where heights are far from 0.
-        return self.grid.reduction.sum(self.top - self.problem.heights) / self.grid.size
+        return self._mean(lambda heights: self.top - heights)
 
     @cached_property
     def rms_height(self) -> float:
         """Of the heights about their mean.  Collective."""
-        heights, reduce = self.problem.heights, self.grid.reduction
         size = self.top - self.lowest or 1.0  # squares of heights may underflow
-        return size * math.sqrt(reduce.sum(((self.top - heights - self.summit) / size) ** 2) / self.grid.size)
+        return size * math.sqrt(self._mean(lambda heights: ((self.top - heights - self.summit) / size) ** 2))
+
+    def _mean(self, function: Callable[[np.ndarray], np.ndarray]) -> float:
+        """Mean of a function of the heights, made of a band of rows at a time: whole, it would be the peak of memory.
+        Collective.
+        """
+        heights = self.problem.heights
+
+        def part(first: int, stop: int) -> float:
+            return float(np.sum(function(heights[first:stop].astype(np.float64, copy=False))))
+
+        parts = self.grid.threads.collect(part, len(heights), self.grid.band)
+        return self.grid.reduction.sum(parts) / self.grid.size
 
     @cached_property
     def usual_pressure(self) -> float:

@@ -67,7 +67,7 @@ class ConjugateGradients:
         assert self.z is not None
         residual, z, direction = self.residual.own, self.z, SetVector(self.points)
         real, d, x = residual.dtype.type, direction.own, np.zeros_like(residual)
-        product = z  # z is read before A is applied, and made anew after: a tenth less memory
+        product = z  # one array: z is read before A is applied, and made anew after the product is read
         d[:] = 0
         before, goal, most = math.inf, wanted**2 * self.square, DIVERGED * self.square
         steps = 0

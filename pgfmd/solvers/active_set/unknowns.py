@@ -12,7 +12,7 @@ from pgfmd.parallel.layout import Exchange
 
 HALO = 3  # rows of neighbouring ranks on either side: the radius of a stencil
 PIECE = 64  # points of a row; where few are unknowns, most pieces have none
-SHORT = 1 << 16  # columns up to which two bytes number them: a tenth less memory than four
+SHORT = 1 << 16  # columns up to which two bytes number them: .6 bytes per point less than with four, at an area of .18
 LARGEST = 1e25  # of a residual: sums of such over stencils and meshes stay below what single precision holds
 
 Points = tuple[np.ndarray, np.ndarray]
