@@ -46,6 +46,7 @@ from pgfmd.physics.solids.solid import POISSON, Solid
 from pgfmd.solvers.adhesive_branch import Branch
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl, load_control
+from pgfmd.solvers.nondimensional import in_storage
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.file import fill_holes, warn_of_edges
@@ -162,11 +163,12 @@ def solve(
     hard wall if this and zeta are None.  zeta: the range of an exponential wall with σ_ref = contact_modulus.
     thickness, base ("bonded" if None), poisson: a slab instead of a half-space.  solid: a solid, or its keys as in
     [solid], instead of these and contact_modulus.  comm: the ranks that solve together; None: this process alone.
-    method, storage: see `solvers.options`.  start: a pressure to begin with, split like the fields of the answer.
-    refine: those are on a grid with so many times the points each way, onto which the heights of a periodic surface are
-    interpolated by their Fourier modes.  tolerance: certified relative energy error (1e-8: pressures to some 1e-3 …
-    1e-4 of their rms value).  threads: of this process; OMP_NUM_THREADS or the free cores if None.  progress: whether
-    to show a bar; None: in notebooks only.
+    method: see `solvers.options`.  storage: precision of heights, pressure and gap, "float32" for a hard wall on a
+    periodic cell alone, for large grids: 4 to 5 bytes per point less.  start: a pressure to begin with, split like the
+    fields of the answer.  refine: those are on a grid with so many times the points each way, onto which the heights of
+    a periodic surface are interpolated by their Fourier modes.  tolerance: certified relative energy error (1e-8:
+    pressures to some 1e-3 … 1e-4 of their rms value).  threads: of this process; OMP_NUM_THREADS or the free cores if
+    None.  progress: whether to show a bar; None: in notebooks only.
 
     Raises InputError for heights that are masked, not finite or wrongly split, values out of range and arguments that
     differ between ranks, SolverError if the tolerance cannot be reached, Unreachable if no load gives the target.
@@ -206,11 +208,12 @@ def solve(
     _mend(grid, heights, topography)
     if refine > 1:
         own, grid = grid, grid.like(comm, (refine * grid.shape[0], refine * grid.shape[1]), grid.lengths)
+    options.check_storage(law, solid, domain, grid.lengths, grid.spacing)
+    if refine > 1:
         with own.freed():
             heights = interpolate(own, grid, heights)
-    options.check_storage(law, solid, domain, grid.lengths, grid.spacing)
     grid.storage = np.dtype(storage).type
-    heights = heights.astype(grid.storage, copy=False)
+    heights = in_storage(grid, heights)
     if start is not None:
         with raise_together(comm):
             given = alike("start", start, heights)

@@ -5,10 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import broad
+from job_texts import rough_job
 
 import pgfmd
-from pgfmd.errors import InputError, Uncertifiable
+from pgfmd.application.job import parse
+from pgfmd.application.loads import Loads
+from pgfmd.application.results import Results
+from pgfmd.application.simulate import simulate
+from pgfmd.errors import InputError, Stopped, Uncertifiable
+from pgfmd.grid import slab_grid
 from pgfmd.grid.slab_grid import SlabGrid
+from pgfmd.parallel.collectives import slab
 from pgfmd.solvers.active_set import unknowns
 from pgfmd.surfaces.self_affine import self_affine
 
@@ -48,6 +55,48 @@ def test_it_is_the_contact_of_the_stored_heights(comm, imposed, value):
         assert found.mean_gap == pytest.approx(value, rel=1e-4)
 
 
+def test_far_heights_are_those_of_their_mean(comm):
+    """Heights 3 above their mean are scaled before they are solved: that rounds them once more, which the certificate
+    counts, and the contact is the same within what both certificates leave.
+    """
+    heights = rough(comm)
+    asked = {"comm": comm, "threads": 1, "storage": "float32"}
+    near, far = (pgfmd.solve(heights + up, 0.01, **asked) for up in (0.0, 3.0))
+    wrong, total = near.pressure - far.pressure, near.grid.reduction
+    assert total.dot(wrong, wrong) <= 4e-6 * total.dot(near.pressure, near.pressure)
+    assert far.mean_gap == pytest.approx(near.mean_gap, rel=1e-5)
+    stored = (heights + 3.0).astype(np.float32).astype(float)
+    again = pgfmd.certify(stored, far.pressure.astype(float), far.mean_pressure, comm=comm, threads=1)
+    assert again.certified_error < 2e-8
+
+
+def test_gaps_beside_contact_keep_their_digits(comm):
+    """A gap is stored to the last digit of itself, not of the distance between the mean planes: points that have just
+    opened differ from double precision as the pressures beside them do.
+    """
+    heights = rough(comm)
+    asked = {"comm": comm, "threads": 1, "tolerance": 1e-9}
+    found, exact = (pgfmd.solve(heights, 0.0005, storage=kind, **asked) for kind in ("float32", "float64"))
+    assert found.max_violation <= 10 * exact.max_violation + 1e-7
+    assert found.approach == pytest.approx(exact.approach, rel=1e-6)
+    assert found.mean_gap == pytest.approx(found.grid.reduction.sum(found.gap) / found.grid.size, rel=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "mean", "reason"), [(1.0, 1000.0, "subtract the mean"), (1e-32, 0.0, "range")])
+def test_heights_that_single_precision_does_not_hold_are_refused(comm, unit, mean, reason):
+    """One line that says why."""
+    with pytest.raises(InputError, match=f"solver.storage.*{reason}"):
+        pgfmd.solve(unit * rough(comm, 64) + mean, 1e-32, storage="float32", comm=comm, threads=1)
+
+
+def test_an_area_that_jumps_is_met_on_the_nearer_side(comm):
+    """On a wave that varies in x only whole rows come into contact: the area is within a row of the target."""
+    grid = SlabGrid(comm, (64, 8))
+    wave = np.cos(2 * np.pi * np.arange(64) / 64)[grid.rows, None] * np.ones(8)
+    found = pgfmd.solve(wave, contact_area=0.4, storage="float32", comm=comm, threads=1)
+    assert abs(found.contact_area - 0.4) <= 1 / 32
+
+
 def test_several_loads_start_from_each_other(comm):
     """A list of pressures: each load is certified and has its pressure."""
     for load, found in zip((0.01, 0.0103, 0.0101), pgfmd.solve(
@@ -55,6 +104,64 @@ def test_several_loads_start_from_each_other(comm):
     ), strict=True):  # fmt: skip
         assert found.grid.reduction.sum(found.pressure) / found.grid.size == pytest.approx(load, rel=1e-6)
         assert found.certified_error <= 1e-8
+
+
+def test_a_neighbouring_pressure_is_a_start(comm):
+    """It is used: what was the answer needs no iteration, and is certified by 1.5 transforms."""
+    asked = {"storage": "float32", "comm": comm, "threads": 1}
+    cold = pgfmd.solve(rough(comm), 0.01, **asked)
+    warm = pgfmd.solve(rough(comm), 0.01, start=cold.pressure, **asked)
+    assert cold.transforms > 2.5 and warm.transforms <= 1.75
+
+
+def test_large_grids_give_their_transforms_back(comm, monkeypatch):
+    """Where ranks free what can be made anew, the contact is the same to the last bit."""
+    asked = {"storage": "float32", "comm": comm, "threads": 1}
+    kept = pgfmd.solve(rough(comm), 0.01, **asked)
+    monkeypatch.setattr(slab_grid, "ROOM", 0)
+    freed = pgfmd.solve(rough(comm), 0.01, **asked)
+    assert np.array_equal(kept.pressure, freed.pressure) and np.array_equal(kept.gap, freed.gap)
+
+
+def test_a_job_goes_on_from_its_checkpoint(comm, shared_tmp_path, monkeypatch):
+    """A run that is stopped in its second load and continued has the fields of one that was not stopped, to what the
+    tolerance leaves; the fields are those that `solve` gives.
+    """
+    surface = {"lambda_s": 8.0, "rms_slope": 0.1}
+    sections = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": [0.01, 0.02]}}
+    text = rough_job(128, surface, **sections, solver={"storage": "float32"},
+                     output={"fields": ["height", "pressure", "gap"], "precision": "float64"})  # fmt: skip
+    whole, halved = shared_tmp_path / "whole", shared_tmp_path / "halved"
+    simulate(parse(text), comm, whole)
+    solve, calls = Loads.solve, []
+
+    def once(self, index):
+        calls.append(index)
+        if len(calls) > 1:
+            raise Stopped("stopped")
+        return solve(self, index)
+
+    with monkeypatch.context() as patched, pytest.raises(Stopped):
+        patched.setattr(Loads, "solve", once)
+        simulate(parse(text), comm, halved)
+    simulate(parse(text), comm, halved, restart=True)
+    for load in (0, 1):
+        one, two = (Results(folder).field("pressure", load) for folder in (whole, halved))
+        assert np.linalg.norm(one - two) <= 1e-3 * np.linalg.norm(one)
+    heights = np.ascontiguousarray(Results(whole).field("height")[slab(128, comm.size, comm.rank)])
+    direct = pgfmd.solve(heights, 0.01, storage="float32", comm=comm, threads=1)
+    saved = Results(whole).field("pressure", 0)[slab(128, comm.size, comm.rank)]
+    assert np.abs(saved - direct.pressure).max() <= 1e-3 * saved.max()
+
+
+def test_refined_heights_are_stored_in_single_precision(comm):
+    """On a grid of twice the points each way, certified in double precision."""
+    heights = rough(comm, 64)
+    found = pgfmd.solve(heights, 0.01, refine=2, storage="float32", comm=comm, threads=1)
+    assert found.pressure.dtype == np.float32 and found.grid.shape == (128, 128)
+    stored = found.heights.astype(float)
+    again = pgfmd.certify(stored, found.pressure.astype(float), found.mean_pressure, spacing=0.5, comm=comm, threads=1)
+    assert again.certified_error < 2e-8
 
 
 def test_observables_are_those_of_double_precision(comm):

@@ -31,6 +31,7 @@ from pgfmd.options.text import counted
 from pgfmd.parallel.collectives import from_root
 from pgfmd.parallel.mpi import MPI
 from pgfmd.physics.problem import ContactProblem
+from pgfmd.solvers.nondimensional import in_storage
 from pgfmd.surfaces.file import digest
 from pgfmd.surfaces.rigid_surface import refined_heights
 
@@ -88,7 +89,7 @@ def simulate(
         refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
-            heights = heights.astype(grid.storage, copy=False)
+            heights = in_storage(grid, heights)
             job.solid.prepare(grid)
         machine.report(comm, memory, available)  # only now: for wrong input the error is the only line
         log.info("solid: %s; %s", job.solid.kind, in_words(job.solid))

@@ -33,7 +33,7 @@ class Bearing(Observable):
     """
 
     name = "bearing"
-    precise = True  # heights are sorted by the bits of their numbers
+    needs_double = True  # heights are sorted by the bits of their numbers
     layout = {
         "bearing": {"threshold": Dataset("{length}", "height above which the surface has the relative area f_c")},
         "bearing_spectrum": spectrum_layout("1", "|Θ̃|² of the bearing area (1 above the threshold, 0 below)"),

@@ -30,8 +30,8 @@ class Observable(Section):
     name: under which a job lists it in `observables`.  layout: the groups of datasets that it may write.  The group
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
     fields: of `schema.FIELDS`, that it can write.  attraction: whether it can be measured where the wall attracts.
-    needs_period: why it is not measured with open boundaries; "" if it is.  precise: whether it needs fields that are
-    stored in double precision.
+    needs_period: why it is not measured with open boundaries; "" if it is.  needs_double: whether it needs fields
+    that are stored in double precision.
     """
 
     name: ClassVar[str]
@@ -39,7 +39,7 @@ class Observable(Section):
     fields: ClassVar[tuple[str, ...]] = ()
     attraction: ClassVar[bool] = True
     needs_period: ClassVar[str] = ""
-    precise: ClassVar[bool] = False
+    needs_double: ClassVar[bool] = False
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -54,7 +54,7 @@ class Observable(Section):
 
     def check_storage(self, double: bool) -> None:
         """Raises InputError if it cannot be measured on fields of that precision."""
-        if self.precise and not double:
+        if self.needs_double and not double:
             raise InputError(f'output.observables: {self.name} needs solver.storage = "float64"')
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:

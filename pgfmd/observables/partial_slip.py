@@ -39,7 +39,7 @@ class PartialSlip(Observable):
     """
 
     name = "partial_slip"
-    precise = True  # a difference of two contacts
+    needs_double = True  # a difference of two contacts
     fields = ("traction",)
     attraction = False
     layout = {

@@ -91,6 +91,7 @@ class AdhesiveState:
     level: float = 0.0
     pressure_error: float = math.nan
     shift: int = 0
+    base: float = 0.0
     pressure: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property

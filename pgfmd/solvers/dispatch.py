@@ -40,11 +40,11 @@ def solve_contact(
     """The contact, solved by the method and to the tolerance of the options.  Collective.
 
     start: a pressure (nx_local, ny) to begin with instead of coarse grids; it is ignored if its sum is 0 or not finite.
-    If the method fails, it is tried once more without the start; if that fails and the method is "auto", dynamics are
-    tried (neither if rounding alone keeps the error above the tolerance).  monitor(grid, state): called after outer
-    steps.  overwrite_heights: their memory may be used, and they are lost; a method that fails is then not followed by
-    another.  Raises InputError for a method that the law does not take and for values out of range, SolverError if the
-    tolerance cannot be reached.
+    If the method fails, it is tried once more without the start; if that fails, the method is "auto" and fields are in
+    double precision, dynamics are tried (neither if rounding alone keeps the error above the tolerance).
+    monitor(grid, state): called after outer steps.  overwrite_heights: their memory may be used, and they are lost; a
+    method that fails is then not followed by another.  Raises InputError for a method that the law does not take and
+    for values out of range, SolverError if the tolerance cannot be reached.
     """
     options.check_law(problem.law)
     options.check_domain(problem.law, problem.solid, problem.grid.domain)

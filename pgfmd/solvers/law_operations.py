@@ -36,6 +36,7 @@ class LawState:
     iterations: int = 0
     pressure_error: float = math.nan  # ‖Kε‖/‖p̂‖, an estimate
     shift: int = 0
+    base: float = 0.0
     rounding: float = 0.0  # error that rounding of the gap and of the pressure's last digits may make
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from pgfmd.errors import InputError, SolverError, Unreachable
+from pgfmd.errors import InputError, SolverError, Uncertifiable, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict_locally
 from pgfmd.parallel.collectives import shared
@@ -38,7 +38,9 @@ SURE = 0.3  # part of the target's tolerance that may be due to the solution's c
 FARTHER = 4.0  # far from a target: its error over the part that the solution's certified error may make
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
 JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs between its ends counts as jumping
-SHARP = 1e-12  # certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump
+# Certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump.  Fields in single
+# precision are certified to no less than about the second.
+SHARP = {np.float64: 1e-12, np.float32: 1e-10}
 ABOUT, LEAST_SIDE = 1e-2, 64  # tolerance of a gap on the coarser grid that gives a first guess, and its least side
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80
@@ -126,7 +128,8 @@ class LoadControl:
             tolerance = min(self.tolerance, imposed.tolerance)
             found = self.solver(self.problem.imposing(imposed, guess), start, tolerance)
         except SolverError as failure:
-            if not shared(self.grid.comm, failure):
+            hidden = self.grid.storage is np.float32 and isinstance(failure, Uncertifiable)  # so by a search too
+            if hidden or not shared(self.grid.comm, failure):
                 raise
             return None
         self._totals += found.iterations, found.transforms, found.seconds
@@ -146,7 +149,7 @@ class LoadControl:
     def _search(self, target: float) -> ContactSolution:
         """Solves at one p̄ after another until the target is met, the solution's own error included.  Collective."""
         control, tolerance = self.control, max(LOOSE, self.tolerance)
-        sharpest = min(self.tolerance, SHARP) if control.jumps else self.tolerance
+        sharpest = min(self.tolerance, SHARP[self.grid.storage]) if control.jumps else self.tolerance
         highest = self.problem.law.highest
         search = _Search(self._first_guess(target), math.log(highest))
         search.slope = self._slope

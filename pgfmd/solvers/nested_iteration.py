@@ -17,7 +17,7 @@ from pgfmd.solvers.nondimensional import Dimensionless
 from pgfmd.solvers.solution import ContactSolution, Monitor, SolverState
 
 COARSEST, NARROWEST = 32, 8  # root of the number of points, and points of the shorter side, not to be coarsened
-SINGLE = 0.8  # part of the tolerance that rounding of pressures to single precision leaves to the solver
+SOLVER_SHARE = 0.8  # part of the tolerance that is the solver's, where pressures are stored in single precision
 FLAT = 1e-2  # rms height on a coarse grid over that on the fine one, below which its solution is no good start
 
 StateType = TypeVar("StateType", bound=SolverState)
@@ -53,8 +53,8 @@ class NestedIteration(Generic[StateType]):
         called after each outer step.  overwrite_heights: their memory is used, and they are lost.  Raises InputError
         for what is out of range, SolverError if the tolerance cannot be reached.
         """
-        stored = 1.0 if problem.grid.storage is np.float64 else SINGLE
-        nested = cls(stored * tolerance, monitor)
+        share = 1.0 if problem.grid.storage is np.float64 else SOLVER_SHARE
+        nested = cls(share * tolerance, monitor)
         scaled = Dimensionless(problem, overwrite_heights)
         if scaled.uniform is not None:
             return scaled.uniform

@@ -23,7 +23,11 @@ UNIFORM = 1e15  # range of a law over the rms height above which a pressure in d
 SHORTEST = 8e-9  # least reach of a law over the rms height: ζ is then 1e5 units of the last digit of a gap
 SUMS = 1e-12  # relative error of the sums in a certified error
 BEYOND = 1.01  # safety factor on the depth that can touch
-CENTRED = 1e-13  # heights stay as they are if |mean|/rms is at most this, and rms and 1/rms at most `MODERATE`
+FAR = 16.0  # largest height over the range of heights that single precision holds: to 1e-6 of the range
+WIDEST = 1e30  # largest range of heights and mean pressure in single precision; the inverse is the smallest
+# Heights in double precision stay as they are if |mean|/rms is at most this, those in single if it is at most half a
+# unit of their last digit; and if rms and 1/rms are at most `MODERATE`.
+CENTRED = 1e-13
 
 
 class Dimensionless:
@@ -65,6 +69,8 @@ class Dimensionless:
                 f"{SHORTEST:g} of the rms height of what can touch, here {made.unit:g}; shorter walls are hard: "
                 'wall.kind = "hard"'
             )
+        if grid.storage is np.float32 and not 1 / WIDEST < mean < WIDEST:
+            raise InputError(f'mean pressure = {mean:g}: too far from 1 for solver.storage = "float32"; take "float64"')
         self.units = Units(made.unit, mean, law.gap(mean, solid), law.highest)
         self.problem = ContactProblem(
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0,
@@ -111,10 +117,10 @@ class Dimensionless:
         certificate does not contain, brings the error above the tolerance.
         """
         pressure, gap, units, grid = state.pressure, state.gap, self.units, self.physical.grid
-        law, level = self.problem.law, state.level
+        law, level = self.problem.law, state.base + state.level
 
         def finish(first: int, stop: int) -> float:
-            return law.finish(pressure[first:stop], gap[first:stop], level, units)
+            return law.finish(pressure[first:stop], gap[first:stop], state.level, units)
 
         mean, square = self.problem.mean_pressure, grid.reduction.dot(pressure, pressure) / grid.size
         if self.problem.imposed is not None:
@@ -129,7 +135,7 @@ class Dimensionless:
                 f"the certified error stays at {error:.1e}, above the tolerance {tolerance:.1e}: so small an elastic "
                 "energy is lost in the last digits of the pressure; allow a larger tolerance"
             )
-        raw = 0.0 if grid.domain.wraps else grid.reduction.sum(gap) / grid.size - level
+        raw = 0.0 if grid.domain.wraps else grid.reduction.sum(gap) / grid.size - state.level
         violation = grid.reduction.max(grid.threads.collect(finish, len(gap)))
         cut = 0.0 if grid.domain.wraps else grid.reduction.sum(gap) / grid.size - raw * units.height
         lowered, work = self._lower(pressure, gap) if self._heights.depth < math.inf else (0.0, 0.0)
@@ -170,7 +176,8 @@ class Dimensionless:
 
         def lower(first: int, stop: int) -> tuple[float, float]:
             rows = slice(first, stop)
-            below = np.maximum(made.high - heights[rows] - made.depth, 0.0)
+            own = heights[rows].astype(np.float64, copy=False)
+            below = np.maximum(made.high - own - made.depth, 0.0)
             gap[rows] += below
             return math.fsum(below.ravel()), float(np.vdot(pressure[rows], below))
 
@@ -205,6 +212,23 @@ def verify(law: ContactLaw, scaled: ContactLaw, units: Units, solid: Solid) -> N
         wrong = f"excess: {excess:.6g} is less than what gaps make it, {least:.6g}"
     if wrong:
         raise InputError(f'wall.kind = "{law.kind}": {wrong} (in the units of in_units)')
+
+
+def in_storage(grid: SlabGrid, heights: np.ndarray) -> np.ndarray:
+    """Heights (nx_local, ny) in the precision in which the grid's fields are stored, in the same array if they have it.
+    Raises InputError for heights that single precision would not hold to 1e-6 of their range.  Collective.
+    """
+    if grid.storage is np.float64:
+        return heights
+    high, low = grid.reduction.max(heights), grid.reduction.min(heights)
+    largest, height, reason = max(abs(high), abs(low)), high - low, ""
+    if height and largest > FAR * height:
+        reason = f"the largest is {largest / height:.0f} times their range; subtract the mean"
+    if height and not 1 / WIDEST < height < WIDEST:
+        reason = f"their range is {height:.1e}, and must lie between {1 / WIDEST:g} and {WIDEST:g}; take another unit"
+    if reason:
+        raise InputError(f'solver.storage = "float32": not with these heights: {reason}, or take "float64"')
+    return heights.astype(np.float32)
 
 
 def elastic_energy_is_lost(problem: ContactProblem, rms: float) -> bool:
@@ -338,6 +362,7 @@ def _rescale_rows(heights: np.ndarray, high: float, size: float, out: np.ndarray
 
 def _sums(field: np.ndarray) -> tuple[float, float]:
     """The sum of a field and that of its squares."""
+    field = field.astype(np.float64, copy=False)
     return float(field.sum()), float(np.vdot(field, field))
 
 

@@ -38,9 +38,19 @@ class Patience:
         )
 
 
-def uncertifiable(rounding: float, tolerance: float, precision: str = "double") -> Uncertifiable:
-    """What to raise where rounding in that precision alone may be an error above the tolerance."""
+def uncertifiable(rounding: float, tolerance: float) -> Uncertifiable:
+    """What to raise where rounding in double precision alone may be an error above the tolerance."""
     return Uncertifiable(
-        f"the tolerance {tolerance:.1e} cannot be certified: rounding in {precision} precision may amount to "
+        f"the tolerance {tolerance:.1e} cannot be certified: rounding in double precision may amount to "
         f"{rounding:.1e}; allow a larger tolerance"
+    )
+
+
+def too_fine_for_single(least: float) -> Uncertifiable:
+    """What to raise where fields stored in single precision cannot be certified to the tolerance, only to about
+    `least`.
+    """
+    return Uncertifiable(
+        f"the error cannot be certified below about {least:.1e}, by rounding in single precision; allow a larger "
+        'tolerance, or take solver.storage = "float64"'
     )

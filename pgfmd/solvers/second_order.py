@@ -72,9 +72,9 @@ class Rounding:
 
     Rounding errors of transforms are white, in the input and in the output.  So ‖e‖²_K is the mean of K over all modes
     times the squared error of the displacement, plus the mean of G times that of the pressure, plus the rounding of the
-    heights themselves, in double precision, plus ⟨p, Gp⟩ times the squared error of G.
+    heights themselves, in the precision in which they are stored, plus ⟨p, Gp⟩ times the squared error of G.
 
-    means: of compliance and stiffness over all modes
+    means: of compliance and stiffness over all modes; digit: of stored heights
     """
 
     def __init__(self, grid: SlabGrid, solid: Solid) -> None:
@@ -89,6 +89,7 @@ class Rounding:
         sums = np.sum(grid.threads.collect(part, columns, COLUMNS), axis=0) if columns else np.zeros(2)
         self.means = grid.reduction.sums(*sums) / grid.modes
         primes = any(pow(30030, 64, n) for n in grid.torus)  # whether a prime above 13 divides n
+        self.digit = float(np.finfo(grid.storage).eps)
         self.factor = ROUNDING[primes] * math.sqrt(math.log2(2 * grid.modes))
 
     def bound(
@@ -99,7 +100,7 @@ class Rounding:
         squares: its Σ p² and Σ u²; heights_squared: Σ h² + (h − max h)², as heights may be measured first from the
         highest point, then from their mean; work: Σ p u.
         """
-        digit, last = float(np.finfo(precision).eps), float(np.finfo(np.float64).eps)
+        digit, last = float(np.finfo(precision).eps), self.digit
         unit, compliance, stiffness = self.factor * digit / 2, float(self.means[0]), float(self.means[1])
         transforms = unit**2 * (compliance * float(squares[0]) + stiffness * float(squares[1]))
         return (transforms + last**2 * stiffness * heights_squared + (SYMBOL * digit) ** 2 * work) / 2

@@ -13,13 +13,15 @@ from pgfmd.grid.slab_grid import SlabGrid
 
 
 class SolverState(Protocol):
-    """The state of any solver between steps: pressure and gap (nx_local, ny) in its own units, the level from which
-    gaps are measured, certified error, points in contact, iterations, an estimate of ‖p − p*‖/‖p‖, and the
-    shift: row i of the fields is row i + shift of the periodic cell, other than 0 only within a relaxation.
+    """The state of any solver between steps: pressure and gap (nx_local, ny) in its own units, the level in contact as
+    the gap is measured (that of distances is base + level), certified error, points in contact, iterations, an estimate
+    of ‖p − p*‖/‖p‖, and the shift: row i of the fields is row i + shift of the periodic cell, other than 0 only within
+    a relaxation.
     """
 
     pressure: np.ndarray
     gap: np.ndarray
+    base: float
     level: float
     error: float
     contact: int

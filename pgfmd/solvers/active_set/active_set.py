@@ -40,7 +40,7 @@ from pgfmd.solvers.active_set.continuation import (
 )
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
-from pgfmd.solvers.patience import STEPS, Patience, uncertifiable
+from pgfmd.solvers.patience import STEPS, Patience, too_fine_for_single, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
@@ -130,8 +130,8 @@ class Relaxation:
         Uncertifiable if that is due to rounding in double precision.
         """
         precision, patience = self.precision, Patience(self.patience)
-        met_late, asked, widens = 0, tolerance, self.grid.storage is np.float64
-        unseen = UNSEEN if widens else MOST_UNSEEN
+        met_late, asked, can_widen = 0, tolerance, self.grid.storage is np.float64
+        unseen = UNSEEN if can_widen else MOST_UNSEEN
         before, raised = math.inf, 1.0  # the last estimate; factor on estimates, since certificates were higher
         for step in range(self.most_steps):
             if precision is np.float64:
@@ -164,9 +164,9 @@ class Relaxation:
             wanted, before = self.next_cut(estimate, before, math.sqrt(enough)), estimate
             # Before rounding would show in the next estimate, precision changes.
             shows = rounding > unseen * max(tolerance, self.left(wanted, enough) * estimate)
-            if shows and not widens:
-                raise uncertifiable(rounding, tolerance, "single")
-            if shows or widens and patience.lost >= STUCK:
+            if shows and not can_widen:
+                raise too_fine_for_single(rounding / unseen)
+            if shows or can_widen and patience.lost >= STUCK:
                 precision = np.float64
             self.improve(state, system, wanted, enough)
         raise patience.failure(self.kind, self.grid, state.iterations, tolerance)
@@ -184,12 +184,9 @@ class Relaxation:
         state.level, state.base = state.level + state.base, 0.0
 
     def store(self, state: State) -> None:
-        """Brings a solved state to the precision in which it is kept, and to base 0.  Collective."""
+        """Brings a solved state to the precision in which it is kept.  Collective."""
         if self.grid.storage is np.float64:
             self.widen(state)
-            return
-        state.gap += np.float32(state.base)
-        state.level, state.base = state.level + state.base, 0.0
 
     def left(self, wanted: float, enough: float) -> float:
         """The part of the estimate that a step with these arguments of `improve` probably leaves."""

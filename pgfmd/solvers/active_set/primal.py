@@ -82,16 +82,16 @@ class PressureSteps(Relaxation):
         """As `Relaxation.compute_gap`; the transforms of the mesh make room for those of the grid, and these for the
         system: at 8192² and an area of .18 the peak is 3.7 bytes per point lower, for no time that shows.  Collective.
         """
-        with self._room():
+        with self._memory_for_transforms():
             super().compute_gap(state, precision)
 
     def certify(self, state: State, system: ConjugateGradients, precision: Precision) -> float:
         """As `Relaxation.certify`, with room as in `compute_gap`.  Collective."""
-        with self._room(system):
+        with self._memory_for_transforms(system):
             return super().certify(state, system, precision)
 
     @contextmanager
-    def _room(self, system: ConjugateGradients | None = None) -> Iterator[None]:
+    def _memory_for_transforms(self, system: ConjugateGradients | None = None) -> Iterator[None]:
         """Frees what can be made anew of the mesh, the preconditioner and the system before the block, and the
         transforms of the grid after it, if they are large.  Collective.
         """
@@ -156,14 +156,14 @@ class PressureSteps(Relaxation):
         goal, failures = self.left(wanted, enough) * system.square, 0
         while failures < 2:
             square, wanted = system.square, max(wanted, math.sqrt(goal / system.square))
-            points, change = system.points, self._change(state, system, wanted)
+            change = self._solve_for_change(state, system, wanted)
             if goal > SURE * square and wanted**2 * square < 1.1 * goal:
-                self._make(state, points, change)
+                self._apply_change(state, system.points, change)
                 return
             near = Unknowns(self.grid, (state.pressure, state.gap), state.level + NEAR * system.rms)
             before = near.values(state.pressure)
-            self._make(state, points, change)
-            del points, change
+            self._apply_change(state, system.points, change)
+            del change
             self._respond(state, near, before)
             del near, before  # the next system needs their room
             system = self._system(state)
@@ -183,10 +183,10 @@ class PressureSteps(Relaxation):
         near.add(state.gap, response)
 
     def _solve(self, state: State, system: ConjugateGradients, wanted: float) -> None:
-        """`_change` and `_make`."""
-        self._make(state, system.points, self._change(state, system, wanted))
+        """`_solve_for_change` and `_apply_change`."""
+        self._apply_change(state, system.points, self._solve_for_change(state, system, wanted))
 
-    def _change(self, state: State, system: ConjugateGradients, wanted: float) -> np.ndarray:
+    def _solve_for_change(self, state: State, system: ConjugateGradients, wanted: float) -> np.ndarray:
         """The change of the pressure (count,) that reduces the gap's deviation from a constant on the unknowns by the
         factor `wanted`.  Collective.
         """
@@ -200,7 +200,7 @@ class PressureSteps(Relaxation):
         state.iterations += steps
         return change
 
-    def _make(self, state: State, points: Unknowns, change: np.ndarray) -> None:
+    def _apply_change(self, state: State, points: Unknowns, change: np.ndarray) -> None:
         """Adds a change (count,) to the pressure, and makes that feasible.  Collective."""
         points.add(state.pressure, change)
         self.feasible.make(points, (state.pressure, state.gap))

@@ -319,6 +319,8 @@ def _options(chance, document: dict, size: float, step: float) -> None:
             document["grid"].pop("n")  # which is that of the file, or twice that
     if chance.random() < 0.1:
         document["solver"]["transform"] = "mpi4py-fft"
+    if chance.random() < 0.05:
+        document["solver"]["storage"] = "float32"
 
 
 def _layer(chance, modulus: float, step: float) -> dict:
