@@ -142,6 +142,7 @@ def test_coarse_grids_of_a_node(ranks, of):
         ({}, 0.04, {}),
         ({}, 0.0032, {"method": "gfmd"}),
         ({}, 0.0032, {"transform": "mpi4py-fft"}),
+        ({}, 0.012, {"storage": "float32"}),
         ({"kind": "exponential", "zeta": 0.25}, 0.0032, {}),
         ({"kind": "adhesive", "work": 0.0002, "range": 0.05}, 0.0032, {}),
     ],

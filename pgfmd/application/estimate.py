@@ -15,6 +15,7 @@ from pgfmd.application.results import size_in_words
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.grid_cost import Cost, largest_shares
+from pgfmd.grid.slab_grid import ROOM
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, readable
 from pgfmd.parallel.mpi import shared_memory
@@ -23,9 +24,6 @@ from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
 from pgfmd.solvers.options import cost as solver_cost
 
 PLASTIC_BYTES = 8.0  # per grid point under limited hardness: plastic depth
-# Per point of a grid while a coarser one is solved: heights, perhaps scaled too, and strips; in single precision, where
-# strips are freed first.
-WAITING_BYTES = {"float64": 24.0, "float32": 8.0}
 BASE_BYTES = 2.1e8  # of a rank before it has a grid: interpreter, MPI, libraries, compiled code (Debian 12, x86-64)
 LIBRARY_BYTES = 1.2e8  # of these, what all ranks of a node share
 AGGREGATION_BYTES = 2**25  # buffer in which one rank gathers a field while all write it (OMPIO's default)
@@ -139,11 +137,11 @@ class Plan:
         blocked = workspace * (job.solver.transform == "blocked")
         packed = blocked * (1 - 1 / nodes)
         seen = blocked * (here - 1) / (here if nodes == 1 else 1) + packed
-        written = self.field_bytes + workspace
-        waiting = WAITING_BYTES[job.solver.storage]
+        transformed = not blocked or any(cost.transforms for cost in self.measuring_costs())
+        written = self.field_bytes + workspace * transformed  # blocked strips are made when a transform needs them
         solving, of_nodes = self.bytes_per_point(ranks), self.bytes_per_point(nodes)
-        rank = max(peak(shares, solving, waiting), written * shares[0] + gathered) + seen * shares[0]
-        node = max(peak(of_node, of_nodes, waiting), written * of_node[0] + gathered) + packed * of_node[0]
+        rank = max(self._peak(shares, solving), written * shares[0] + gathered) + seen * shares[0]
+        node = max(self._peak(of_node, of_nodes), written * of_node[0] + gathered) + packed * of_node[0]
         return rank, node
 
     def rank_groups(self, ranks: int, room: float = math.inf) -> int:
@@ -164,12 +162,35 @@ class Plan:
 
         def fits(groups: int) -> bool:
             narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
-            most = peak(largest_shares((nx, ny), narrow), self.bytes_per_point(), WAITING_BYTES[job.solver.storage])
+            most = self._peak(largest_shares((nx, ny), narrow), self.bytes_per_point())
             return wide <= nx and BASE_BYTES + most <= room
 
         most = min(ranks, surfaces)
         # If nothing fits, one group takes least memory on each rank; it needs a row for each.
         return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
+
+    def _peak(self, shares: list[int], per_point: float) -> float:
+        """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
+
+        per_point: bytes per point of the grid that is solved or measured; finer grids keep their heights meanwhile,
+        and the finest also its transforms, if they are not freed.  A coarser grid can be the worst: fewer ranks hold
+        it, with larger shares.
+        """
+        freed = self.job.solver.transform == "blocked" and self.job.cell.domain.wraps and shares[0] > ROOM
+        transforms = 0.0 if freed else shares[0] * WORKSPACE[self.job.solver.transform]
+        heights = (1 + self.scaled) * np.dtype(self.job.solver.storage).itemsize
+        return max(
+            per_point * share + heights * sum(shares[:level]) + transforms * (level > 0)
+            for level, share in enumerate(shares)
+        )
+
+    @property
+    def scaled(self) -> bool:
+        """Whether heights are solved in a scaled copy."""
+        slope, cell, surface = self.job.surface.whole.known_slope() or 0.0, self.job.cell, self.job.surface.whole
+        # slope × spacing and slope × length bound the rms height of a surface with mean 0
+        moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
+        return self.job.wall.reach > 0 or not (surface.centred and moderate)
 
     @property
     def field_bytes(self) -> float:
@@ -197,15 +218,12 @@ class Plan:
         """What each load costs to solve; memory of the fullest of so many slabs."""
         job = self.job
         method = job.wall.methods[0] if job.solver.method == "auto" else job.solver.method
-        slope, cell = job.surface.whole.known_slope() or 0.0, job.cell
-        # slope × spacing and slope × length bound the rms height of a surface with mean 0
-        moderate = 5 / MODERATE < slope * min(cell.spacings) and slope * max(cell.lengths) < MODERATE
-        scaled = job.wall.reach > 0 or not (job.surface.whole.centred and moderate)
+        cell = job.cell
         single = job.wall.highest == math.inf and job.solver.tolerance >= SINGLE_TO * math.sqrt(cell.n[0] * cell.n[1])
         effort = job.wall.newton_effort if method == "newton" else job.wall.effort
         most = 1.0 if cell.domain.wraps else GAPS_FROM  # open: pressures are the unknowns at any area
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
-        arrays = Arrays(scaled, single, strips, job.solver.storage == "float64")
+        arrays = Arrays(self.scaled, single, strips, job.solver.storage == "float64")
         costs = [solver_cost(method, min(area, most), slabs, effort, arrays) for area in self.contact_areas()]
         for number, each in enumerate(self.extents):
             if each.part <= WORTH:
@@ -327,15 +345,6 @@ def _extents(job: Job) -> tuple[Extent, ...]:
         area = float(np.mean(contact.pressure > 0))
         found.append(Extent(area, part, TABLE_BYTES * math.prod(wide) + WORKSPACE["blocked"] * wide[1]))
     return tuple(found)
-
-
-def peak(shares: list[int], per_point: float, waiting: float) -> float:
-    """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
-
-    per_point: bytes per point of the grid that is solved or measured; finer grids keep `waiting` bytes per point
-    meanwhile.  A coarser grid can be the worst: fewer ranks hold it, with larger shares.
-    """
-    return max(per_point * share + waiting * sum(shares[:level]) for level, share in enumerate(shares))
 
 
 def gain(ranks: int) -> float:
