@@ -7,8 +7,8 @@ from solids import elastic
 
 from pgfmd.grid import grid_cost
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.parallel import layout
-from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
+from pgfmd.parallel import alone, layout
+from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow, hops
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 from pgfmd.physics.problem import ContactProblem
@@ -108,6 +108,49 @@ def test_window_of_rows(beyond, count):
     window.add()
     expected = np.bincount(np.concatenate(comm.allgather(numbers)), minlength=23)
     assert np.array_equal(window.own, np.repeat(expected[rows, None], 4, axis=1))
+
+
+@pytest.mark.parametrize("radix", [2, layout.RADIX])
+@pytest.mark.parametrize("count", [1, (comm.size + 1) // 2])
+def test_rows_relayed_are_those_sent(monkeypatch, radix, count):
+    """To few ranks and back, through ranks between where all have over `radix` times as many."""
+    monkeypatch.setattr(layout, "RADIX", radix)
+    all_ranks, few = SlabGrid(comm, (23, 6)).layout, Layout.spread(comm, 23, count)
+    whole = np.random.default_rng(1).random((23, 6))
+    for source, target in ((all_ranks, few), (few, all_ranks)):
+        plans, exchange = hops(source, target), Exchange(comm)
+        assert (len(plans) > 1) == (comm.size > radix * count)
+        found = np.empty_like(whole[target.rows])
+        exchange.relay(plans, whole[source.rows].copy(), found)
+        exchange.carry_out()
+        assert np.array_equal(found, whole[target.rows])
+
+
+class Planned(alone.Comm):
+    """A rank of many, of which only what it receives is planned."""
+
+    def __init__(self, size: int, rank: int) -> None:
+        self.size, self.rank = size, rank
+
+    def Allgather(self, send, receive) -> None:
+        """The others ask for nothing."""
+        receive[...] = 0
+
+
+@pytest.mark.parametrize(("ranks", "most"), [(4, 3), (16, 6), (32, 7), (64, 9), (256, 12)])
+def test_no_rank_meets_all_others(ranks, most):
+    """Rows that come to one rank, and go back, are few messages for any rank: 9 on 64 ranks, where one from each other
+    would be 63, and in the mean over the ranks less than 3.
+    """
+    for back in (False, True):
+        messages = np.zeros(ranks, int)
+        for rank in range(ranks):
+            held = [Layout.spread(Planned(ranks, rank), 256, count) for count in (ranks, 1)]
+            for plan in hops(*(reversed(held) if back else held)):
+                partners = {owner for owner, *_ in plan.receives}
+                messages[rank] += len(partners)
+                messages[list(partners)] += 1
+        assert messages.max() == most and messages.mean() < 3
 
 
 @pytest.mark.parametrize("joined", [layout.JOINED, 0])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -25,6 +26,8 @@ Piece = tuple[int, np.ndarray]
 """First row, and the rows."""
 
 JOINED = 1 << 20  # bytes up to which all that goes to a rank is packed into one message
+# By `hops`, rows of so many ranks meet on one: rank 0 gets 9 messages of 64 ranks, and not one from each of the others.
+RADIX = 4
 
 
 class Layout:
@@ -55,7 +58,7 @@ class RowPlan:
     """Which rows of an array go from rank to rank, so that each rank gets its `ranges`.  Collective to make; in an
     exchange only partners communicate.
 
-    places: row of the target at which each range begins; None: one after the other.
+    places: row of the target at which each range begins; None: one after the other.  count: rows of all ranges.
     sends: (rank, first, stop), local rows of this rank.  receives: (rank, at, end), rows of the target.  copies:
     (first, stop, at), local rows that stay here.  Sender and receiver list their pieces in the same order.
     """
@@ -66,6 +69,7 @@ class RowPlan:
         if self.comm.size > 1:
             self.comm.Allgather(np.array(ranges, np.int64), wanted)
         lengths = [max(high - low, 0) for low, high in ranges]
+        self.count = sum(lengths)
         places = np.cumsum([0, *lengths[:-1]]).tolist() if places is None else places
         self.sends: list[tuple[int, int, int]] = []
         self.receives: list[tuple[int, int, int]] = []
@@ -100,6 +104,7 @@ class Exchange:
         self._received: dict[int, list[np.ndarray]] = {}
         self.requests: list[MPI.Request] = []
         self._joined: list[tuple[np.ndarray, list[np.ndarray]]] = []
+        self._later: list[tuple[RowPlan, np.ndarray, np.ndarray]] = []
 
     def fetch(
         self,
@@ -136,6 +141,13 @@ class Exchange:
             self._sent.setdefault(owner, []).append(target[at:end])
         return pieces + [(first, target[at : at + stop - first]) for first, stop, at in plan.copies]
 
+    def relay(self, plans: Sequence[RowPlan], source: np.ndarray, target: np.ndarray) -> None:
+        """Adds a transfer by `hops`: the first with the other plans, the rest in `finish`, one after the other."""
+        between = [np.empty((plan.count, *source.shape[1:]), source.dtype) for plan in plans[:-1]]
+        fields = [source, *between, target]
+        self.fetch(plans[0], source, fields[1])
+        self._later += zip(plans[1:], fields[1:-1], fields[2:], strict=True)
+
     def start(self) -> None:
         """Posts all messages."""
         messages: list[tuple[int, np.ndarray]] = []
@@ -158,12 +170,28 @@ class Exchange:
         MPI.Request.Waitall(self.requests)
         for whole, parts in self._joined:
             _copy_parts(whole, parts, join=False)
+        for plan, source, target in self._later:
+            plan.fetch(source, target)
 
     def carry_out(self) -> None:
         """`start` and `finish`, if this rank has partners."""
-        if self._sent or self._received:
+        if self._sent or self._received or self._later:
             self.start()
             self.finish()
+
+
+def hops(source: Layout, target: Layout) -> list[RowPlan]:
+    """Plans by which all rows go from one layout to another.  If one of these has over `RADIX` times as many holders,
+    rows go through layouts between, which have as many times fewer each.  Collective.
+    """
+    holders = [int(np.count_nonzero(np.diff(layout.starts))) for layout in (source, target)]
+    most, counts = max(holders), list[int]()
+    while most > RADIX * min(holders):
+        most = -(-most // RADIX)
+        counts.append(most)
+    counts.sort(reverse=holders[0] > holders[1])
+    stops = [source, *(Layout.spread(source.comm, int(source.starts[-1]), count) for count in counts), target]
+    return [RowPlan(here, [(there.rows.start, there.rows.stop)]) for here, there in pairwise(stops)]
 
 
 class RowWindow:

@@ -19,7 +19,7 @@ from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
 from pgfmd.grid.slab_grid import SlabGrid, transform_work
 from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import scaling
-from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow
+from pgfmd.parallel.layout import Exchange, Layout, RowWindow, hops
 from pgfmd.solvers.active_set.stencil import Symbol
 
 FEWEST = 64  # larger blocks are used if there are at least so many, squared, on the torus
@@ -79,8 +79,7 @@ class Blocks:
         self.window = BlockWindow(grid, FACTOR, ny)
         layout, answering = self.window.layout, self.place.layout
         self.inverse_counts, self.loads = np.zeros_like(self.window.own), np.zeros_like(self.window.own)
-        self._gather = RowPlan(layout, [(answering.rows.start, answering.rows.stop)])
-        self._scatter = RowPlan(answering, [(layout.rows.start, layout.rows.stop)])
+        self._gather, self._scatter = hops(layout, answering), hops(answering, layout)
         # together: every rank holds rows of blocks, and the same ones in both layouts
         self.together = np.array_equal(layout.starts, answering.starts) and np.diff(layout.starts).all()
         self.residuals, self.counts = np.empty((2, *self.place.local_shape), np.float32)
@@ -107,7 +106,9 @@ class Blocks:
         """Takes a new set, by the number of its points in each block.  Collective."""
         self.window.sum(counts)
         np.divide(1, np.maximum(self.window.own, 1), out=self.inverse_counts)
-        self._gather.fetch(self.window.own, self.counts)
+        exchange = Exchange(self.window.plan.comm)
+        exchange.relay(self._gather, self.window.own, self.counts)
+        exchange.carry_out()
         if self.coarser is not None:
             self.coarser.prepare(_sums_of(self.counts))
 
@@ -117,7 +118,7 @@ class Blocks:
         """
         self.window.sum(residuals)
         self._answers, self.loads[...] = Exchange(self.window.plan.comm), 0
-        exchange.fetch(self._gather, self.window.own.copy(), self.residuals)
+        exchange.relay(self._gather, self.window.own.copy(), self.residuals)
         if self.together and self.coarser is not None:
             self.coarser.split(_sums_of(self.residuals), exchange)
         self.window.own *= self.inverse_counts
@@ -132,7 +133,7 @@ class Blocks:
                 self.coarser.split(_sums_of(self.residuals), exchange)
                 exchange.carry_out()
             self._respond(self.place.grid, loads)
-        self._answers.fetch(self._scatter, loads, self.loads)
+        self._answers.relay(self._scatter, loads, self.loads)
         self._answers.start()
 
     def join(self, answers: Sums) -> None:

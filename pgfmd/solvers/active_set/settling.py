@@ -13,7 +13,7 @@ from pgfmd.grid.grid_cost import LEAST_MESH_ROWS
 from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import source
-from pgfmd.parallel.layout import RowPlan
+from pgfmd.parallel.layout import Exchange, hops
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.block_stiffness import BlockWindow
 from pgfmd.solvers.active_set.feasible import SHIFT
@@ -38,8 +38,7 @@ class Settling:
         self.changes = BlockWindow(grid, SIDE, ny)
         lengths = nx * SIDE * grid.spacing[0], ny * SIDE * grid.spacing[1]
         self.mesh = SubGrid(grid, (nx, ny), lengths, LEAST_MESH_ROWS)
-        rows = self.mesh.layout.rows
-        self._gather = RowPlan(self.changes.layout, [(rows.start, rows.stop)])
+        self._gather = hops(self.changes.layout, self.mesh.layout)
         self._solid = problem.solid
 
     def free(self) -> None:
@@ -81,8 +80,9 @@ class Settling:
         """⟨c, Gc⟩ of the change c that the last settling made, from its sums over blocks of `SIDE` pixels: long waves,
         which the residual does not show.  Collective.
         """
-        sums = np.empty(self.mesh.local_shape, np.float32)
-        self._gather.fetch(self.changes.own, sums)
+        sums, exchange = np.empty(self.mesh.local_shape, np.float32), Exchange(self.grid.comm)
+        exchange.relay(self._gather, self.changes.own, sums)
+        exchange.carry_out()
         energy = 0.0
         if (mesh := self.mesh.grid) is not None:
             compliance = self._solid.apply_compliance(mesh, np.float32, 1 / mesh.size)
