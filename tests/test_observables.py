@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 from solids import elastic
+from whole_fields import rowblocks
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import Cell
@@ -115,7 +116,7 @@ def test_autocorrelations_are_brute_force_means(comm, shape, lengths, bins):
     """C(Δr) = ⟨f(r) f(r + Δr)⟩, averaged over rings of Δr and along both axes; rounding only."""
     found = observe(comm, shape, lengths, acf={"spacing": bins[0], "bins": bins[1]})
     heights, pressure = fields(shape)
-    place = binning.distances(shape, lengths)
+    place = rowblocks.distances(shape, lengths)
     for name, field in {"stress": pressure, "contact": (pressure > 0) * 1.0, "height": heights}.items():
         shifts = np.ndindex(shape)
         expected = np.reshape([np.mean(field * np.roll(field, shift, (0, 1))) for shift in shifts], shape)

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from whole_fields import autocorrelation, power_spectrum, radial_autocorrelation, radial_average
+from whole_fields import autocorrelation, power_spectrum, radial_autocorrelation, radial_average, rowblocks
 
 from pgfmd.errors import InputError
 from pgfmd.observables import binning
@@ -79,9 +79,9 @@ def test_no_bin_reaches_beyond_the_cut_off():
 def test_rounding_cannot_move_a_mode_to_another_bin(per_decade):
     """Bins are the same if every |q| moves by some units in the last place, also |k|² = 10 that lies on an edge."""
     shape, lengths = (64, 64), (64.0, 64.0)
-    q = np.hypot(*binning.wave_numbers(shape, lengths))
+    q = np.hypot(*rowblocks.wave_numbers(shape, lengths))
     edges = binning.bin_edges(shape, lengths, per_decade=per_decade)
-    counts = [binning.accumulate(edges, q * factor, 1.0)[0] for factor in (1 - 1e-14, 1, 1 + 1e-14)]
+    counts = [rowblocks.accumulate(edges, q * factor, 1.0)[0] for factor in (1 - 1e-14, 1, 1 + 1e-14)]
     np.testing.assert_array_equal(counts[0], counts[1])
     np.testing.assert_array_equal(counts[2], counts[1])
 
@@ -91,12 +91,12 @@ def test_blocks_in_any_layout_add_up(monkeypatch):
     shape, lengths = (24, 17), (3.0, 5.0)
     height, pressure = (power_spectrum(field) for field in fields(shape))
     edges = binning.bin_edges(shape, lengths)
-    qx, qy = binning.wave_numbers(shape, lengths)
-    weight = binning.hermitian_weight(shape[1])
-    whole = binning.accumulate(edges, np.hypot(qx, qy), weight, height, pressure)
-    monkeypatch.setattr(binning, "BLOCK", 50)
+    qx, qy = rowblocks.wave_numbers(shape, lengths)
+    weight = rowblocks.hermitian_weight(shape[1])
+    whole = rowblocks.accumulate(edges, np.hypot(qx, qy), weight, height, pressure)
+    monkeypatch.setattr(rowblocks, "BLOCK", 50)
     parts = sum(
-        binning.accumulate(edges, np.hypot(qx.T, qy.T[rows]), weight[rows, None], height.T[rows], pressure.T[rows])
+        rowblocks.accumulate(edges, np.hypot(qx.T, qy.T[rows]), weight[rows, None], height.T[rows], pressure.T[rows])
         for rows in (slice(0, 1), slice(1, 6), slice(6, 6), slice(6, 9))
     )
     np.testing.assert_allclose(parts, whole, rtol=1e-13)

@@ -22,7 +22,6 @@ import pgfmd
 from pgfmd.application import job as config
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
-from pgfmd.observables import binning
 
 ROOT = Path(__file__).resolve().parent.parent
 PLOTS, PAPER = ROOT / "tools" / "plots", ROOT / "tools" / "paper"
@@ -541,12 +540,12 @@ def test_an_exact_field_theory_reads_one(runs):
     load = reading.loads([runs["soft1"]])[0]
     x, count = load.spectrum("stress")[0] / load.q_unit, load.spectrum("stress")[2]
     height = load.results.field("height")
-    qx, qy = binning.wave_numbers(height.shape, load.results.lengths)
+    qx, qy = rowblocks.wave_numbers(height.shape, load.results.lengths)
     q = np.hypot(qx, qy)
     g1 = 1 / (1 + load.zeta * q * load.modulus / (2 * load.mean_pressure))
     exact = (g1 * load.modulus * q / 2) ** 2 * whole_fields.power_spectrum(height)
-    sums = binning.accumulate(load.edges, q, binning.hermitian_weight(height.shape[1]), exact)
-    obeyed = binning.radial_mean(sums)[1]
+    sums = rowblocks.accumulate(load.edges, q, rowblocks.hermitian_weight(height.shape[1]), exact)
+    obeyed = rowblocks.radial_mean(sums)[1]
     ratios = estimators.band_ratio(field_theory.BANDS, np.round(x), count, obeyed, field_theory.summed(load))
     seen = np.isfinite(ratios)
     assert np.count_nonzero(seen) >= 3

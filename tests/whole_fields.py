@@ -1,12 +1,16 @@
-"""Spectra and autocorrelations of whole fields by plain NumPy, for comparison; as in
-`pgfmd.observables.binning`.
-"""
+"""Spectra and autocorrelations of whole fields by plain NumPy, for comparison; as in `pgfmd.observables.binning`."""
 
 from __future__ import annotations
+
+import sys
+from pathlib import Path
 
 import numpy as np
 
 from pgfmd.observables import binning
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tools" / "plots"))
+import rowblocks  # noqa: E402
 
 
 def power_spectrum(field) -> np.ndarray:
@@ -21,11 +25,11 @@ def autocorrelation(field) -> np.ndarray:
 
 def radial_average(power, shape, lengths, **bins) -> tuple[np.ndarray, ...]:
     """q, mean and count of a half spectrum (nx, ny//2+1) in the bins of `bin_edges` that hold modes."""
-    edges, q = binning.bin_edges(shape, lengths, **bins), np.hypot(*binning.wave_numbers(shape, lengths))
-    return binning.radial_mean(binning.accumulate(edges, q, binning.hermitian_weight(shape[1]), power))
+    edges, q = binning.bin_edges(shape, lengths, **bins), np.hypot(*rowblocks.wave_numbers(shape, lengths))
+    return rowblocks.radial_mean(rowblocks.accumulate(edges, q, rowblocks.hermitian_weight(shape[1]), power))
 
 
 def radial_autocorrelation(correlation, lengths) -> tuple[np.ndarray, ...]:
     """r, mean and count of an autocorrelation (nx, ny) in the bins of `lag_edges` that hold points."""
-    edges, r = binning.lag_edges(np.shape(correlation), lengths), binning.distances(np.shape(correlation), lengths)
-    return binning.radial_mean(binning.accumulate(edges, r, 1.0, correlation))
+    edges, r = binning.lag_edges(np.shape(correlation), lengths), rowblocks.distances(np.shape(correlation), lengths)
+    return rowblocks.radial_mean(rowblocks.accumulate(edges, r, 1.0, correlation))

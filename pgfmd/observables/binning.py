@@ -1,11 +1,11 @@
-"""Bins of wave numbers and distances on doubly periodic grids, and sums over them.  NumPy only.
+"""Bins of wave numbers and distances on doubly periodic grids.  NumPy only.
 
 A field has shape (nx, ny) on a cell of lengths (lx, ly).  Its Fourier coefficients are f̃(q) = (1/N) Σ f(r) exp(−iq·r),
 N = nx·ny, so that Σ_q |f̃|² is the mean square of the field: this is the normalisation of every spectrum in this
-package and in the result files.  Half spectra have shape (nx, ny//2+1), ky ≥ 0.
+package and in the result files.
 
 `bin_edges` and `lag_edges` make bins of a given width; `wave_number_bins` and `lag_bins` those that the keys of a job
-ask for.  Sums take blocks of modes or of points, in any layout, and may be added up over blocks and over ranks.
+ask for.
 """
 
 from __future__ import annotations
@@ -14,30 +14,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pgfmd.errors import InputError
 
 HAIR = 1e-9
 """Bin edges lie this much, relatively, above their nominal place: rounding cannot move a mode that lies on an edge."""
-
-BLOCK = 1 << 18
-"""Entries that are binned at a time: temporaries stay in the cache."""
-
-
-def wave_numbers(shape: Sequence[int], lengths: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-    """qx (nx, 1) in FFT order and qy (1, ny//2+1), ky ≥ 0, of a half spectrum; radians per length."""
-    (nx, ny), (lx, ly) = shape, lengths
-    return 2 * np.pi / lx * (np.fft.fftfreq(nx) * nx)[:, None], 2 * np.pi / ly * np.arange(ny // 2 + 1)[None, :]
-
-
-def hermitian_weight(ny: int) -> np.ndarray:
-    """How many modes of the whole spectrum an entry of the half spectrum stands for: 1 or 2, shape (ny//2+1,)."""
-    weight = np.full(ny // 2 + 1, 2.0)
-    weight[0] = 1
-    if ny % 2 == 0:
-        weight[-1] = 1
-    return weight
 
 
 def bin_edges(
@@ -125,41 +106,6 @@ def lag_bins(shape: tuple[int, int], lengths: tuple[float, float], spacing: str 
     edges = step * 10 ** ((np.arange(count + 1) - 0.5) / bins)
     edges = np.concatenate([[-edges[0], min(edges[0], step / 2)], edges[1:]]) if len(edges) > 1 else np.array([-half])
     return np.append(edges[edges < half], half) * (1 + HAIR)
-
-
-def distances(shape: Sequence[int], lengths: Sequence[float], rows: slice = slice(None)) -> np.ndarray:
-    """Distance of each grid point (rows, ny) from the point (0, 0), to the nearest periodic image."""
-    x, y = (np.minimum(np.arange(n), n - np.arange(n)) * (length / n) for n, length in zip(shape, lengths, strict=True))
-    return np.hypot(x[rows, None], y[None, :])
-
-
-def accumulate(edges: np.ndarray, q: ArrayLike, weight: ArrayLike, *values: ArrayLike) -> np.ndarray:
-    """Sums over a block of modes in each bin: rows Σw, Σ w q, and Σ w v for each of `values`; shape (2 + k, m).
-
-    `q`, `weight` and the values broadcast against each other in any layout.  For an autocorrelation, q is the distance.
-    A mode belongs to bin i if edges[i] < q ≤ edges[i+1]; those outside all bins, q = 0 among them, are left out.  Add
-    up the result over blocks or ranks and hand it to `radial_mean`.
-    """
-    q, weight, *fields = np.broadcast_arrays(q, weight, *values)
-    count = len(edges) - 1
-    sums = np.zeros((2 + len(fields), count))
-    step = max(1, BLOCK * len(q) // max(q.size, 1)) if q.ndim else 1
-    for start in range(0, len(q), step):
-        rows = slice(start, start + step)
-        index, block_weight = np.searchsorted(edges, q[rows].ravel()), weight[rows].ravel()
-        for total, value in zip(sums, (None, q, *fields), strict=True):
-            terms = block_weight if value is None else block_weight * value[rows].ravel()
-            total += np.bincount(index, terms, minlength=count + 2)[1 : count + 1]
-    return sums
-
-
-def radial_mean(sums: np.ndarray) -> tuple[np.ndarray, ...]:
-    """From the sums of `accumulate`: mean q, mean of each value and count of modes, for the m' bins that are not empty.
-
-    Returns (q, value, …, count), each of shape (m',).
-    """
-    sums = sums[:, sums[0] > 0]
-    return (*(sums[1:] / sums[0]), sums[0])
 
 
 def _require_positive(**numbers: float) -> None:
