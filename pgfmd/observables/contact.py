@@ -337,11 +337,7 @@ class Contact(ContactSolution):
         """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.
         """
         line = None if pressure is None else self.line_of_patches(labels.connectivity)
-        table = patch_table(labels, self.grid.spacing, pressure, line, self.problem.law.highest)
-        if table is None:
-            return {}
-        columns = {name: column for name, column in vars(table).items() if column is not None}
-        return {"patch": np.arange(1, len(table.area) + 1), **columns}
+        return patch_table(labels, self.grid.spacing, pressure, line, self.problem.law.highest)
 
     def keep(self, name: str, values: np.ndarray) -> None:
         """Keeps a field (nx_local, ny) that an observable has made, if it is to be written."""

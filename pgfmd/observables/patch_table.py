@@ -18,7 +18,7 @@ only finished rows go to rank 0.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -257,38 +257,21 @@ def _exchange(comm: MPI.Comm, values: np.ndarray, counts: np.ndarray, back: np.n
     return out
 
 
-@dataclass(frozen=True)
-class PatchTable:
-    """One entry per patch, in the order of the labels: entry i belongs to label i + 1.  Every array has shape (count,).
-
-    Lengths are in the unit of the grid spacing, pressures in that of the pressure field, loads in pressure × length².
-    """
-
-    area: np.ndarray  # number of pixels × ax ay
-    load: np.ndarray | None  # Σ p ax ay; None, as the pressures, if no pressure was given
-    perimeter: np.ndarray  # pixel edges between contact and non-contact, each with its length: ay across x, ax across y
-    mean_pressure: np.ndarray | None  # load / area
-    peak_pressure: np.ndarray | None
-    extent_x: np.ndarray  # length of the shortest interval of the periodic x axis that holds the patch; at most lx
-    extent_y: np.ndarray
-    percolates_x: np.ndarray  # bool: see `patch_table`
-    percolates_y: np.ndarray
-    area_corrected: np.ndarray | None  # inside the line, or `area` if that is ≤ 0; ≥ load/highest; None without a line
-    perimeter_corrected: np.ndarray | None  # length of the contact line, or `perimeter` likewise
-
-
 def patch_table(
     labels: Labels,
     spacing: tuple[float, float],
     pressure: np.ndarray | None = None,
     line: tuple[np.ndarray, np.ndarray] | None = None,
     highest: float = math.inf,
-) -> PatchTable | None:
-    """Measure all patches; the table on rank 0, None on the others.  Collective.
+) -> dict[str, np.ndarray]:
+    """Measure all patches: columns (count,) as `contact_patches` describes them, in the order of the labels, on rank 0;
+    none on the others.  Collective.
 
-    `pressure`: (rows, columns) float32 or float64, the slab of this rank; `spacing` = (ax, ay).
-    `line`: area beyond that of the pixels and length of the contact line of each patch that this rank keeps.
-    `highest`: the largest pressure that the law admits (see `contact_area`).
+    `pressure`: (rows, columns) float32 or float64, the slab of this rank; without it no column of loads or pressures.
+    `spacing` = (ax, ay).  An edge of a pixel counts ay across x, ax across y.  An extent is the length of the shortest
+    interval of the periodic axis that holds the patch.
+    `line`: area beyond that of the pixels and length of the contact line of each patch that this rank keeps; without it
+    no corrected columns.  `highest`: the largest pressure that the law admits (see `contact_area`).
 
     A patch percolates in x if, followed from pixel to pixel over the edges of the cell, it arrives at a periodic image
     of itself that is displaced along x (whatever the displacement along y), that is if the unrolled patch has no end
@@ -299,23 +282,21 @@ def patch_table(
     with raise_together(labels.comm):
         if pressure is not None and pressure.shape != (rows, labels.columns):
             raise ValueError(f"the pressure has shape {pressure.shape}, the labels ({rows}, {labels.columns})")
-    columns: dict[str, np.ndarray | None] = dict.fromkeys(field.name for field in fields(PatchTable))
-    shapes = _shape_columns(labels, spacing)
-    columns |= shapes
+    columns = shapes = _shape_columns(labels, spacing)
     load = np.zeros(labels.kept)
     if pressure is not None:
         total, peak = _pressures(labels, pressure)
         load = total * (spacing[0] * spacing[1])
-        columns |= {"load": load, "mean_pressure": load / shapes["area"], "peak_pressure": peak}
+        columns = columns | {"load": load, "mean_pressure": load / shapes["area"], "peak_pressure": peak}
     if line is not None:
         inside = shapes["area"] + line[0]
         none = inside <= 0  # of a pixel or two, close to other patches: as in `contact_area`
-        columns |= {
+        columns = columns | {
             "area_corrected": np.maximum(np.where(none, shapes["area"], inside), load / highest),
             "perimeter_corrected": np.where(none, shapes["perimeter"], line[1]),
         }
-    gathered: dict[str, Any] = {name: _gather(labels, columns.pop(name)) for name in list(columns)}
-    return PatchTable(**gathered) if labels.comm.rank == 0 else None
+    table = {name: _gather(labels, columns.pop(name)) for name in list(columns)}
+    return {"patch": np.arange(1, labels.count + 1), **table} if labels.comm.rank == 0 else {}
 
 
 def _shape_columns(labels: Labels, spacing: tuple[float, float]) -> dict[str, np.ndarray]:
@@ -355,12 +336,10 @@ def _pressures(labels: Labels, pressure: np.ndarray) -> tuple[np.ndarray, np.nda
     return total[: labels.kept], peak[: labels.kept]
 
 
-def _gather(labels: Labels, column: np.ndarray | None) -> np.ndarray | None:
-    """One column of the table on rank 0, in the order of the labels; None elsewhere.  Collective."""
-    if column is None:
-        return None
-    out = np.empty(labels.count, column.dtype) if labels.comm.rank == 0 else None
-    labels.comm.Gatherv(np.ascontiguousarray(column), None if out is None else [out, labels.kept_counts])
+def _gather(labels: Labels, column: np.ndarray) -> np.ndarray:
+    """One column of the table on rank 0, in the order of the labels; empty elsewhere.  Collective."""
+    out = np.empty(labels.count if labels.comm.rank == 0 else 0, column.dtype)
+    labels.comm.Gatherv(np.ascontiguousarray(column), [out, labels.kept_counts])
     return out
 
 
