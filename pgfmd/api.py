@@ -29,8 +29,8 @@ from pgfmd.errors import InputError
 from pgfmd.grid.domain import DOMAINS, Domain
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import interpolate
-from pgfmd.observables.bottleneck import gap_percolates
 from pgfmd.observables.contact import Certified, Contact, certified
+from pgfmd.observables.percolation import gap_percolates
 from pgfmd.options.rules import POSITIVE, integer, number
 from pgfmd.options.text import show
 from pgfmd.parallel.collectives import raise_together

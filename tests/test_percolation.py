@@ -10,9 +10,9 @@ from solids import elastic
 import pgfmd
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables import bottleneck
-from pgfmd.observables.bottleneck import bottlenecks, percolates
+from pgfmd.observables import percolation
 from pgfmd.observables.patch_table import label_patches
+from pgfmd.observables.percolation import bottlenecks, percolates
 from pgfmd.surfaces.self_affine import self_affine
 
 pytestmark = pytest.mark.mpi
@@ -78,7 +78,7 @@ def test_constriction_against_brute_force(comm, monkeypatch, gathered):
     """The critical constriction is the largest g at which {gap ≥ g} percolates, wherever labelling stops and rank 0
     takes over; the gap at its place is g.
     """
-    monkeypatch.setattr(bottleneck, "GATHERED", gathered)
+    monkeypatch.setattr(percolation, "GATHERED", gathered)
     rng = np.random.default_rng(4)
     for _ in range(60):
         shape = rng.integers(4, 13, 2)

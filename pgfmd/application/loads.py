@@ -25,8 +25,8 @@ from pgfmd.application.stop import Interruptions
 from pgfmd.application.writer import ResultWriter
 from pgfmd.errors import InputError, SolverError, Unreachable
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.bottleneck import gap_percolates
 from pgfmd.observables.contact import Contact
+from pgfmd.observables.percolation import gap_percolates
 from pgfmd.observables.schema import TABLE, Groups
 from pgfmd.options.text import with_error
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together, shared

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.contact_patches import SHAPES, ContactPatches
@@ -33,6 +32,7 @@ class Bearing(Observable):
     """
 
     name = "bearing"
+    price = Cost(transforms=1.0, memory=2.0)  # if spectra are asked for; a mask with its runs
     needs_double = True  # heights are sorted by the bits of their numbers
     layout = {
         "bearing": {"threshold": Dataset("{length}", "height above which the surface has the relative area f_c")},
@@ -40,10 +40,6 @@ class Bearing(Observable):
         **acf_layout("bearing", "1", "autocorrelation of the bearing area"),
         "bearing_patches": SHAPES,
     }
-
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A transform, if spectra or autocorrelations are asked for, and a mask with its runs."""
-        return Cost(transforms=1.0, memory=2.0)
 
     def measure(self, contact: Contact) -> Groups:
         """Four passes over the heights for the threshold.  Collective."""

@@ -21,7 +21,7 @@ from pgfmd.observables.contact_line import staircase
 from pgfmd.observables.observable import OBSERVABLES, Observable
 from pgfmd.observables.patch_table import Labels, label_patches, patch_table
 from pgfmd.observables.rough_surface import Correlations, RoughSurface, correlate, indicator
-from pgfmd.observables.schema import FIELDS, TABLE, Groups
+from pgfmd.observables.schema import FIELDS, LOADS, TABLE, Groups
 from pgfmd.options.section import build
 from pgfmd.options.text import counted, guess
 from pgfmd.physics.problem import ContactProblem
@@ -91,24 +91,14 @@ class Contact(ContactSolution):
     def numbers(self) -> dict[str, float]:
         """The numbers that a run writes for each load, by their names in its table.  Collective on first use."""
         area = self.area
-        found = {
-            "mean_pressure": self.mean_pressure,
+        measured = {
             "contact_area": area.fraction,
             "contact_area_corrected": area.corrected,
             "contact_perimeter": area.perimeter / math.prod(self.grid.lengths),
             "contact_line": float(self.line is not None),
-            "kappa": self.kappa,
-            "mean_gap": self.mean_gap,
-            "mean_plastic_depth": self.mean_plastic_depth,
-            "displacement": self.displacement,
-            "elastic_energy": self.elastic_energy,
-            "certified_error": self.certified_error,
-            "pressure_error": self.pressure_error,
-            "max_violation": self.max_violation,
-            "iterations": self.iterations,
-            "transforms": self.transforms,
-            "seconds": self.seconds,
         }
+        others = LOADS.keys() - measured.keys() - {"target"}
+        found = {name: getattr(self, name) if name in others else measured[name] for name in LOADS if name != "target"}
         if self.shared is None:
             self.grid.free()
         return found

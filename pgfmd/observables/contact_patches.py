@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset, Groups
@@ -41,13 +40,10 @@ class ContactPatches(Observable):
     """A table of the contact patches, one entry each, in the order of the numbers in the field `labels`."""
 
     name = "patches"
+    price = Cost(memory=2.0)  # a mask and the runs of points in contact in each row
     layout = {"patches": {**SHAPES, **LOADS, **LINES}}
 
     connectivity: int = key(choice(8, 4), 8, "8: points are neighbours over edges and corners; 4: over edges")
-
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A mask and the runs of points in contact in each row."""
-        return Cost(memory=2.0)
 
     def measure(self, contact: Contact) -> Groups:
         """The table on rank 0, empty elsewhere.  Collective."""

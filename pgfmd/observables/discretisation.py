@@ -60,7 +60,6 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict, restrict_locally
@@ -87,6 +86,7 @@ class Discretisation(Observable):
     """
 
     name = "discretisation"
+    price = Cost(transforms=6.0, memory=15.0)  # two contacts on a quarter of the points and a residual, at 1024²
     attraction = False
     needs_period = "heights are coarsened by their Fourier modes"
     layout = {
@@ -100,10 +100,6 @@ class Discretisation(Observable):
             "mean_square_pressure_error": Dataset("{pressure}^2", "estimated error of mean_square_pressure"),
         }
     }
-
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """Two contacts on a quarter of the points and a residual, as measured at 1024² and 2048²."""
-        return Cost(transforms=6.0, memory=15.0)
 
     def measure(self, contact: Contact) -> Groups:
         """Solves the contacts to compare with.  Collective."""

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.grid.transforms import source
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.rough_surface import squared
 from pgfmd.observables.schema import Dataset, Groups
 
 if TYPE_CHECKING:
@@ -22,18 +23,12 @@ class GapSlope(Observable):
     """√⟨|∇g|²⟩ = √Σ q²|g̃(q)|² over all modes of the gap, points in contact included."""
 
     name = "gap_slope"
+    price = Cost(transforms=0.5)  # one forward transform
     needs_period = "from the modes of the gap"
     layout = {"loads": {"gap_rms_slope": Dataset("1", "rms slope of the gap over the cell, from its modes")}}
 
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """One forward transform."""
-        return Cost(transforms=0.5)
-
     def measure(self, contact: Contact) -> Groups:
         """One forward transform.  Collective."""
-        from pgfmd.grid.transforms import source
-        from pgfmd.observables.rough_surface import squared
-
         grid, parts = contact.grid, dict[int, tuple[float]]()
         unit = min(grid.spacing)  # of lengths here, so that no square overflows
         along, across = (unit * grid.qx[0]) ** 2, (unit * grid.qy[:, 0]) ** 2

@@ -31,7 +31,7 @@ class Observable(Section):
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
     fields: of `schema.FIELDS`, that it can write.  attraction: whether it can be measured where the wall attracts.
     needs_period: why it is not measured with open boundaries; "" if it is.  needs_double: whether it needs fields
-    that are stored in double precision.
+    that are stored in double precision.  price: see `cost`, where this does not depend on its keys or on the surface.
     """
 
     name: ClassVar[str]
@@ -40,6 +40,7 @@ class Observable(Section):
     attraction: ClassVar[bool] = True
     needs_period: ClassVar[str] = ""
     needs_double: ClassVar[bool] = False
+    price: ClassVar[Cost] = Cost()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -62,7 +63,7 @@ class Observable(Section):
 
         cutoff: wave number beyond which the surface has no modes; None: not known, every mode of the grid may count.
         """
-        return Cost()
+        return self.price
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError if it cannot be measured on contacts of this solid and law."""

@@ -1,24 +1,35 @@
-"""Whether contact and gap percolate, the narrowest place of the widest path through the gap, and the
-load at which the gap ceases to percolate.
+"""Whether contact and gap percolate, the critical constriction of the gap, and the load at which it closes.
+
+The constriction is the largest value g* such that the points with g ≥ g* still connect the periodic plane.  Labellings
+at a few thresholds leave a bracket of at most `GATHERED` points.  Rank 0 then unites these, from the highest on, with
+each other and with the clusters of the points above the bracket: the first edge that closes a winding path is the
+constriction, exactly.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
+from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables.observable import Observable
+from pgfmd.observables.patch_table import Labels, label_patches
+from pgfmd.observables.run_length import PeriodicSets, paint
 from pgfmd.observables.schema import TABLE, Dataset, Groups
 
 if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
 
+GATHERED = 100_000  # points of the bracket that rank 0 receives
+SAMPLES = 50_000  # of values, of which thresholds are chosen
+CLOSED = -1  # neighbour of a point of the bracket that lies below it
+SHIFTS = 1 << 15  # cells of a shift along y, in a number that holds both
 
 @dataclass(frozen=True, kw_only=True)
 class Percolation(Observable):
@@ -57,8 +68,6 @@ class Percolation(Observable):
 
     def measure(self, contact: Contact) -> Groups:
         """Labels the contact and the gap.  Collective."""
-        from pgfmd.observables.bottleneck import bottlenecks, percolates
-
         found = bottlenecks(contact.grid, contact.gap, contact.contact_pressure <= 0)
         touching = percolates(contact.labels(8))
         numbers: dict[str, float] = {}
@@ -90,3 +99,112 @@ class ClosingLoad(Observable):
         if not contact.details.keys() >= COLUMNS.keys():
             raise InputError("output.observables: closing_load needs load.percolation")
         return {TABLE: {name: np.array(contact.details[name]) for name in COLUMNS}}
+
+
+class Bottleneck(NamedTuple):
+    """The least value on the widest path around the cell, and its point (row, column); 0 and (−1, −1) if no path
+    percolates; number of labellings that both directions took together.
+    """
+
+    value: float
+    point: tuple[int, int]
+    labellings: int
+
+
+def percolates(labels: Labels) -> tuple[bool, bool]:
+    """Whether some patch winds around the cell along x, along y.  Collective."""
+    flags = np.zeros(2) + (labels.winds.any(axis=0) if labels.kept else 0)
+    return tuple(map(bool, labels.comm.allreduce(flags)))  # type: ignore[return-value]
+
+
+def gap_percolates(grid: SlabGrid, mask: np.ndarray) -> bool:
+    """Whether a path over edges of a mask (nx_local, ny) winds around the cell, along any axis.  Collective."""
+    return any(percolates(label_patches(grid.comm, mask, grid.starts, 4)))
+
+
+def bottlenecks(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray) -> tuple[Bottleneck, Bottleneck]:
+    """Along x and along y, of a gap (nx_local, ny) on the points of a mask, joined over edges.  Collective."""
+    comm, least = grid.comm, float(np.nextafter(0, 1))
+    value = np.where(mask, np.maximum(gap, least), 0.0)
+    stride = max(1, grid.size // SAMPLES)
+    samples = np.sort(np.concatenate(comm.allgather(value.ravel()[::stride])))
+    low, high = [0.0, 0.0], [math.inf, math.inf]  # {value ≥ low} percolates, {value ≥ high} does not
+    labels, count = {math.inf: label_patches(comm, value == math.inf, grid.starts, 4)}, 0
+
+    def bracket(axis: int) -> np.ndarray:
+        return (value >= low[axis]) & (value < high[axis])
+
+    threshold = least
+    while True:
+        found = label_patches(comm, value >= threshold, grid.starts, 4)
+        count += 1
+        for axis, winds in enumerate(percolates(found)):
+            if winds and low[axis] < threshold < high[axis]:
+                low[axis] = threshold
+            elif not winds and low[axis] < threshold < high[axis]:
+                high[axis], labels[threshold] = threshold, found
+        labels = {key: kept for key, kept in labels.items() if key in high}
+        left = grid.reduction.sums(*(float(np.count_nonzero(bracket(axis))) if low[axis] else 0.0 for axis in range(2)))
+        widest = int(np.argmax(left))
+        within = samples[(samples > low[widest]) & (samples < high[widest])]
+        if left[widest] <= GATHERED or not len(within):
+            break
+        threshold = float(within[len(within) // 2])
+    return tuple(  # type: ignore[return-value]
+        _closing(grid, value, labels[high[axis]], bracket(axis), axis)._replace(labellings=count)
+        if low[axis]
+        else Bottleneck(0.0, (-1, -1), count)
+        for axis in range(2)
+    )
+
+
+def _closing(grid: SlabGrid, value: np.ndarray, labels: Labels, bracket: np.ndarray, axis: int) -> Bottleneck:
+    """The point of the bracket whose union with those above it first winds along the axis.  Collective.
+
+    labels: of the points above the bracket.
+    """
+    (nx, ny), comm = grid.shape, grid.comm
+    label = labels.label_field().astype(np.int64)
+    shift = np.empty(label.shape, np.int64)
+    code = labels.shift[:, 0].astype(np.int64) * SHIFTS + labels.shift[:, 1] if len(labels.shift) else np.empty(0, int)
+    paint(labels.runs, labels.first, code, labels.fragment, shift)
+    numbers = np.arange(grid.rows.start * ny, grid.rows.stop * ny).reshape(label.shape)
+    node = np.where(bracket, -2 - numbers, np.where(label > 0, label, CLOSED))  # ≤ −2: a point, > 0: a cluster
+    around = grid.neighbours([node, shift])
+    node, shift = (np.concatenate([rows[:1], own, rows[1:]]) for own, rows in zip((node, shift), around, strict=True))
+    i, j = np.nonzero(bracket)
+    edges = [np.empty((0, 4), np.int64)]
+    for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        row, column = i + di, j + dj
+        across, aside = (row + grid.rows.start) // nx, column // ny  # cells by which the neighbour lies beyond
+        other, moved = node[row + 1, column % ny], shift[row + 1, column % ny]
+        y = (moved + SHIFTS // 2) % SHIFTS - SHIFTS // 2
+        inside = other > 0
+        across, aside = across - np.where(inside, (moved - y) // SHIFTS, 0), aside - np.where(inside, y, 0)
+        edge = np.stack([-2 - numbers[i, j], other, across, aside], axis=1)
+        edges.append(edge[(inside | (di + dj > 0)) & (other != CLOSED)])  # two points of the bracket: once
+    gathered = comm.gather((-2 - numbers[i, j], value[i, j], np.concatenate(edges)))
+    found = None
+    if gathered is not None:
+        points, values, joined = (np.concatenate(each) for each in zip(*gathered, strict=True))
+        found = _first_winding(points, values, joined, axis)
+    value_and_number = comm.bcast(found)
+    assert value_and_number is not None
+    return Bottleneck(value_and_number[0], divmod(value_and_number[1], ny), 0)
+
+
+def _first_winding(points: np.ndarray, values: np.ndarray, edges: np.ndarray, axis: int) -> tuple[float, int]:
+    """Value and number of the point whose edges first close a path that winds along the axis.
+
+    points: nodes of the bracket, of these values; edges: (a node of the bracket, another node, cells along x and along
+    y by which this is moved to touch the first).
+    """
+    nodes, places = np.unique(edges[:, :2], return_inverse=True)
+    a, b = places.reshape(-1, 2).T.copy()
+    own = np.full(len(nodes), math.inf)  # of clusters, which are above the bracket
+    joined = np.isin(points, nodes)
+    own[np.searchsorted(nodes, points[joined])] = values[joined]
+    order = np.argsort(-np.minimum(own[a], own[b]), kind="stable")
+    first = PeriodicSets(len(nodes)).unite(a[order], b[order], edges[order, 2:].astype(np.int32))[axis]
+    value, node = min((own[k], -2 - nodes[k]) for k in (a[order[first]], b[order[first]]))
+    return float(value), int(node)

@@ -33,6 +33,7 @@ class Spectra(Spectrum):
     """
 
     name = "spectra"
+    price = Cost(transforms=1.5)  # a forward one for the pressure, the contact, and both heights and pressure
     layout = {
         "stress_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure"),
         "contact_spectrum": spectrum_layout("1", "|Θ̃|² of the contact"),
@@ -40,10 +41,6 @@ class Spectra(Spectrum):
         "full_contact_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure were the contact full"),
         "cross_spectrum": spectrum_layout("{pressure}*{length}", "Re h̃* σ̃ of heights and pressure"),
     }
-
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A forward transform each for the pressure, the contact, and both heights and pressure."""
-        return Cost(transforms=1.5)
 
     def measure(self, contact: Contact) -> Groups:
         """Shares its transforms with the autocorrelations.  Collective."""
@@ -64,12 +61,9 @@ class GapSpectrum(Spectrum):
     """
 
     name = "gap_spectrum"
+    price = Cost(transforms=0.5)  # one forward transform
     needs_period = "the gap does not vanish at the border"
     layout = {"gap_spectrum": spectrum_layout("{length}^2", "|g̃|² of the gap")}
-
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """One forward transform."""
-        return Cost(transforms=0.5)
 
     def measure(self, contact: Contact) -> Groups:
         """One forward transform.  Collective."""
@@ -92,6 +86,7 @@ class Acf(Observable):
     """
 
     name = "acf"
+    price = Cost(transforms=2.0)  # one each for the pressure and the contact
     needs_period = "mean over all pairs of points at one distance"
     layout = {
         **acf_layout("stress", "{pressure}^2", "stress autocorrelation ⟨σ(r) σ(r')⟩"),
@@ -105,10 +100,6 @@ class Acf(Observable):
     def edges(self, cell: Cell) -> np.ndarray:
         """Edges of the bins of |Δr|."""
         return lag_bins(cell.shape, cell.lengths, self.spacing, self.bins)
-
-    def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A transform each for the pressure and the contact."""
-        return Cost(transforms=2.0)
 
     def measure(self, contact: Contact) -> Groups:
         """Shares its transforms with the spectra.  Collective."""

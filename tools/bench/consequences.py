@@ -22,8 +22,8 @@ from scipy.sparse.linalg import splu
 
 import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.bottleneck import bottlenecks
 from pgfmd.observables.network import Network, flow_through, slab_graph
+from pgfmd.observables.percolation import bottlenecks
 from pgfmd.parallel.mpi import world
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
