@@ -328,7 +328,7 @@ def test_a_disk_that_fails_fails_the_seed(comm, shared_tmp_path, monkeypatch):
         if folder.name == "seed_0006":
             raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(ensembles, "sync_files", fails)
+    monkeypatch.setattr(ensembles.files, "sync_files", fails)
     with pytest.raises(SolverError, match="1 of 5 seeds failed.*seed 6: .*Input/output error"):
         pgfmd.run(JOB, shared_tmp_path / "out", comm=comm)
     found = pgfmd.Ensemble(shared_tmp_path / "out")

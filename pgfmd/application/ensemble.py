@@ -123,19 +123,13 @@ class Column:
     @property
     def mean(self) -> np.ndarray:
         """The mean; NaN where no run has a finite value."""
-        if self.is_axis:
-            return self.values[0]
-        return self._over_count(np.array(self.values), self.count)
+        return self.values[0] if self.is_axis else np.ma.filled(np.ma.masked_invalid(self.values).mean(axis=0), np.nan)
 
     @property
     def error(self) -> np.ndarray:
         """Standard error of the mean, √(Σ(x − x̄)²/(n(n − 1))); NaN for fewer than two runs."""
-        return np.sqrt(self._over_count((np.array(self.values) - self.mean) ** 2, self.count * (self.count - 1)))
-
-    @staticmethod
-    def _over_count(values: np.ndarray, count: np.ndarray) -> np.ndarray:
-        with np.errstate(invalid="ignore"):  # 0/0
-            return np.where(np.isfinite(values), values, 0).sum(axis=0) / count
+        known = np.ma.masked_invalid(self.values)
+        return np.ma.filled(known.std(axis=0, ddof=1) / np.sqrt(known.count(axis=0)), np.nan)
 
     def named(self, name: str, group: Mapping[str, Column]) -> Iterable[tuple[str, np.ndarray]]:
         """The mean as NAME and, unless it is an axis, the error as NAME_error, or NAME_seed_error if the group has a

@@ -12,17 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pgfmd.application import ensemble, machine, restart
+from pgfmd.application import ensemble, files, machine, restart
 from pgfmd.application.estimate import Plan
-from pgfmd.application.files import (
-    ENSEMBLE_FILE,
-    OBSERVABLES_FILE,
-    OutputFolder,
-    load_name,
-    member_name,
-    replace,
-    sync_files,
-)
 from pgfmd.application.job import Job, as_toml, differences, parse
 from pgfmd.application.progress import STEP
 from pgfmd.application.results import Results
@@ -56,7 +47,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
     with ExitStack() as held:
         with raise_together(comm):
             if comm.rank == 0:
-                held.callback(OutputFolder(path).release)
+                held.callback(files.OutputFolder(path).release)
                 before = _refuse_others(job, path, mode)
         origin = machine.Origin(job.text, as_toml(job), len(job.load.targets))
         about: dict[str, Any] = from_root(comm, machine.gather, comm.size, {"MPI": library()}, origin)
@@ -67,8 +58,8 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
             log.info("%d seeds, %d at a time", len(seeds), groups)
         failed, stopped = _run_seeds(simulate, job, comm, path, groups, mode)
         if len(failed) == len(seeds) and all(isinstance(error, InputError) for error in failed.values()):
-            there = path / ENSEMBLE_FILE  # is restored: no seed has written anything
-            from_root(comm, lambda: there.unlink() if before is None else replace(there, before))
+            there = path / files.ENSEMBLE_FILE  # is restored: no seed has written anything
+            from_root(comm, lambda: there.unlink() if before is None else files.replace(there, before))
         else:
             reasons = {seed: printable(reason(error), 400) for seed, error in failed.items()}
             status = "stopped" if stopped else "failed" if failed else "complete"
@@ -86,19 +77,19 @@ def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
     """The content of the folder's ensemble.h5, None if there is none.  Raises InputError if the folder holds one
     surface, or an ensemble that `mode` does not allow to change.  Rank 0.
     """
-    if (path / OBSERVABLES_FILE).exists():
+    if (path / files.OBSERVABLES_FILE).exists():
         raise InputError(f"{path}: holds the results of one surface; choose another folder for an ensemble")
-    if not (path / ENSEMBLE_FILE).exists():
+    if not (path / files.ENSEMBLE_FILE).exists():
         return None
     if mode == "new":
-        raise InputError(f"{path}: holds an ensemble already ({ENSEMBLE_FILE}); replace it with --overwrite, "
+        raise InputError(f"{path}: holds an ensemble already ({files.ENSEMBLE_FILE}); replace it with --overwrite, "
                          "continue it with --restart, or choose another folder")  # fmt: skip
     if mode == "restart":
         before = parse(ensemble.Ensemble(path).provenance["effective_toml"], "results")
         changed = [text for text in differences(before, job) if not text.startswith("surface.seed:")]
         if changed:
             raise InputError(f"{path}: cannot be continued, the job differs: {'; '.join(changed)}")
-    return (path / ENSEMBLE_FILE).read_bytes()
+    return (path / files.ENSEMBLE_FILE).read_bytes()
 
 
 def _run_seeds(
@@ -121,7 +112,7 @@ def _run_seeds(
             seed, began = seeds[position], time.perf_counter()
             try:
                 interruptions.between_steps()
-                member, folder = job.of_seed(seed), path / member_name(seed)
+                member, folder = job.of_seed(seed), path / files.member_name(seed)
                 there = from_root(group, _found, folder, member) if mode == "restart" else ""
                 if there == "complete":
                     continue
@@ -129,7 +120,7 @@ def _run_seeds(
                 goes_on = mode == "restart" and not anew
                 simulate(member, group, folder, overwrite=anew, restart=goes_on, interruptions=interruptions)
                 if group.rank == 0:
-                    synced[seed] = disk.submit(sync_files, folder)
+                    synced[seed] = disk.submit(files.sync_files, folder)
                 progress.info("seed %d (%d of %d)  %.2f s", seed, position + 1, len(seeds),
                               time.perf_counter() - began)  # fmt: skip
             except (Stopped, NoProgress) as interruption:
@@ -167,7 +158,7 @@ def _found(folder: Path, job: Job) -> str:
             return "stale"
         if results.status != "complete" or job.sources:  # files may have changed since
             return ""
-        earlier, loads = restart.read(folder), map(load_name, range(len(job.load.targets)))
+        earlier, loads = restart.read(folder), map(files.load_name, range(len(job.load.targets)))
         needed = {"height", *loads} if "height" in job.output.fields else set(loads)
         whole = needed - {"height"} <= earlier.fields.keys() and not needed & earlier.damaged
         return "complete" if whole else ""

@@ -34,6 +34,7 @@ LIBVER = ("v108", "v110")
 
 OBSERVABLES_FILE, FIELDS_FILE, FIELDS_FOLDER = "observables.h5", "fields.h5", "fields"
 VTK_FILE = "fields.vtkhdf"  # the same as fields.h5, for ParaView; see `field_files`
+SMALL = (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `loads`
 ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 SUMS_FILE = "SHA256SUMS"

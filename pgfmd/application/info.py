@@ -12,19 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from pgfmd import __version__
-from pgfmd.application import ensemble
+from pgfmd.application import ensemble, files
 from pgfmd.application.ensemble import Ensemble
-from pgfmd.application.files import (
-    FIELDS_FILE,
-    OBSERVABLES_FILE,
-    SUMS_FILE,
-    VTK_FILE,
-    load_name,
-    member_name,
-    read_sums,
-    rows_are_right,
-    sha256,
-)
 from pgfmd.application.results import Results, Runs, size_in_words, table
 from pgfmd.observables.schema import LOADS
 from pgfmd.options.text import assignments, counted
@@ -35,13 +24,13 @@ def damage(results: Results) -> dict[Path, str]:
 
     The heights, which are written before the first load, may be missing if no load was completed.
     """
-    small = (results.directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE))
-    needed = [results.field_file(load_name(index)) for index in range(len(results)) if results.fields(index)]
+    small = (results.directory / name for name in files.SMALL)
+    needed = [results.field_file(files.load_name(index)) for index in range(len(results)) if results.fields(index)]
     if "height" in results.job["output"]["fields"] and len(results):
         needed.append(results.field_file("height"))
-    sums = read_sums(results.directory)
+    sums = files.read_sums(results.directory)
     if not sums:
-        return {results.directory / SUMS_FILE: "it is missing, so that no file can be checked"}
+        return {results.directory / files.SUMS_FILE: "it is missing, so that no file can be checked"}
     faults = {path: _fault(path, sums.get(str(path.relative_to(results.directory)))) for path in (*small, *needed)}
     if not results.fields() and not needed:
         faults = {path: fault for path, fault in faults.items() if path.exists()}  # a run without fields shows none
@@ -52,9 +41,9 @@ def _fault(path: Path, expected: str | None) -> str | None:
     """The fault of a file, None if it has none.  expected: its checksum; None: it holds those of its rows."""
     if not path.exists():
         return "it is missing"
-    right = rows_are_right(path) if expected is None else sha256(path) == expected
+    right = files.rows_are_right(path) if expected is None else files.sha256(path) == expected
     if right is None:
-        return f"{SUMS_FILE} has no line for it: the run was killed while it wrote"
+        return f"{files.SUMS_FILE} has no line for it: the run was killed while it wrote"
     return None if right else "its bytes are not those that were written"
 
 
@@ -126,7 +115,7 @@ def summary_of_ensemble(several: Ensemble) -> str:
     lines = {
         "folder": str(several.directory),
         "status": several.status,
-        "seeds": f"{complete} of {len(several.seeds)} complete; each has a result folder {member_name(1)}, …",
+        "seeds": f"{complete} of {len(several.seeds)} complete; each has a result folder {files.member_name(1)}, …",
         **_origin(several.provenance),
     }
     lines |= {f"seed {seed}": f"failed: {message}" for seed, message in several.failed.items()}

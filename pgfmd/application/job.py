@@ -166,26 +166,20 @@ class Job:
         self.load.check_law(self.wall, math.prod(self.grid.lengths))
         self.load.check_domain(self.grid.domain)
         if not self.wall.convex:
-            self._of_attraction()
+            self._always(Adhesion.name)
         if self.load.percolation:
             self._always(ClosingLoad.name)
         elif ClosingLoad.name in self.output.observables:
             raise InputError(f"output.observables: {ClosingLoad.name} needs load.percolation")
         for observable in self.output.asked:
+            if not self.wall.convex and not observable.attraction:
+                attracts = f"wall.kind = {show(self.wall.kind)}"
+                raise InputError(f"output.observables: {observable.name} is not measured with {attracts}")
             observable.check_in(self.grid.domain)
             observable.check_storage(self.solver.storage == "float64")
             observable.check_contact(self.solid, self.wall)
         self.solver.check_domain(self.wall, self.solid, self.grid.domain)
         self.solver.check_storage(self.wall, self.solid, self.grid.domain, self.cell.lengths, self.cell.spacings)
-
-    def _of_attraction(self) -> None:
-        """For a wall that attracts: adds its columns to the output, and refuses observables that assume none attracts.
-        """
-        kind = show(self.wall.kind)
-        for observable in self.output.asked:
-            if not observable.attraction:
-                raise InputError(f"output.observables: {observable.name} is not measured with wall.kind = {kind}")
-        self._always(Adhesion.name)
 
     def _always(self, name: str) -> None:
         """Adds an observable to those that are asked for."""

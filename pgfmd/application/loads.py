@@ -99,7 +99,8 @@ class Checkpoints:
 
     def remove(self) -> None:
         """Remove the checkpoint.  Collective."""
-        from_root(self.comm, self._remove)
+        for path in (self.path, temporary(self.path)):
+            from_root(self.comm, path.unlink, True)
 
     def _total(self, pressure: np.ndarray) -> float:
         """Σ |p| over all points to twelve digits, which hardly depend on the number of ranks.  Collective."""
@@ -116,10 +117,6 @@ class Checkpoints:
         except Exception as error:  # whatever HDF5 makes of a damaged file
             log.warning("%s: %s; it is not used", self.path, error)
             return None
-
-    def _remove(self) -> None:
-        for path in (self.path, temporary(self.path)):
-            path.unlink(missing_ok=True)
 
 
 class Loads:

@@ -14,16 +14,7 @@ from pathlib import Path
 import h5py
 
 from pgfmd import __version__
-from pgfmd.application.files import (
-    FIELDS_FILE,
-    FIELDS_FOLDER,
-    FORMAT_VERSION,
-    OBSERVABLES_FILE,
-    VTK_FILE,
-    load_name,
-    read_sums,
-    sha256,
-)
+from pgfmd.application import files
 from pgfmd.application.job import Job, differences, parse
 from pgfmd.application.machine import Origin
 from pgfmd.errors import InputError
@@ -31,8 +22,8 @@ from pgfmd.options.text import printable
 
 log = logging.getLogger("pgfmd")
 
-FIELDS_FOLDERS = (FIELDS_FOLDER, f"{FIELDS_FOLDER}-2")  # results and those that replace them use different ones
-THIS_VERSION = f"{__version__}, format {FORMAT_VERSION}"
+FIELDS_FOLDERS = (files.FIELDS_FOLDER, f"{files.FIELDS_FOLDER}-2")  # of results, and of those that replace them
+THIS_VERSION = f"{__version__}, format {files.FORMAT_VERSION}"
 _FIELD_FILE = re.compile(r"(height|load_\d{4,}|checkpoint)\.h5")
 
 
@@ -51,7 +42,7 @@ class EarlierResults:
     inputs: dict[str, str] = field(default_factory=dict)
     version: str = ""
     fields: dict[str, list[str]] = field(default_factory=dict)
-    folder: str = FIELDS_FOLDER
+    folder: str = files.FIELDS_FOLDER
     damaged: set[str] = field(default_factory=set)
 
     @property
@@ -92,19 +83,19 @@ def _fault(path: Path, keys: list[str]) -> str | None:
 
 def read(directory: Path) -> EarlierResults:
     """The results in a folder.  Raises InputError if observables.h5 is damaged, or of another program or version."""
-    path = directory / OBSERVABLES_FILE
+    path = directory / files.OBSERVABLES_FILE
     try:
-        if read_sums(directory).get(OBSERVABLES_FILE, digest := sha256(path)) != digest:
+        if files.read_sums(directory).get(files.OBSERVABLES_FILE, digest := files.sha256(path)) != digest:
             raise OSError("its bytes are not those that were written")
         with h5py.File(path, "r", locking=False) as file:
-            names = [load_name(index) for index in range(len(file["loads/mean_pressure"]))]
+            names = [files.load_name(index) for index in range(len(file["loads/mean_pressure"]))]
             earlier = EarlierResults(
                 completed=len(names),
                 job=str(file.attrs["effective_toml"]),
                 inputs=json.loads(file.attrs.get("inputs", "{}")),
                 version=f"{file.attrs['softwareVersion']}, format {file.attrs['format_version']}",
                 fields={name: list(file[name].attrs["fields"]) for name in names if name in file},
-                folder=str(file.attrs.get("fields_folder", FIELDS_FOLDER)),
+                folder=str(file.attrs.get("fields_folder", files.FIELDS_FOLDER)),
             )
     except (OSError, KeyError, RuntimeError, ValueError) as error:
         raise InputError(
@@ -120,10 +111,10 @@ def read(directory: Path) -> EarlierResults:
 def other_folder(directory: Path) -> str:
     """The one of FIELDS_FOLDERS that the results in observables.h5 do not use; the second if that cannot be read."""
     try:
-        with h5py.File(directory / OBSERVABLES_FILE, "r", locking=False) as file:
-            used = str(file.attrs.get("fields_folder", FIELDS_FOLDER))
+        with h5py.File(directory / files.OBSERVABLES_FILE, "r", locking=False) as file:
+            used = str(file.attrs.get("fields_folder", files.FIELDS_FOLDER))
     except (OSError, KeyError, RuntimeError):
-        used = FIELDS_FOLDER
+        used = files.FIELDS_FOLDER
     return next(folder for folder in FIELDS_FOLDERS if folder != used)
 
 
@@ -151,7 +142,7 @@ def own_field_files(folder: Path) -> Iterator[Path]:
 def refuse_foreign(directory: Path, folder: str) -> None:
     """Raise InputError if a file that the run would write (fields in `folder`) exists and is not this program's."""
     fields = (path for path in (directory / folder).glob("*.h5") if _FIELD_FILE.fullmatch(path.name))
-    small = (directory / name for name in (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE))
+    small = (directory / name for name in files.SMALL)
     for path in (*small, *fields):
         if os.path.lexists(path) and not is_own(path):
             raise InputError(f"{path}: was not written by pgfmd, which would replace it; move it away, or choose "

@@ -59,10 +59,12 @@ class Results:
                     f"{path}: format {version} is newer than {FORMAT_VERSION}, the newest known here; "
                     f"it was written by pgfmd {file.attrs.get('softwareVersion')}"
                 )
-            self.provenance = {name: _plain(value) for name, value in file.attrs.items()}
-            self.phases = (
-                {name: float(value) for name, value in file["phases"].attrs.items()} if "phases" in file else {}
-            )
+            self.provenance = {
+                name: value.tolist() if isinstance(value, (np.generic, np.ndarray)) else value
+                for name, value in file.attrs.items()
+            }
+            phases = file["phases"].attrs if "phases" in file else {}
+            self.phases = {name: float(value) for name, value in phases.items()}
             self.loads = read_columns(file[TABLE])
         if self._overlaps:
             self.loads["mean_gap"] = np.full_like(self.loads["mean_gap"], np.nan)
@@ -267,11 +269,6 @@ class Runs:
             return pandas.DataFrame()
         names = [run.directory.name for run in self.runs]
         return pandas.concat([run.to_dataframe() for run in self.runs], keys=names, names=["run"])
-
-
-def _plain(value: Any) -> Any:
-    """An HDF5 attribute as a Python value."""
-    return value.item() if isinstance(value, np.generic) else value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def table(results: Results) -> str:

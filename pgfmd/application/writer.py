@@ -28,18 +28,7 @@ import numpy as np
 
 from pgfmd.application import files, hdf5_slabs, machine, restart, tables
 from pgfmd.application.field_files import FieldFiles
-from pgfmd.application.files import (
-    ENSEMBLE_FILE,
-    FIELDS_FILE,
-    FIELDS_FOLDER,
-    OBSERVABLES_FILE,
-    VTK_FILE,
-    Change,
-    Form,
-    OutputFolder,
-    Sums,
-    load_name,
-)
+from pgfmd.application.files import SMALL, Change, Form, OutputFolder, Sums, load_name
 from pgfmd.application.machine import Origin
 from pgfmd.application.restart import EarlierResults
 from pgfmd.application.tables import ObservablesFile
@@ -52,7 +41,6 @@ from pgfmd.parallel.mpi import MPI, library
 log = logging.getLogger("pgfmd")
 
 Mode = Literal["new", "overwrite", "restart"]
-SMALL = (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)
 
 
 class ResultWriter:
@@ -107,17 +95,17 @@ class ResultWriter:
         """
         folder = OutputFolder(self.directory)
         try:
-            if (self.directory / ENSEMBLE_FILE).exists():
+            if (self.directory / files.ENSEMBLE_FILE).exists():
                 raise InputError(f"{self.directory}: holds an ensemble; choose another folder for one surface")
-            there = [name for name in (*SMALL, FIELDS_FOLDER) if (self.directory / name).exists()]
+            there = [name for name in (*SMALL, files.FIELDS_FOLDER) if (self.directory / name).exists()]
             if there and self._mode == "new":
                 raise InputError(
                     f"{self.directory}: holds results already ({', '.join(there)}); replace them with "
                     "--overwrite, continue them with --restart, or choose another folder"
                 )
-            earlier, fields = EarlierResults(), FIELDS_FOLDER
-            replacing = self._mode == "overwrite" and OBSERVABLES_FILE in there
-            if self._mode == "restart" and OBSERVABLES_FILE in there:
+            earlier, fields = EarlierResults(), files.FIELDS_FOLDER
+            replacing = self._mode == "overwrite" and files.OBSERVABLES_FILE in there
+            if self._mode == "restart" and files.OBSERVABLES_FILE in there:
                 earlier = restart.read(self.directory)
                 fields = earlier.folder
             elif replacing:
@@ -158,7 +146,7 @@ class ResultWriter:
         Raises OSError on all ranks if they cannot be written.
         """
         self.begin()
-        small = [] if self.replacing else [FIELDS_FILE, VTK_FILE]
+        small = [] if self.replacing else [files.FIELDS_FILE, files.VTK_FILE]
         with self._changing(f"{self._fields.folder}/height.h5", *small):
             self._fields.write("height", {"height": heights}, show=not self.replacing)
 
@@ -199,7 +187,7 @@ class ResultWriter:
             file.attrs.update(status="complete", finished=machine.now())
             file.require_group("phases").attrs.update({name: float(value) for name, value in (phases or {}).items()})
 
-        with self._changing(OBSERVABLES_FILE):
+        with self._changing(files.OBSERVABLES_FILE):
             from_root(self.comm, self._observables.change, mark, True)
 
     def __enter__(self) -> ResultWriter:
@@ -225,7 +213,7 @@ class ResultWriter:
             return
         status = "stopped" if isinstance(error, Stopped) else "failed"
         message = reason(error)[:1000]
-        self._sums.forget(OBSERVABLES_FILE)
+        self._sums.forget(files.OBSERVABLES_FILE)
         self._observables.change(lambda file: file.attrs.update(status=status, error=message), now=True)
         self._sums.note(*SMALL)
 

@@ -14,20 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pgfmd.observables.flow_graph import (
-    ACROSS_X,
-    ACROSS_Y,
-    BORDER_BELOW,
-    Graph,
-    back_substituted,
-    coarsened,
-    composed,
-    eliminated,
-    match,
-    potential_flux,
-    shared_flux,
-    unrolled,
-)
+from pgfmd.observables import flow_graph
+from pgfmd.observables.flow_graph import ACROSS_X, ACROSS_Y, BORDER_BELOW, Graph, back_substituted, match
 from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
@@ -98,7 +86,7 @@ class Level:
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
         elif graph.points <= COARSEST and halo is None:
-            self.factor = eliminated(graph)
+            self.factor = flow_graph.eliminated(graph)
         else:
             self._aggregate(halo)
 
@@ -114,11 +102,11 @@ class Level:
             if halo is not None:
                 found = np.concatenate([found, np.empty(sum(halo.copies), np.int32)])
                 halo = halo.coarse(found, count)
-            graph = coarsened(graph, found, count)
+            graph = flow_graph.coarsened(graph, found, count)
             if most == SIZES[0]:
                 self.aggregate = found
             else:
-                composed(self.aggregate, found)
+                flow_graph.composed(self.aggregate, found)
         self.coarse = Level(graph, halo, self.depth + 1)
 
     def _gather(self, halo: Halo) -> None:
@@ -241,7 +229,7 @@ class Level:
         largest: np.ndarray = np.arange(count, dtype=np.int32)
         while last.coarse is not None:
             largest, last = last.aggregate[largest], last.coarse
-        x = unrolled(self.graph, largest, kind)
+        x = flow_graph.unrolled(self.graph, largest, kind)
         x += last.cycle(self.rest(b, x, last.new(), largest))[largest]
         r, step = self.rest(b, x, self.new()), None
         for _ in range(FIRST):
@@ -288,7 +276,7 @@ class Level:
         """
         graph = self.graph
         if len(self.factor):
-            flux = potential_flux(graph, back_substituted(self.factor, r))
+            flux = flow_graph.potential_flux(graph, back_substituted(self.factor, r))
             return flux, float(np.sum(flux**2 / graph.weight))
         if self.coarse is None and graph.points == 0 and self.halo is None:
             return np.empty(0), 0.0
@@ -301,7 +289,7 @@ class Level:
         coarse, _ = self.coarse.fluxes(self.restricted(r))
         faces = len(graph.weight) if len(graph.first) else 2 * graph.points
         flux = np.zeros(faces if keep else 0)
-        return flux, shared_flux(graph, self.coarse.graph, coarse, self.aggregate, r[: graph.points], flux)
+        return flux, flow_graph.shared_flux(graph, self.coarse.graph, coarse, self.aggregate, r[: graph.points], flux)
 
 
 @compiled()

@@ -19,17 +19,8 @@ import numpy as np
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables.flow_graph import (
-    ACROSS_X,
-    ACROSS_Y,
-    BORDER_ABOVE,
-    BORDER_BELOW,
-    LEFTMOST,
-    RIGHTMOST,
-    Graph,
-    crossing,
-    face,
-)
+from pgfmd.observables import flow_graph
+from pgfmd.observables.flow_graph import Graph, crossing, face
 from pgfmd.observables.multigrid import Halo, Level
 from pgfmd.observables.patch_table import label_patches
 from pgfmd.parallel.compiled import compiled
@@ -67,10 +58,10 @@ def slab_graph(grid: SlabGrid, mask: np.ndarray, down: np.ndarray, right: np.nda
     to_right[:, :-1] *= mask[:, 1:]
     to_right[:, -1] *= mask[:, 0]
     flags = np.zeros(mask.shape, np.int8)
-    flags[:, 0] += LEFTMOST
-    flags[:, -1] += RIGHTMOST
-    flags[0] += BORDER_ABOVE * (grid.rows.start == 0)
-    flags[-1] += BORDER_BELOW * (grid.rows.stop == grid.shape[0])
+    flags[:, 0] += flow_graph.LEFTMOST
+    flags[:, -1] += flow_graph.RIGHTMOST
+    flags[0] += flow_graph.BORDER_ABOVE * (grid.rows.start == 0)
+    flags[-1] += flow_graph.BORDER_BELOW * (grid.rows.stop == grid.shape[0])
     other = np.array([nx * ny, ny], np.int32)
     return Graph(np.empty(0, np.int64), other, weight.ravel(), flags.ravel())
 
@@ -88,7 +79,7 @@ class Network:
         """K along x (axis 0) or y (1) to bounds of that relative width, or to what rounding leaves.  Raises SolverError
         if the iteration does not end.  Collective.
         """
-        level, kind = self.level, (ACROSS_X, ACROSS_Y)[axis]
+        level, kind = self.level, (flow_graph.ACROSS_X, flow_graph.ACROSS_Y)[axis]
         r, step = level.new(), None
         sources(level.graph, kind, r)
         u = level.start(r, kind)
