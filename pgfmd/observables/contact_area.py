@@ -11,21 +11,9 @@ line the sums err by a constant times its turning; χ, the number of patches les
 turning over 2π.  Around a circle, the pairs straddle the line at distance δ outside the true one, so that Σ cos θ
 is the length of that outer line.  The sum of the areas is too small by b = π(ax² + ay²)/32 + ½ ∮ δ² dθ.
 
-**Error.** The error has two parts.  In pixels, with n edges between pixels in and out of contact:
-
-The grid: where the line lies between two pixels is wrong at random, and by a little with one sign,
-
-    inside the line √n s and n s,    without it √n and n,
-
-s the roughness of the surface in radians per pixel (`rough_surface`): lines turn on the scale of its waves.
-
-The solver: an error e of the pressure moves the line by e over the rise of the pressure in one pixel at the edge, b.
-Σ |e| over the n edges is at most √n ‖e‖ = √n η ‖p‖, η the relative error of the pressure.  On a half-space b is of the
-order of the rms pressure in contact, on a thin slab K(π/a) a g_rms: the pressure follows the slope of the surface.  The
-more is in contact, the more does a change of the pressure open or close: 1/(1 − f_c).
-
-FACTORS: their ratios from 400 contacts (`tools/bench/error_bars.py held`, seeds 77 and 78), their size so that bars
-exceed errors in 96 % of 320 others (seeds 20261125 and 20261126); tested on 400 more.
+**Error.** With n edges between pixels in and out of contact: by the grid √n s and n s inside the line, √n and n without
+it, s the roughness in radians per pixel; by the solver √n η ‖p‖/b/(1 − f_c).  FACTORS are those of each way
+(NUMERICS.md).
 """
 
 from __future__ import annotations

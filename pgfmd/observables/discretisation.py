@@ -4,51 +4,20 @@
 
     error² = (b ΔF̃_0)² + c² mean_{1 ≤ k ≤ MODES} |ΔF̃_k|²,        ΔF̃_k = F̃_k − F̃'_k − s (p̃_k − p̃'_k),
 
-F̃_k the coefficient of the wave number 2πk/lx along x, primed on a grid with half as many points each way.
+F̃_k the coefficient of the wave number 2πk/lx along x, primed on a grid with half as many points each way, and
+s = Σ Re p̃_k* F̃_k / Σ |p̃_k|², 1 ≤ k ≤ MODES, the slope by which F changes with the load that moves between regions.
+The field of the mean gap is d − (pd + w)/p̄, with w that of the elastic energy and d the plastic depth.
 
-The second part is random, since edges lie anywhere between the points: local errors have either sign, and partly cancel
-in the mean.  Their spectrum is white, so that long waves show the typical size of their sum, while the change of the
-mean alone is often small by chance.  The mean load is imposed, that of a region is not: load moves between regions
-until their gaps fit the elastic deformation, and F changes with it, by the slope s = Σ Re p̃_k* F̃_k / Σ |p̃_k|²,
-1 ≤ k ≤ MODES.  The term with s takes that change out.
+**Band.** Where roughness reaches the pixel, errors are estimated from the contact: up to BAND of the energy Σ p²/K(π/a)
+over all edges between a pixel in contact and one that is not; that of ⟨p²⟩ by (s e)^1.5 ⟨p²⟩, s the roughness of the
+surface (`rough_surface`), e the number of edges per pixel in contact.
 
-In a strip of width a along the edges of contacts, pressures (∝ √d, d: distance to the edge) and gaps differ from those
-of the continuum.  The energy at given load is least at the solution, so that only the energy of the strip is missing,
-pressure times displacement (∝ a²) times width: a³, its random part a^(7/2).  E_el and the gap are derivatives of it by
-the load, and have a^(5/2), see below.  Of the change between both grids
-1/√(1 + 2⁵) is then the error of the finer one, and 1.96 times this is .34; c is a tenth more, as MODES numbers do not
-give an exact size, and b = 0.
+**Solver.** The level λ is wrong by the mean of the residual r = g − λ in contact with the weights w, the change of the
+pressure when the load falls by LESS, on the half grid.  So is the mean gap, and the elastic energy by p̄ times as much.
+Without such a w, the mean gap is right to B/p̄ and the elastic energy to B, B = 2√(C(E_el + ζp̄/2)) + C with the
+certified energy error C (`solvers.controls`), times SOLVER.
 
-The field of the mean gap is d − (pd + w)/p̄, with w that of the elastic energy and d the plastic depth, which is 0
-except where a wall of limited hardness yields.  Reason: with g' = g − d, the mean of w + pd + p̄g' is, up to constants,
-the least energy, of order 3, while w + pd and p̄g' have opposite errors of order 5/2, like its derivatives by the load:
-edges that move with the load pass points.  At λ_s = 4a, 8a, 16a, 32a, the measured errors of the sum are .57, .46, .29,
-.26 of those of w (rms).  At f_c = .02, the gap's own long waves change half as much as its mean.
-
-⟨p²⟩ and the perimeter also have errors of one sign, of second order: b = 1/3.  With their c the bar exceeds the
-error in 19 cases of 20: of ⟨p²⟩ for 200 self-affine surfaces (H = .3, .5, .8; f_c from .02 to .6; λ_s = 4a to 32a), of
-the perimeter for 320 others, half of them slabs (`tools/bench/error_bars.py held`, seeds 20261125 and 20261126).
-
-**Band.** Where roughness reaches the pixel, the coarser grid lacks a part of it.  The errors against the same heights,
-interpolated onto a grid eight times finer, are then estimated from the contact.  The energy that the grid may miss is
-the elastic energy of single pixels at edges, Σ p²/K(π/a) over all edges between a pixel in contact and one that is not
-(under laws by which everything touches, over all pixels); the errors of E_el and of the mean gap times p̄ are up to BAND
-of it.  That of ⟨p²⟩ is estimated by (s e)^1.5 ⟨p²⟩, s the roughness of the surface (`rough_surface`), e the number of
-edges per pixel in contact.  BAND: so that bars exceed errors in 19 of 20 of 213 contacts with λ_s = 1 … 3 pixels;
-those of E_el and of the gap in 62 of 64, half of them slabs.
-
-**Solver.** In contact the solver leaves a residual r = g − λ, whose mean with the weights p is 0.  Let w be the change
-of the pressure with the load, which moves gaps in contact by a constant.  If e is the error of the pressure, of sum 0,
-⟨w, Ge⟩ = 0: so the level λ is wrong by the mean of r with the weights w.  So is the mean gap, and the elastic energy by
-p̄ times as much, as E_el + p̄ū is of second order.  w is the change on the half grid when the load falls by LESS.  In 320
-solutions (those of the perimeter) the error had the sign of this estimate in 95 % and was 1.1 times as large in the
-median, at most LEVEL times in 92 %.  Without such a w, the mean gap is right to B/p̄ and the elastic energy to B,
-B = 2√(C(E_el + ζp̄/2)) + C with the certified energy error C (`solvers.controls`), times SOLVER.
-
-⟨p²⟩ is right to far less than 2η⟨p²⟩, η the relative error of the pressure.  A share η of the points at the edges is on
-the wrong side, at random, each with a length of about two pixels.  SOLVER: so that bars exceed errors in 19 of 20 of
-825 solutions (165 surfaces with H = .3, .5 and .8, λ_s from 1 to 64 pixels and f_c from .01 to .8, to 1e-4 … 1e-8,
-against 1e-12).
+Why, and where b, c, BAND and SOLVER come from: NUMERICS.md, "Error bars of the other numbers".
 """
 
 from __future__ import annotations

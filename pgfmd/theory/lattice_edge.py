@@ -1,39 +1,13 @@
 """The edge of a contact on a grid: exact pressures, gaps, and where counting grid points puts the edge.
 
-The grid's half-space has the compliance 2/(E'|q|) on the modes of the grid, q in the first Brillouin zone.  Near a
-straight edge with normal n (pointing into the contact) continuum theory has, with d the distance to the edge,
+The grid's solid has its stiffness K(q) on the modes of the grid, q in the first Brillouin zone.  A field that is
+constant along an edge with normal along (m/ax, k/ay), gcd(m, k) = 1, depends on one integer s = m i + k j, at the
+distance d = h s + const with h = 1/|(m/ax, k/ay)|.  With contact for s ≥ 0 this is a Wiener–Hopf problem (solved in
+NUMERICS.md, section "Contact lines between pixels").  Pressures p_s and gaps g_{−s} are linear in 0 ≤ β ≤ 1: as β
+passes from 0 to 1 the edge moves by one line of the grid.
 
-    p = K √d inside,    g = (4K/3E') |d|^(3/2) outside.
-
-On the grid a field that is constant along the edge depends on one integer s = m i + k j, where n is along
-(m/ax, k/ay), gcd(m, k) = 1, and d = h s + const with h = 1/|(m/ax, k/ay)|.  Its response is a convolution in s with the
-symbol S(κ) = 2/(E'|q|), q = (wrap(mκ)/ax, wrap(kκ)/ay).  With contact for s ≥ 0 this is a Wiener–Hopf problem.  Write
-
-    log(E'S/2h) = −log|2 sin(κ/2)| + ρ(κ),    ρ(κ) = ρ_0 + 2 Σ ρ_n cos nκ,    R(z) = exp(Σ_{n>0} ρ_n zⁿ),
-
-so that 2h/E' e^{ρ_0} (1−z)^(−1/2) R(z) · (1−1/z)^(−1/2) R(1/z) = S at z = e^{iκ}.  Solutions that grow as √s are
-
-    Σ p_s z^s = A (1 − β(1−z)) (1−z)^(−3/2) / R(z),
-    Σ g_{−s} z^s = B (z² + βz(1−z)) (1−z)^(−5/2) R(z),
-
-p_0 ≥ 0 and g_{−1} ≥ 0 for 0 ≤ β ≤ 1: as β passes from 0 to 1 the edge moves by one line of the grid, and pressures and
-gaps are linear in its position.  From the singularity at z = 1, p_s ∝ √(s + 3/4 + r − β), r = Σ n ρ_n; times h, the
-radicand is the distance d to the edge of the continuum.  At β = 1 the last line leaves contact, at the distance −δ,
-
-    δ = h (1/4 − r) = (1/π) ∫_0^∞ log(t/|fold(t n)|) dt/t²,
-
-where fold maps a wave number into the first Brillouin zone; the integral holds for any direction.  So a pixel is in
-contact if its centre lies less than δ outside the true edge, and counting pixels overestimates an area by δ times the
-length of its edge.
-
-To long waves a slab on a rigid base is a Winkler foundation: its stiffness K(q) has a limit K₀ > 0 at q → 0.  Farther
-from the edge than its thickness, pressures and gaps are linear in d, in place of its powers 1/2 and 3/2.  S = 1/K(q)
-has no singularity: log(K₀S) = ρ(κ) − ρ(0).  The exponents −3/2 and −5/2 above become −2, and p_s ∝ s + 1 + r − β far
-inside.  In the continuum p ∝ d + X there, X = (1/π) ∫_0^∞ log(K(t)/K₀) dt/t², so that δ = X − hr.  For every solid
-
-    δ = (1/π) ∫_0^∞ log(K(t)/K(|fold(t n)|)) dt/t²,
-
-which vanishes for a slab much thinner than a pixel.
+A pixel is in contact if its centre lies less than δ outside the true edge, and counting pixels overestimates an area by
+δ times the length of its edge.
 """
 
 from __future__ import annotations
