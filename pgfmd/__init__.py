@@ -20,7 +20,7 @@ __all__ += ["reference", "register", "run", "solve", "surface"]
 _HOMES = {name: "pgfmd.api" for name in ("certify", "solve")}
 _HOMES["reference"] = "pgfmd.theory.reference_set"
 _HOMES["register"] = "pgfmd.plugins"
-_HOMES |= {name: "pgfmd.application.scripting" for name in ("run", "surface")}
+_HOMES |= {name: "pgfmd.application.simulate" for name in ("run", "surface")}
 _HOMES |= {name: "pgfmd.application.results" for name in ("Results", "Runs")}
 _HOMES["Ensemble"] = "pgfmd.application.ensemble"
 

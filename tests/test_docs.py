@@ -210,7 +210,7 @@ def test_search_finds_each_key_and_each_column(site):
 
 pytest.importorskip("pandas")
 
-MODULES = ("api", "application.scripting", "observables.contact", "application.results", "application.ensemble")
+MODULES = ("api", "application.simulate", "observables.contact", "application.results", "application.ensemble")
 
 
 @pytest.mark.parametrize("name", [f"pgfmd.{name}" for name in MODULES])
