@@ -14,8 +14,6 @@ what was asked for; 75 (EX_TEMPFAIL) if the run was asked to stop, and can be co
 interrupted twice, or before there was anything to save; 1 for anything else.
 """
 
-from __future__ import annotations
-
 import argparse
 import atexit
 import contextlib

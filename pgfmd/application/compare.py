@@ -1,7 +1,5 @@
 """`pgfmd compare`: differences between the tables of loads of several runs, beside their errors.  No MPI here."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """A job of an ensemble: one run for each seed, distributed over the ranks."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Iterator

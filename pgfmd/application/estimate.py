@@ -1,7 +1,5 @@
 """What a run will take: memory, files, time.  Used by `pgfmd check`; no MPI here."""
 
-from __future__ import annotations
-
 import logging
 import math
 from contextlib import suppress

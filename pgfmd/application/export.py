@@ -8,8 +8,6 @@ less the plastic depth under a wall of limited hardness.  Pressures are in units
 NetCDF 3: SurfaceTopography and the site read no other.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping

@@ -8,8 +8,6 @@ The last two have virtual datasets (HDF5 1.10), which refer to the files in fiel
 must stay where they are.  A missing file reads as NaN, or −1 for integers.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

@@ -5,8 +5,6 @@ instant.  SHA256SUMS lists checksums of the files, for `sha256sum -c`.  A file o
 not in that list: it holds checksums of the rows of its fields, each computed by the rank that has the row.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl

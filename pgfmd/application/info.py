@@ -1,7 +1,5 @@
 """What `pgfmd info` prints about result folders and ensembles: summaries, CSV, JSON, damage; and `pgfmd cite`."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -4,8 +4,6 @@ A checkpoint, fields/checkpoint.h5, holds the latest pressure (nx, ny) of a load
 the effective job.  Any number of ranks reads it.  A damaged one only costs time: every solver certifies its result.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import math

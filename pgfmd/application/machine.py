@@ -1,7 +1,5 @@
 """The machine of a run (ranks, nodes, cores, memory, libraries) and provenance (version, commit, command, date)."""
 
-from __future__ import annotations
-
 import functools
 import json
 import logging

@@ -1,7 +1,5 @@
 """Commands that make a surface in one process: `certify`, `new --heights`, and the doubts of `check`."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

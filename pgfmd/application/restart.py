@@ -1,7 +1,5 @@
 """Results that a folder holds already: which of them a run continues, replaces, or must leave alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import logging

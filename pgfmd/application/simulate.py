@@ -3,8 +3,6 @@
 For scripts and notebooks `run` runs a job and opens its results, `surface` makes the surface of a job.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import shutil

@@ -4,8 +4,6 @@ Columns are read and written by h5py's low-level API: its selections take three 
 of small runs.
 """
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Mapping, Sequence

@@ -8,8 +8,6 @@ package and in the result files.
 ask for.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -16,8 +16,6 @@ it, s the roughness in radians per pixel; by the solver √n η ‖p‖/b/(1 −
 (NUMERICS.md).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -11,8 +11,6 @@ are the values about each pair of neighbours, a contact pixel and an open one:
 All in NumPy: compiled, this would be a sixth of what a first run compiles, and hardly faster.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from fractions import Fraction

@@ -5,8 +5,6 @@ without subtraction (Grassmann, Taksar and Heyman 1985, doi:10.1287/opre.33.5.11
 harm.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -10,8 +10,6 @@ from u = 0 the energy would begin up to 3e7 times too high.  f is made on the co
 proportion to T, and balanced in each aggregate.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

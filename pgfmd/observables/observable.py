@@ -3,8 +3,6 @@
 Each observable is one file of this folder and one line of `observable_kinds`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, ClassVar

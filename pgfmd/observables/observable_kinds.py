@@ -1,7 +1,5 @@
 """The observables that a job may ask for, in the order in which they are measured.  A new one gets a line here."""
 
-from __future__ import annotations
-
 from pgfmd.observables.adhesive_state import Adhesion
 from pgfmd.observables.bearing_area import Bearing
 from pgfmd.observables.contact_patches import ContactPatches

@@ -15,8 +15,6 @@ Each rank measures the pixels it holds; pieces of a patch on other ranks are add
 only finished rows go to rank 0.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

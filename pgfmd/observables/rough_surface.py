@@ -5,8 +5,6 @@ in the cache, and goes back to real space as the autocorrelation, which is summe
 transform gives a spectrum, one more backward the autocorrelation too.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable

@@ -8,8 +8,6 @@ Shape symbols: `rows × columns` is the mask, `n` its number of runs; row i hold
 ordered by column; runs[k] = (start, stop), the stop excluded.  No MPI here.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

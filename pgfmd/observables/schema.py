@@ -4,8 +4,6 @@ What an observable writes is described in its own file (`observables/NAME.py`). 
 {pressure}, which stand for the names of units that a job gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 

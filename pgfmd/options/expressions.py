@@ -1,7 +1,5 @@
 """Formulas in a job: text with arithmetic and a few functions becomes a Python function, and no other code is run."""
 
-from __future__ import annotations
-
 import ast
 import math
 from collections.abc import Callable

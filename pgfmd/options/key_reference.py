@@ -1,7 +1,5 @@
 """The reference of the TOML file: every table and key with meaning, default and what is allowed, from the sections."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import textwrap

@@ -1,7 +1,5 @@
 """Rules for one value: each converts a TOML value and says in words what it allows."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Values and names as text: in messages, on one line, and in TOML."""
 
-from __future__ import annotations
-
 import difflib
 import json
 from collections.abc import Mapping

@@ -15,8 +15,6 @@ A spectrum has the form of the result files: wave numbers q (m,), ascending; `po
 (h̃ the Fourier coefficient: a sum over all modes is a mean over the surface); `count` (m,), the number of modes at q.
 """
 
-from __future__ import annotations
-
 import importlib
 from types import ModuleType
 from typing import Any, TypeAlias

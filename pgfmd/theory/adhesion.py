@@ -4,8 +4,6 @@ Johnson, Kendall and Roberts 1971, doi:10.1098/rspa.1971.0141 (JKR); Derjaguin, 
 doi:10.1016/0021-9797(75)90018-1 (DMT); Maugis 1992, doi:10.1016/0021-9797(92)90285-T.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

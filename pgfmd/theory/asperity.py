@@ -5,8 +5,6 @@ shape) and returns the relative contact area and the mean pressure in the same s
 them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

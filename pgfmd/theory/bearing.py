@@ -3,8 +3,6 @@
 The threshold is chosen to give the contact area of the elastic contact.  Lengths in any unit; arrays broadcast.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import ndtr, ndtri, owens_t
 

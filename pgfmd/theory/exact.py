@@ -5,8 +5,6 @@ h = Δ cos(2πx/λ) cos(2πy/λ) (Johnson, Greenwood & Higginson 1985, doi:10.10
 p̄ is the mean pressure over the cell, p* that at which contact becomes full, f = p̄/p*.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

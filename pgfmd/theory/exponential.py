@@ -1,7 +1,5 @@
 """Field theory of an exponential wall, σ = σ_ref exp(−gap/ζ), to first order in the heights."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from pgfmd.theory import Reals

@@ -3,8 +3,6 @@
 Hertz (1881), doi:10.1515/crll.1882.92.156; Johnson, Contact Mechanics, chapter 4, doi:10.1017/CBO9781139171731.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

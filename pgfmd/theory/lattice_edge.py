@@ -10,8 +10,6 @@ A pixel is in contact if its centre lies less than δ outside the true edge, and
 δ times the length of its edge.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

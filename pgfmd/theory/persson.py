@@ -5,8 +5,6 @@ doi:10.1063/1.1388626.  `std` is the standard deviation s = E' g/2 that the pres
 rms slope.  Pressures in any unit; arrays broadcast.  Spectra as in the package docstring.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import erf, erfinv, exp1, ndtr

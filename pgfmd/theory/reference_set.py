@@ -1,7 +1,5 @@
 """The reference set: contacts of self-affine surfaces with errors, which `jobs/reference.sh` makes."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
