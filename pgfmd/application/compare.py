@@ -130,8 +130,7 @@ def _check(first: Side, other: Side) -> None:
 
 
 def _pairs(first: Side, other: Side) -> Iterable[tuple[int, dict[str, Number], dict[str, Number]]]:
-    """Pairs of loads with the same target: index in the first run, numbers of both.  Each load is in one pair at most.
-    """
+    """Pairs of loads with the same target, each in one pair at most: index in the first run, numbers of both."""
     free = list(other.loads)
     for index, mine in enumerate(first.loads):
         target = mine["target"].value
@@ -143,9 +142,7 @@ def _pairs(first: Side, other: Side) -> Iterable[tuple[int, dict[str, Number], d
 
 
 def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
-    """The differences as an aligned table below those of the jobs.  Numbers that are equal, such as the imposed one,
-    are left out.
-    """
+    """The differences as an aligned table below those of the jobs, without numbers that are equal."""
     head = ("load", "number", "first", "other", "difference", "error", "in errors", "relative")
     parts = []
     for run in dict.fromkeys(row.run for row in rows):
@@ -179,4 +176,3 @@ def as_json(rows: Sequence[Row], notes: Sequence[str]) -> str:
 
 def _entries(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return [asdict(row) | {"difference": row.difference, "error": row.error} for row in rows]
-

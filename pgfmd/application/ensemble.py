@@ -132,9 +132,7 @@ class Column:
         return np.ma.filled(known.std(axis=0, ddof=1) / np.sqrt(known.count(axis=0)), np.nan)
 
     def named(self, name: str, group: Mapping[str, Column]) -> Iterable[tuple[str, np.ndarray]]:
-        """The mean as NAME and, unless it is an axis, the error as NAME_error, or NAME_seed_error if the group has a
-        NAME_error of its own.
-        """
+        """The mean as NAME; unless an axis, the error as NAME_error (NAME_seed_error if the group has a NAME_error)."""
         error = f"{name}_seed_error" if f"{name}_error" in group else f"{name}_error"
         return [(name, self.mean)] if self.is_axis else [(name, self.mean), (error, self.error)]
 
@@ -255,9 +253,7 @@ def _put(group: h5py.Group, columns: Mapping[str, Column]) -> None:
 
 
 def table(ensemble: Ensemble) -> str:
-    """The means of all numbers with standard errors as aligned text, one row per load, and the number of seeds; "(n)"
-    follows a mean over n, fewer seeds.
-    """
+    """Means with errors and number of seeds as text, one row per load; "(n)" follows a mean over n, fewer seeds."""
     means, seeds = mean_loads(ensemble.runs), solved_runs(ensemble.runs)
     means = {name: column for name, column in means.items() if not is_error(name, means)}
     if not means:

@@ -69,9 +69,7 @@ class Estimate:
 
 
 class Extent(NamedTuple):
-    """Of a contact: its relative area, the part of the patch on which it is solved, and the bytes per point of the
-    torus for the gap outside that part.
-    """
+    """Relative area of a contact, part of the patch where it is solved, bytes per point of the torus for the rest."""
 
     area: float
     part: float
@@ -273,8 +271,7 @@ class Plan:
             "memory": f"about {readable(total.node)} on a node of {counted(here, 'rank')} "
             f"({readable(BASE_BYTES)} for each rank, of which {readable(LIBRARY_BYTES)} are shared, and "
             f"{self.bytes_per_point():.0f} bytes per grid point)",
-            "of a rank": f"up to {readable(total.memory)}, memory shared within a node included"
-            * (ranks > 1),
+            "of a rank": f"up to {readable(total.memory)}, memory shared within a node included" * (ranks > 1),
             "shared": self.shortage(ranks, here),
             "files": readable(total.files),
             "time": f"about {duration(total.seconds)} on {counted(ranks, 'core')}",

@@ -57,9 +57,7 @@ def export(results: Results, folder: str | os.PathLike, form: str = "nc") -> lis
 
 
 def _contents(load: LoadResults, job: Job) -> tuple[dict[str, tuple[np.ndarray, str, str]], dict[str, Any]]:
-    """The variables of a load except the heights, name → (values, unit, meaning), and its numbers, under the names of
-    contact.engineering where it has one.
-    """
+    """Variables but the heights, name → (values, unit, meaning), and numbers, named as contact.engineering does."""
     heights, pressure, gap = (load.field(name).astype(np.float64) for name in ("height", "pressure", "gap"))
     if "plastic_depth" in load.results.fields(load.index):
         displacement = gap + heights - load.field("plastic_depth")

@@ -90,9 +90,7 @@ class FieldFiles:
             from_root(self.comm, self.write_views)
 
     def _stored(self, name: str, local: np.ndarray) -> np.dtype:
-        """The type of a field in the file: the job's precision for real fields, or double if values would overflow or
-        underflow in it.  Collective.
-        """
+        """Type of a field in the file: as the job asks; double for reals that over- or underflow in it.  Collective."""
         if not np.issubdtype(local.dtype, np.floating):
             return local.dtype
         asked, reduction = np.dtype(self.form.precision), Reduction(self.comm)
@@ -174,9 +172,7 @@ def described(directory: Path, file: str, dataset: str) -> Shown:
 
 @dataclass(frozen=True)
 class View:
-    """The content of fields.h5 and fields.vtkhdf: shape (nx, ny) and lengths of the grid, their unit, and the fields by
-    name, "height" or "load_0000/pressure".
-    """
+    """What fields.h5 and fields.vtkhdf show: shape, lengths, their unit, fields ("height", "load_0000/pressure")."""
 
     shape: tuple[int, int]
     lengths: tuple[float, float]

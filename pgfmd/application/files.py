@@ -153,9 +153,7 @@ class Sums:
             self._write({name: digest for name, digest in self._lines.items() if name not in names})
 
     def note(self, *names: str) -> None:
-        """Write the lines of those files that exist and hold no checksums of their own; remove those of files that are
-        gone.
-        """
+        """Write the lines of files that hold no checksums of their own; remove those of files that are gone."""
         paths = {name: self.directory / name for name in names}
         listed = {name: path for name, path in paths.items() if path.exists() and not _summed_fields(path)}
         self._write(self._lines | {name: sha256(path) for name, path in listed.items()})

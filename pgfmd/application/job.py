@@ -324,9 +324,7 @@ def _change(entry: str) -> tuple[str, Any, str]:
 
 
 def _make_way(document: dict, changes: Mapping[str, Any]) -> None:
-    """Remove from the document what changes replace: keys that the new kind of a section does not have, and the imposed
-    quantity if another is imposed.
-    """
+    """Remove what changes replace: keys that a new kind of section does not have, and any other imposed quantity."""
     for dotted, value in changes.items():
         section, _, name = dotted.partition(".")
         table, kinds = document.get(section), SECTIONS.get(section)

@@ -70,14 +70,10 @@ class Checkpoints:
             file.attrs.update(software="pgfmd", load=index, job=self.job, total=total)
             return hdf5_slabs.create_dataset(file, name, self.shape, pressure.dtype)
 
-        hdf5_slabs.replace_by(
-            self.ranks, self.path, {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}, create
-        )
+        hdf5_slabs.replace_by(self.ranks, self.path, {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}, create)
 
     def load(self, index: int) -> np.ndarray | None:
-        """The pressure (nx_local, ny), in an arbitrary unit, of load `index`; None if none is saved, or it is damaged.
-        Collective.
-        """
+        """Pressure (nx_local, ny) of load `index`, in any unit; None if there is none, or it is damaged.  Collective."""
         total = from_root(self.comm, self._total_of, index)
         if total is None:
             return None
@@ -124,9 +120,7 @@ class Loads:
     index of a load without a solution → the error that says why.
     """
 
-    def __init__(
-        self, job: Job, problem: ContactProblem, writer: ResultWriter, interruptions: Interruptions
-    ) -> None:
+    def __init__(self, job: Job, problem: ContactProblem, writer: ResultWriter, interruptions: Interruptions) -> None:
         self.job, self.grid, self.writer, self.interruptions = job, problem.grid, writer, interruptions
         comm, grid = problem.grid.comm, problem.grid
         self.targets, self.pending = job.imposed.targets, writer.pending
@@ -234,9 +228,7 @@ class Loads:
         return solve_contact(problem, options, start, partial(self._see, problem))
 
     def _see(self, problem: ContactProblem, grid: SlabGrid, state: SolverState) -> None:
-        """Monitor of a solver: called after each step, on the job's grid or a coarser one.  Collective over the ranks
-        that hold `grid`.
-        """
+        """Monitor of a solver: after each step, on the job's grid or a coarser one.  Collective on `grid`."""
         transforms = grid.transforms - (self._transforms if grid is self.grid else 0.0)
         self.progress.step(grid.shape, state.error, state.contact / grid.size, transforms)
         if grid is self.grid:

@@ -27,9 +27,7 @@ MOST_TESTED = 2**22  # points of all surfaces up to which `doubts` makes them: a
 
 
 def job_on(surface: str, overrides: Sequence[str] = ()) -> Job:
-    """The job of a result folder or of a TOML file; for any other file, a job on its heights and cell.  Raises
-    InputError.
-    """
+    """The job of a result folder or TOML file; of any other file, a job on its heights and cell.  Raises InputError."""
     if surface.endswith(".toml"):
         return load(surface, list(overrides))
     if os.path.isdir(surface):

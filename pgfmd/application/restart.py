@@ -96,9 +96,7 @@ def read(directory: Path) -> EarlierResults:
                 folder=str(file.attrs.get("fields_folder", files.FIELDS_FOLDER)),
             )
     except (OSError, KeyError, RuntimeError, ValueError) as error:
-        raise InputError(
-            f"{path}: cannot be continued: {error}; move it away, or choose another folder"
-        ) from None
+        raise InputError(f"{path}: cannot be continued: {error}; move it away, or choose another folder") from None
     if earlier.version != THIS_VERSION:
         written = f"it was written by pgfmd {earlier.version}; this is {THIS_VERSION}"
         raise InputError(f"{directory}: cannot be continued: {written}")

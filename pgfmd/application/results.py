@@ -305,9 +305,7 @@ def text_table(
         columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)
-    return "\n".join(
-        "  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in rows
-    )
+    return "\n".join("  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in rows)
 
 
 def modern(

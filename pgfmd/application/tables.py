@@ -51,9 +51,7 @@ class ObservablesFile:
         self._begun = True
 
 
-def add_columns(
-    group: h5py.Group, completed: int, wanted: Mapping[str, Dataset], units: Mapping[str, str]
-) -> None:
+def add_columns(group: h5py.Group, completed: int, wanted: Mapping[str, Dataset], units: Mapping[str, str]) -> None:
     """Make the missing columns of the table of loads: results of an earlier version may lack some."""
     wanted = {"load": Dataset("1", "number of the load, counted from 0"), **wanted}
     for name, about in wanted.items():
@@ -126,9 +124,7 @@ def read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
 
 
 def name_axes(group: h5py.Group, key: str, axes: Sequence[str]) -> None:
-    """Attach coordinates to each axis of the dataset `key`: the dataset of the axis's name in the group, which must
-    exist.
-    """
+    """Attach coordinates to each axis of the dataset `key`: datasets of these names, which the group must have."""
     for number, name in enumerate(axes):
         if not group[name].is_scale:
             group[name].make_scale(name)

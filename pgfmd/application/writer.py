@@ -90,9 +90,7 @@ class ResultWriter:
             log.info("fields are written by all ranks, %s", how)
 
     def _open_folder(self) -> tuple[EarlierResults, bool, str]:
-        """Lock the folder.  Returns the results to continue, whether others are replaced, and the name of the folder of
-        fields.  Rank 0.
-        """
+        """Lock the folder; what to continue, whether results are replaced, the folder of fields.  Rank 0."""
         folder = OutputFolder(self.directory)
         try:
             if (self.directory / files.ENSEMBLE_FILE).exists():

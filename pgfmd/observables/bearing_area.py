@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
 
 
-
 @dataclass(frozen=True, kw_only=True)
 class Bearing(Observable):
     """The bearing area: the highest points of the surface, as many as are in contact, and the height above which they
@@ -103,9 +102,7 @@ def threshold_for_count(grid: SlabGrid, heights: np.ndarray, count: int) -> floa
 
 
 def _count_up_to(grid: SlabGrid, bits: np.ndarray, prefix: int, shift: int) -> np.ndarray:
-    """Number of heights whose keys (`count_digits`) begin with the digits `prefix` and go on with at most each next
-    digit: (2^16,) int64.  Collective.
-    """
+    """Heights whose keys (`count_digits`) begin with `prefix`, then at most each digit: (2^16,).  Collective."""
     parts = []
 
     def part(first: int, stop: int) -> None:

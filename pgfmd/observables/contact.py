@@ -172,9 +172,7 @@ class Contact(ContactSolution):
         return axes
 
     def warn_at_border(self) -> None:
-        """Log a warning if points at the border of a patch with open boundaries touch, for patches that were cut out of
-        a larger surface.  Collective.
-        """
+        """Warn if points at the border of an open patch touch that was cut out of a larger surface.  Collective."""
         grid = self.problem.grid
         if grid.domain.wraps:
             return
@@ -188,9 +186,7 @@ class Contact(ContactSolution):
             )  # fmt: skip
 
     def to_xarray(self) -> xarray.Dataset:
-        """The fields of this rank with named axes and coordinates, the numbers as attributes.  Collective on first use
-        of the numbers.
-        """
+        """This rank's fields with named axes and coordinates; the numbers as attributes, collective on first use."""
         import xarray
 
         x, y = coordinates(self.problem.grid)
@@ -324,8 +320,7 @@ class Contact(ContactSolution):
         return self._lines[connectivity]
 
     def patches(self, labels: Labels, pressure: np.ndarray | None) -> dict[str, np.ndarray]:
-        """The table of patches on rank 0, empty elsewhere; without columns of pressure and line if `pressure` is None.
-        """
+        """The table of patches on rank 0, empty elsewhere; `pressure` None: without columns of pressure and line."""
         line = None if pressure is None else self.line_of_patches(labels.connectivity)
         return patch_table(labels, self.grid.spacing, pressure, line, self.problem.law.highest)
 

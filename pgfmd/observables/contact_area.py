@@ -208,9 +208,7 @@ def contact_area(
     return Area(pixels, edges_x, edges_y, fraction, edge_length, max(corrected, least), perimeter)
 
 
-def _count_edges(
-    pressure: np.ndarray, above: np.ndarray, left: np.ndarray, first: int, stop: int
-) -> tuple[int, ...]:
+def _count_edges(pressure: np.ndarray, above: np.ndarray, left: np.ndarray, first: int, stop: int) -> tuple[int, ...]:
     """(points p > 0, contact/non-contact edges to the row before, and to the column before) of rows first … stop−1.
 
     `above` (1, ny) is the row before row 0, `left` (ny,) the column before each.

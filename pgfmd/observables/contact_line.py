@@ -247,9 +247,7 @@ def staircase(spacing: tuple[float, float], solid: Solid, roughness: float) -> f
     return table.shift / 8 * spacing[0] * (1 + ROUGHNESS * roughness**2)
 
 
-def edge_tables(
-    spacing: tuple[float, float], solid: Solid, thin: float = THIN
-) -> tuple[EdgeTable, EdgeTable]:
+def edge_tables(spacing: tuple[float, float], solid: Solid, thin: float = THIN) -> tuple[EdgeTable, EdgeTable]:
     """The tables for pairs along x and along y: those of a slab if its `hardening` is below `thin`."""
     ax, ay = spacing
     if hardening(solid, min(spacing)) < thin:

@@ -250,9 +250,7 @@ def change_at_equal_load(fine: Waves, coarse: Waves, name: str) -> np.ndarray:
 
 
 def long_waves(problem: ContactProblem, solution: ContactSolution, line: ContactLine | None, count: int) -> Waves:
-    """(1/N) Σ F exp(−2πikx/lx), k = 0 … count, of the fields of the numbers of FACTORS and of the pressure, "load".
-    Collective.
-    """
+    """(1/N) Σ F exp(−2πikx/lx), k = 0 … count, of the fields F of FACTORS and of the pressure, "load".  Collective."""
     grid, pressure, gap, plastic = problem.grid, solution.pressure, solution.gap, solution.plastic_depth
     rows = {name: np.zeros(grid.local_shape[0]) for name in (*FACTORS, "load")}
 

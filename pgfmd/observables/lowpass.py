@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from pgfmd.observables.contact import Contact
 
 
-
 POINTS_PER_WAVE = 8
 """Least number of grid points per shortest remaining wavelength.  The area inside the contact line is then within .2 %
 of that of an infinitely fine grid."""
@@ -42,9 +41,7 @@ MEMORY = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Lowpass(Observable):
-    """Contact areas of the surface low-passed at each q, at the same load, each solved on the coarsest grid that
-    resolves it.
-    """
+    """Contact areas of the surface low-passed at each q, at the same load, on the coarsest grid that resolves it."""
 
     needs_period = "heights are filtered by their Fourier modes"
     name = "lowpass"
@@ -154,8 +151,7 @@ def _on_grid(
 def _areas(
     problem: ContactProblem, cutoffs: list[float], solve: Solve, start: np.ndarray | None = None
 ) -> np.ndarray:
-    """Those of one grid, (cutoffs, 2).  Each contact starts from `start`; without it, from the one before.  Collective.
-    """
+    """Those of one grid, (cutoffs, 2); each contact starts from `start`, else from the one before.  Collective."""
     grid, areas, before = problem.grid, np.ones((len(cutoffs), 2)), start
     for index, cutoff in enumerate(cutoffs):
         smooth = problem.on(grid, lowpass(grid, problem.heights, cutoff))

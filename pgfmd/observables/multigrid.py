@@ -198,9 +198,7 @@ class Level:
         return self.new(self.from_root(whole, self.counts))
 
     def solved(self, target: np.ndarray) -> np.ndarray:
-        """A⁻¹ target by a few steps of flexible conjugate gradients, or exactly on the coarsest level; the target is
-        overwritten.  Collective.
-        """
+        """A⁻¹ target by conjugate gradients, exact on the coarsest level; overwrites the target.  Collective."""
         if self.coarse is None:
             return self.cycle(target)
         x, r, step = self.new(), target, None
@@ -237,9 +235,7 @@ class Level:
         return x
 
     def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Step | None) -> Step | None:
-        """One step along z made conjugate to the last one, whose memory is used; none, and no change, if r is no more
-        than rounding.  Collective.
-        """
+        """One step along z, conjugate to the last, whose memory is used; none if r is but rounding.  Collective."""
         lean = len(self.graph.first) == 0
         if step is None:
             direction, product = z, self.new() if not lean else NOTHING

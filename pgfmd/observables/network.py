@@ -30,9 +30,7 @@ NEGLIGIBLE = 1e-6  # of the largest gap: smaller ones count as closed if paths a
 
 
 class Flow(NamedTuple):
-    """Bounds of K (in T's unit); the balanced flux through the faces to the next row and to the next column (nx_local,
-    ny), if asked for; number of iterations.
-    """
+    """Bounds of K in T's unit; the balanced flux to the next row and column (nx_local, ny) if asked for; iterations."""
 
     lower: float
     upper: float
@@ -41,9 +39,7 @@ class Flow(NamedTuple):
 
 
 def slab_graph(grid: SlabGrid, mask: np.ndarray, down: np.ndarray, right: np.ndarray) -> Graph:
-    """The graph of the points of a mask, with the conductances of their faces to the next row and to the next column,
-    all (nx_local, ny).  Collective.
-    """
+    """The graph of a mask and its conductances to the next row and column, all (nx_local, ny).  Collective."""
     (around, faces), (nx, ny) = grid.neighbours([mask, down]), mask.shape
     weight = np.empty((2 * nx + 1, ny))
     up, to_right = weight[: nx + 1], weight[nx + 1 :]

@@ -104,9 +104,7 @@ class Spectrum(Observable):
 
 
 def spectrum_layout(unit: str, what: str) -> dict[str, Dataset]:
-    """The datasets of a spectrum averaged over direction: q, value and count of the bins that hold modes, edges of all
-    bins.
-    """
+    """The datasets of a spectrum averaged over direction: q, value, count of the bins that hold modes; all edges."""
     return {
         "q": Dataset("1/({length})", "mean wave number of the bin, radians per length", ("q",)),
         "value": Dataset(unit, f"mean {what}", ("q",)),

@@ -59,9 +59,7 @@ class PartialSlip(Observable):
     shift: float | None = key(POSITIVE, about="tangential displacement, instead of load_share", unit="length")
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """A second contact, its stiffness, and two convolutions, as measured at 1024²; or some contacts until a shift
-        is met.
-        """
+        """A second contact, its stiffness, two convolutions, at 1024²; some contacts if a shift is to be met."""
         once = 55.0 if is_rough(cell, cutoff) else 36.0
         return Cost(transforms=once if self.shift is None else 4 * once, memory=50.0)
 

@@ -80,9 +80,7 @@ class Rings:
         return out
 
     def means(self, sums: np.ndarray, place: str) -> dict[str, np.ndarray]:
-        """Means over the bins that hold something: mean ρ under the name `place`, value, count; and edges of all
-        bins.
-        """
+        """Means over the bins that hold something: mean ρ as `place`, value, count; and edges of all bins."""
         inner = slice(1, len(self.edges))
         filled = self.count[inner] > 0
         count, roots, sums = (entry[inner][filled] for entry in (self.count, self.roots, sums))
@@ -226,8 +224,7 @@ class RoughSurface:
         )
 
     def solve(self, problem: ContactProblem, **options: Any) -> ContactSolution | None:
-        """A further contact; None, and a warning in the log, if it cannot be solved: the load itself is.  Collective.
-        """
+        """A further contact; None, with a warning in the log, if it cannot be solved.  Collective."""
         try:
             return self._given_solve(problem, **options)
         except (InputError, SolverError) as failure:

@@ -62,9 +62,7 @@ class Stiffness(Observable):
     )
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """Some rounds of conjugate gradients on the particle–mesh, more on rough surfaces, as measured at 1024²; a
-        mask, the residual, x, and the mesh.
-        """
+        """Conjugate gradients on the particle–mesh, as measured at 1024²; a mask, the residual, x, and the mesh."""
         return Cost(transforms=(20.0 if is_rough(cell, cutoff) else 8.0) + 5.0 * self.half_grid, memory=20.0)
 
     def check_in(self, domain: Domain) -> None:

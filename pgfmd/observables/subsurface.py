@@ -62,9 +62,7 @@ class Subsurface(Observable):
     )
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """Five components at each depth, half a transform each, as long again for their factors; the spectrum, the sum
-        of squares and a slice.
-        """
+        """Five components at each depth, half a transform each, and factors; spectrum, sum of squares, slice."""
         return Cost(transforms=0.5 + 5.5 * (len(self.depths) or DEPTHS), memory=32.0)
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
@@ -97,9 +95,7 @@ class Subsurface(Observable):
 
     @staticmethod
     def _square(contact: Contact, spectrum: np.ndarray, depth: float) -> np.ndarray:
-        """Von Mises' stress squared at a depth: ¾(σ_xx − σ_yy)² + (σ_zz − ½(σ_xx + σ_yy))² + 3(σ_xy² + σ_xz² + σ_yz²).
-        Collective.
-        """
+        """¾(σ_xx − σ_yy)² + (σ_zz − ½(σ_xx + σ_yy))² + 3(σ_xy² + σ_xz² + σ_yz²) at a depth.  Collective."""
         grid, nu = contact.grid, float(contact.problem.solid.poisson or 0.0)
         qx, qy = grid.qx.copy(), grid.qy.copy()
         for q, count, length in zip((qx, qy), grid.shape, grid.lengths, strict=True):
@@ -132,9 +128,7 @@ class Subsurface(Observable):
 
 
 def _summit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Place and value of the largest y: of the parabola through it and its neighbours, unless it is at an end, or the
-    range of x is a rounding wide.
-    """
+    """Place and value of the largest y: of a parabola through three points, but at an end or if x hardly differs."""
     k = int(np.argmax(y))
     if not 0 < k < len(x) - 1 or not y[k] > 0 or not x[k - 1] < x[k] < x[k + 1]:
         return float(x[k]), float(y[k])

@@ -100,9 +100,7 @@ def _blocks(table: type[Section] | Kinds) -> list[str]:
 
 
 def _entry(field: dataclasses.Field, shown: bool) -> str:
-    """The line of one key: its example if it is needed or shown; else, as a comment, its default or, if that is None,
-    its example.
-    """
+    """The line of one key: its example if needed or shown; else, as a comment, its default or else its example."""
     example = field.metadata["example"]
     value = example if field.default is None else field.default
     if field.metadata["needed"] or shown:

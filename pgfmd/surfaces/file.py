@@ -297,9 +297,7 @@ class FromFile(Surface):
 
 
 def log_range(grid: SlabGrid, heights: np.ndarray, length_unit: str | None) -> None:
-    """Log range, rms value and slope of the scaled heights, with a warning if the slope is not within SLOPES.
-    Collective.
-    """
+    """Log range, rms value and slope of the scaled heights; warn if the slope is not within SLOPES.  Collective."""
     lowest, highest = grid.reduction.min(heights), grid.reduction.max(heights)
     unit = max(-lowest, highest) or 1.0  # so that squares do not overflow
     below = grid.fetch(heights, grid.rows.stop, min(grid.rows.stop + 1, grid.shape[0]))
@@ -341,9 +339,7 @@ def subtract_trend(grid: SlabGrid, heights: np.ndarray, order: int, copies: int)
 
 
 def _orthogonal(fold: np.ndarray, order: int) -> list[np.ndarray]:
-    """1, t and t² less their means, of coordinates t from −1 to 1, as far as `order`: orthogonal, since the points lie
-    evenly about 0.
-    """
+    """1, t, t² less their means up to `order`, t from −1 to 1: orthogonal, as the points lie evenly about 0."""
     last = max(fold.max(), 1)
     t = (2 * fold - fold.max()) / last
     return [np.ones(len(fold)), t, t**2 - np.mean(t**2)][: order + 1]
@@ -357,9 +353,7 @@ def warn_of_edges(grid: SlabGrid, heights: np.ndarray) -> None:
 
 
 def jumps(grid: SlabGrid, heights: np.ndarray) -> list[str]:
-    """A line for each direction in which opposite edges of the cell differ by more than `CLIFF` steps between
-    neighbours.  Collective.
-    """
+    """A line for each direction where opposite edges differ by over `CLIFF` steps between neighbours.  Collective."""
     unit = max(-grid.reduction.min(heights), grid.reduction.max(heights)) or 1.0  # so that squares do not overflow
     below = grid.fetch(heights, grid.rows.stop, grid.rows.stop + 1) / unit
     steps_x, steps_y = np.diff(heights / unit, axis=0, append=below), np.diff(heights / unit, axis=1)

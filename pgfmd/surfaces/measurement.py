@@ -35,9 +35,7 @@ def named(path: str) -> Iterator[None]:
 
 @contextmanager
 def damage_reported(message: str) -> Iterator[None]:
-    """Turns any error inside the block, except InputError and MemoryError, into an InputError: the message, then the
-    reason, on one line.
-    """
+    """Turns any error but InputError and MemoryError into an InputError: the message, then the reason, on one line."""
     try:
         yield
     except (InputError, MemoryError):

@@ -109,8 +109,7 @@ def _random(seed: int, kx: np.ndarray, ky: int, variance: np.ndarray, out: np.nd
 
 
 def _mirror(column: np.ndarray) -> None:
-    """Complete a column ky = 0 or ny/2 from its kx ≥ 0: conjugates at −kx; real, of equal variance, at kx = 0 and nx/2.
-    """
+    """Complete a column ky = 0 or ny/2 from its kx ≥ 0: conjugates at −kx; real, of equal variance, at 0 and nx/2."""
     nx = len(column)
     pairs = np.arange(1, (nx + 1) // 2)
     column[nx - pairs] = column[pairs].conj()
@@ -127,9 +126,7 @@ def _mix(z: np.uint64) -> np.uint64:
 
 
 @compiled()
-def _uniform(
-    seed: int, kx: np.ndarray, ky: int, uniform: np.ndarray, cosine: np.ndarray, sine: np.ndarray
-) -> None:
+def _uniform(seed: int, kx: np.ndarray, ky: int, uniform: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> None:
     """For modes (kx[i], ky): a number uniform in (0, 1], and cosine and sine of a phase uniform over the circle.
 
     Cosine and sine are Taylor polynomials over an eighth of the circle, exact to 2e-16: since the loop has no branches

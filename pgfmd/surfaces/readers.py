@@ -382,9 +382,7 @@ def _instrument(path: str, channel: str | None) -> Measurement:
 
 
 def _source(path: str) -> str | io.BytesIO:
-    """The file; if it is SDF of EUR 15178 (BCR), its bytes with the magic word of ISO 25178-71, which the package
-    knows.
-    """
+    """The file; of SDF of EUR 15178 (BCR), the bytes with the magic word of ISO 25178-71, which the package knows."""
     with open(path, "rb") as file:
         if file.read(8) not in (b"aBCR-1.0", b"bBCR-1.0"):
             return path

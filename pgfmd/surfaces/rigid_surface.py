@@ -38,9 +38,7 @@ def _table(value: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Extent:
-    """What the file of a surface says of the cell: points (nx, ny), lengths (lx, ly) and the unit of length; None if it
-    does not say them.
-    """
+    """What a file says of the cell: points (nx, ny), lengths (lx, ly), unit of length; None: it does not say."""
 
     n: tuple[int, int]
     lengths: tuple[float, float] | None

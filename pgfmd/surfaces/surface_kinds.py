@@ -8,16 +8,5 @@ from pgfmd.surfaces.self_affine import SelfAffine
 from pgfmd.surfaces.sinusoid import Sinusoid
 from pgfmd.surfaces.spectrum import FromSpectrum
 
-SURFACES = Kinds(
-    "surface",
-    (
-        SelfAffine,
-        FromFile,
-        Sinusoid,
-        Paraboloid,
-        Cone,
-        Punch,
-        FromSpectrum,
-    ),
-)
+SURFACES = Kinds("surface", (SelfAffine, FromFile, Sinusoid, Paraboloid, Cone, Punch, FromSpectrum))
 Surface.kinds = SURFACES

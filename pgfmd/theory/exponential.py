@@ -13,9 +13,7 @@ def response(q: Reals, mean_pressure: Reals, zeta: Reals, *, contact_modulus: Re
     return 1 / (1 + zeta * np.asarray(q) * contact_modulus / (2 * mean_pressure))
 
 
-def stress_spectrum(
-    q: Reals, power: Reals, mean_pressure: Reals, zeta: Reals, *, contact_modulus: Reals
-) -> np.ndarray:
+def stress_spectrum(q: Reals, power: Reals, mean_pressure: Reals, zeta: Reals, *, contact_modulus: Reals) -> np.ndarray:
     """|σ̃|² = G₁² (E' q/2)² |h̃|² per mode, shape (m,); `power` (m,) is |h̃|² of a mode."""
     full = (contact_modulus * np.asarray(q) / 2) ** 2 * power
     return response(q, mean_pressure, zeta, contact_modulus=contact_modulus) ** 2 * full

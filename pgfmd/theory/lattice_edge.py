@@ -100,9 +100,7 @@ def lattice_edge(
 
 
 def onset(stiffness: Stiffness) -> float:
-    """X = (1/π) ∫_0^∞ log(K(t)/K₀) dt/t²: far inside, the pressure of a slab is that of a Winkler foundation whose edge
-    is at −X.
-    """
+    """X = (1/π) ∫_0^∞ log(K(t)/K₀) dt/t²: far inside, a slab is a Winkler foundation whose edge is at −X."""
     t = np.exp(np.linspace(math.log(LONG), math.log(SHORT), 8000))
     log = np.log(stiffness(t) / stiffness(t[:1]))
     return float(np.trapezoid(log / t, np.log(t)) + (log[-1] + 1) / t[-1]) / math.pi
