@@ -184,42 +184,44 @@ def unrolled(graph: Graph, aggregate: np.ndarray, kind: int) -> np.ndarray:
 
 
 @compiled()
-def eliminated(graph: Graph) -> np.ndarray:
-    """Star–mesh elimination of all points, from the last to the first, without subtraction: row k holds T to the points
-    before it when it is eliminated, and their sum on the diagonal.
+def eliminate(table: np.ndarray, n: int) -> None:
+    """Star–mesh elimination of n points, from the last to the first, without subtraction: row k then holds T to the
+    points before it when it is eliminated, and their sum on the diagonal, which is 0 before.
     """
+    for k in range(n - 1, -1, -1):
+        for j in range(k):
+            table[k, k] += table[k, j]
+        for i in range(k if table[k, k] > 0 else 0):
+            share = table[k, i] / table[k, k]
+            for j in range(k if share > 0 else 0):
+                if j != i:
+                    table[i, j] += share * table[k, j]
+
+
+@compiled()
+def back_substitute(table: np.ndarray, n: int, x: np.ndarray) -> np.ndarray:
+    """Replaces x by A⁻¹ x, by an elimination of n points, and returns it; a component's first point has 0."""
+    for k in range(n - 1, -1, -1):
+        for i in range(k if table[k, k] > 0 else 0):
+            x[i] += table[k, i] / table[k, k] * x[k]
+    for k in range(n):
+        for j in range(k):
+            x[k] += table[k, j] * x[j]
+        x[k] = x[k] / table[k, k] if table[k, k] > 0 else 0.0
+    return x
+
+
+@compiled()
+def eliminated(graph: Graph) -> np.ndarray:
+    """The elimination of a graph's points (n, n)."""
     n = len(graph.first) - 1
     table = np.zeros((n, n))
     for i in range(n):
         for k in range(graph.first[i], graph.first[i + 1]):
             if graph.other[k] != i:
                 table[i, graph.other[k]] += graph.weight[k]
-    for k in range(n - 1, -1, -1):
-        total = 0.0
-        for j in range(k):
-            total += table[k, j]
-        table[k, k] = total
-        for i in range(k if total > 0 else 0):
-            share = table[k, i] / total
-            for j in range(k if share > 0 else 0):
-                if j != i:
-                    table[i, j] += share * table[k, j]
+    eliminate(table, n)
     return table
-
-
-@compiled()
-def back_substituted(table: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """A⁻¹ target by an elimination; a component's first point has 0."""
-    x = target.copy()
-    for k in range(len(table) - 1, -1, -1):
-        for i in range(k if table[k, k] > 0 else 0):
-            x[i] += table[k, i] / table[k, k] * x[k]
-    for k in range(len(table)):
-        total = x[k]
-        for j in range(k):
-            total += table[k, j] * x[j]
-        x[k] = total / table[k, k] if table[k, k] > 0 else 0.0
-    return x
 
 
 @compiled()
@@ -275,19 +277,8 @@ def shared_flux(
                 total += f * f / t
                 if len(flux) and (not in_slab or k & 2):
                     flux[2 * i + (k & 1) if in_slab else k] = f
-        for m in range(n - 1, -1, -1):
-            for j in range(m):
-                table[m, m] += table[m, j]
-            for i in range(m if table[m, m] > 0 else 0):
-                share = table[m, i] / table[m, m]
-                target[i] += share * target[m]
-                for j in range(m):
-                    if j != i:
-                        table[i, j] += share * table[m, j]
-        for m in range(n):
-            for j in range(m):
-                target[m] += table[m, j] * target[j]
-            target[m] = target[m] / table[m, m] if table[m, m] > 0 else 0.0
+        eliminate(table, n)
+        back_substitute(table, n, target)
         for m in range(n):
             i = order[before + m]
             low, stop = span(first, i)

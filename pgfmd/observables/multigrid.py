@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.observables import flow_graph
-from pgfmd.observables.flow_graph import ACROSS_X, ACROSS_Y, BORDER_BELOW, Graph, back_substituted, match
+from pgfmd.observables.flow_graph import ACROSS_X, ACROSS_Y, BORDER_BELOW, Graph, back_substitute, match
 from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
@@ -179,7 +179,7 @@ class Level:
     def cycle(self, target: np.ndarray) -> np.ndarray:
         """z ≈ A⁻¹ target: a symmetric preconditioner, but for inner steps.  Collective."""
         if self.coarse is None:  # where no point has a neighbour, nothing is left there
-            return back_substituted(self.factor, target) if self.halo is None else self.gathered_solution(target)
+            return self.eliminated(target) if self.halo is None else self.gathered_solution(target)
         in_slab = len(self.graph.first) == 0
         z, sweep = self.new(dtype=np.float32 if in_slab else float), relax_in_slab if in_slab else relax
         sweep(self.graph, target, z, False)
@@ -189,6 +189,10 @@ class Level:
             self.halo.fill(z)
         sweep(self.graph, target, z, True)
         return z
+
+    def eliminated(self, target: np.ndarray) -> np.ndarray:
+        """A⁻¹ target on the coarsest level."""
+        return back_substitute(self.factor, len(self.factor), target.copy())
 
     def gathered_solution(self, target: np.ndarray) -> np.ndarray:
         """The solution of rank 0 for the target of all ranks, which lies on one of its levels.  Collective."""
@@ -272,7 +276,7 @@ class Level:
         """
         graph = self.graph
         if len(self.factor):
-            flux = flow_graph.potential_flux(graph, back_substituted(self.factor, r))
+            flux = flow_graph.potential_flux(graph, self.eliminated(r))
             return flux, float(np.sum(flux**2 / graph.weight))
         if self.coarse is None and graph.points == 0 and self.halo is None:
             return np.empty(0), 0.0

@@ -111,13 +111,3 @@ def spectrum_layout(unit: str, what: str) -> dict[str, Dataset]:
         "count": Dataset("1", "modes in the bin, of all directions", ("q",)),
         "edges": Dataset("1/({length})", "edges of all bins", ("edges",)),
     }
-
-
-def correlation_layout(unit: str, what: str) -> dict[str, Dataset]:
-    """The datasets of an autocorrelation: r, value and count of the bins that hold points, edges of all bins."""
-    return {
-        "r": Dataset("{length}", "mean distance of the points in the bin", ("r",)),
-        "value": Dataset(unit, what, ("r",)),
-        "count": Dataset("1", "points in the bin", ("r",)),
-        "edges": Dataset("{length}", "edges of all bins", ("edges",)),
-    }

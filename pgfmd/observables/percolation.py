@@ -31,6 +31,7 @@ SAMPLES = 50_000  # of values, of which thresholds are chosen
 CLOSED = -1  # neighbour of a point of the bracket that lies below it
 SHIFTS = 1 << 15  # cells of a shift along y, in a number that holds both
 
+
 @dataclass(frozen=True, kw_only=True)
 class Percolation(Observable):
     """Whether a path in the contact, over edges and corners, or one in the gap, over edges, winds around the periodic

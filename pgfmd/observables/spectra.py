@@ -11,9 +11,9 @@ from pgfmd.grid.cell import Cell
 from pgfmd.grid.grid_cost import Cost
 from pgfmd.grid.transforms import source
 from pgfmd.observables.binning import lag_bins
-from pgfmd.observables.observable import Observable, Spectrum, correlation_layout, spectrum_layout
+from pgfmd.observables.observable import Observable, Spectrum, spectrum_layout
 from pgfmd.observables.rough_surface import correlate
-from pgfmd.observables.schema import Groups
+from pgfmd.observables.schema import Dataset, Groups
 from pgfmd.options.rules import choice, integer
 from pgfmd.options.section import key
 
@@ -74,9 +74,17 @@ class GapSpectrum(Spectrum):
 
 
 def acf_layout(name: str, unit: str, what: str) -> dict:
-    """The three groups of one autocorrelation."""
+    """The three groups of one autocorrelation: r, value and count of the bins that hold points, edges of all bins."""
     ways = {"": "averaged over direction", "_x": "along x", "_y": "along y"}
-    return {f"{name}_acf{way}": correlation_layout(unit, f"{what}, {how}") for way, how in ways.items()}
+    return {
+        f"{name}_acf{way}": {
+            "r": Dataset("{length}", "mean distance of the points in the bin", ("r",)),
+            "value": Dataset(unit, f"{what}, {how}", ("r",)),
+            "count": Dataset("1", "points in the bin", ("r",)),
+            "edges": Dataset("{length}", "edges of all bins", ("edges",)),
+        }
+        for way, how in ways.items()
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
