@@ -56,20 +56,16 @@ class Run(Section):
 
     where = "run"
     checkpoint_interval: float = key(
-        number(low=0, infinite=True),
-        1800.0,
-        "between checkpoints of an unfinished load; 0: each step; inf: none",
+        number(low=0, infinite=True), 1800.0, "between checkpoints of an unfinished load; 0: each step; inf: none",
         unit="s",
-    )
+    )  # fmt: skip
     time_limit: float = key(
         number(above=0, infinite=True), math.inf, "of the run, which stops before it, ready for --restart", unit="s"
     )
     io_hints: tuple[str, ...] = key(
-        many(assignment()),
-        (),
-        "for MPI-IO, which ignores unknown ones; stripes are set on the folder (lfs setstripe)",
+        many(assignment()), (), "for MPI-IO, which ignores unknown ones; stripes are set on the folder (lfs setstripe)",
         example=["cb_nodes=8", "romio_cb_write=enable"],
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,17 +75,13 @@ class Written(Section):
     where = "output"
     shown: ClassVar[tuple[str, ...]] = ("fields", "observables")
     fields: tuple[str, ...] = key(
-        many(choice(*FIELDS), distinct=True),
-        (),
-        "written for each load (height: once); none if left out",
+        many(choice(*FIELDS), distinct=True), (), "written for each load (height: once); none if left out",
         example=("height", "pressure", "gap"),
-    )
+    )  # fmt: skip
     observables: tuple[str, ...] = key(
-        many(choice(*OBSERVABLES), distinct=True),
-        (),
-        "measured for each load; none if left out",
+        many(choice(*OBSERVABLES), distinct=True), (), "measured for each load; none if left out",
         example=("histogram", "spectra"),
-    )
+    )  # fmt: skip
     precision: str = key(choice("float64", "float32"), "float64", "of the fields in the files")
     length_unit: str = key(
         text(), "length", "label; heights from a file that has a unit are converted to it; left out: that of the file"

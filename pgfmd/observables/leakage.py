@@ -65,10 +65,9 @@ class Leakage(Observable):
     direction: str = key(choice("both", "x", "y"), "both", "of the mean gradient; fields are those of the first")
     width: float = key(number(above=0, below=1), 1e-3, "relative, asked of the bounds; rounding may widen it", unit="1")
     half_grid: bool = key(
-        flag(),
-        False,
+        flag(), False,
         "extrapolate to spacing 0 by a grid with half the points each way, beyond the bounds; error: twice the change",
-    )
+    )  # fmt: skip
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """Setting up and some seven iterations of the multigrid in each direction, 80 to 180 transforms at 512² and

@@ -55,11 +55,9 @@ class Lowpass(Observable):
     }
 
     q: tuple[float, ...] = key(
-        many(POSITIVE),
-        (),
-        "cut-offs; empty: doubled from the cell's longest wave to the surface's shortest",
+        many(POSITIVE), (), "cut-offs; empty: doubled from the cell's longest wave to the surface's shortest",
         unit="radians per length",
-    )
+    )  # fmt: skip
 
     def cutoffs(self, cell: Cell, highest: float) -> np.ndarray:
         """The wave numbers at which the surface is cut off; `highest`: its own largest."""

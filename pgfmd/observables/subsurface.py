@@ -54,12 +54,10 @@ class Subsurface(Observable):
     }
 
     depths: tuple[float, ...] = key(
-        many(number(low=0)),
-        (),
-        f"below the surface; if none, {DEPTHS} from half a pixel to the longer side over {DEEPEST}",
-        unit="length",
+        many(number(low=0)), (),
+        f"below the surface; if none, {DEPTHS} from half a pixel to the longer side over {DEEPEST}", unit="length",
         example=[0.5, 1.0, 2.0],
-    )
+    )  # fmt: skip
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
         """Five components at each depth, half a transform each, and factors; spectrum, sum of squares, slice."""

@@ -38,13 +38,10 @@ class SelfAffine(Surface):
     centred = True
     hurst: float = key(number(low=0, high=1), None, "H of C ∝ q^(−2(1+H))", unit="1", needed=True, example=0.8)
     lambda_s: float = key(
-        POSITIVE,
-        None,
+        POSITIVE, None,
         "shortest wavelength; up to a pixel's longer side (1): every mode, corners |q| ≤ √2 π/a included",
-        unit="grid spacings",
-        needed=True,
-        example=16.0,
-    )
+        unit="grid spacings", needed=True, example=16.0,
+    )  # fmt: skip
     lambda_l: float | None = key(
         number(above=0, infinite=True), None, "longest wavelength; the cell if not given", unit="grid spacings"
     )
