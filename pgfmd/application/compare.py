@@ -13,6 +13,7 @@ from pgfmd.application.job import differences, parse
 from pgfmd.application.results import Results
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import is_error
+from pgfmd.options.text import aligned
 
 OF_THE_SOLVER = {"target", "contact_line", "certified_error", "pressure_error", "max_violation", "iterations"}
 OF_THE_SOLVER |= {"transforms", "seconds"}
@@ -89,8 +90,7 @@ class Side:
 
 
 def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]:
-    """Each number of each load that the first folder shares with another one; and a line for each difference of the
-    jobs.
+    """Each number of each load that the first folder shares with another; and a line for each difference of jobs.
 
     Loads are the same if their targets are, of the same kind of load.  Raises InputError for fewer than two folders, if
     a folder holds no results, for units that differ, and where no load is shared.
@@ -151,11 +151,9 @@ def as_text(rows: Sequence[Row], notes: Sequence[str], first: str) -> str:
             relative = row.difference / abs(row.first) if row.first else math.nan
             cells = (f"{row.first:.6g}", f"{row.other:.6g}", f"{row.difference:.2g}", _known(row.error, ".1g"))
             lines.append((str(row.load), row.name, *cells, _known(row.ratio, ".2f"), _known(relative, ".2%")))
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        table = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
         about = [note.removeprefix(run + ":") for note in notes if note.startswith(run + ":")]
         same = ["all numbers of the loads that both have are the same"]
-        parts.append("\n".join([f"{run} less {first}", *about, *(table if len(table) > 1 else same)]))
+        parts.append("\n".join([f"{run} less {first}", *about, *(aligned(lines) if len(lines) > 1 else same)]))
     legend = "\n\nin errors: the difference over the joint error; —: no error is known"
     return "\n\n".join(parts) + legend * any(row.difference for row in rows)
 

@@ -15,7 +15,7 @@ from pgfmd.grid.cell import WORKSPACE
 from pgfmd.grid.grid_cost import Cost, largest_shares
 from pgfmd.grid.slab_grid import ROOM
 from pgfmd.options.section import in_words
-from pgfmd.options.text import counted, duration, readable
+from pgfmd.options.text import counted, duration, listed, readable
 from pgfmd.parallel.mpi import shared_memory
 from pgfmd.physics.solids.solid import SOFT
 from pgfmd.solvers.options import GAPS_FROM, MODERATE, SINGLE_TO, Arrays
@@ -144,8 +144,7 @@ class Plan:
         """Number of groups of ranks, each of which takes one surface at a time: 1 if there is one surface; for an
         ensemble the number that takes least time, of those that need at most `room` bytes on each rank.
 
-        A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as its slabs have `LEAST_SLAB`
-        points.
+        A group of g ranks takes 1/(`SLAB_GAIN` g) of the time of one rank, as far as slabs have `LEAST_SLAB` points.
         """
         job = self.job
         (nx, ny), surfaces = job.cell.n, len(job.surface.seeds)
@@ -276,8 +275,7 @@ class Plan:
             "files": readable(total.files),
             "time": f"about {duration(total.seconds)} on {counted(ranks, 'core')}",
         }
-        width = max(map(len, lines))
-        return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
+        return listed(lines)
 
     def shortage(self, ranks: int, here: int) -> str:
         """A warning if this machine has too little shared memory for the strips of `here` of the ranks, else ""."""

@@ -49,8 +49,7 @@ class FieldFiles:
         self._described: dict[str, Shown] = {}  # the links whose files have been read
 
     def write(self, name: str, fields: dict[str, np.ndarray], show: bool) -> None:
-        """Write NAME.h5 with this rank's slabs (nx_local, ny) of `fields`, whose names are the same on all ranks.
-        Collective.
+        """Write NAME.h5 with this rank's slabs (nx_local, ny) of `fields`, named alike on all ranks.  Collective.
 
         show: whether to update fields.h5 now; False while superseded results are live.
         Raises ValueError for a slab of another shape, OSError if the file cannot be written, on all ranks.

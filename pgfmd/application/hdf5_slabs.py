@@ -98,8 +98,7 @@ def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Creat
     """Write a file of `fields` beside `path`, then rename it; after a failure it is removed.  Collective.
 
     create(file, name) makes the dataset of a field by `create_dataset`, on rank 0.  HDF5 crashes or hangs when a disk
-    is full; so the space of the whole file is reserved before HDF5 writes.  All ranks raise an error of one; OSError if
-    the disk is full.
+    is full; so the whole file is reserved before HDF5 writes.  All ranks raise an error of one; OSError: a full disk.
     """
     draft, comm = files.temporary(path), ranks.comm
     count = comm.allreduce(ranks.rows.stop - ranks.rows.start)
@@ -193,8 +192,7 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
 def _write_in_place(ranks: Ranks, path: Path, fields: dict[str, Field], offsets: dict[str, int]) -> None:
     """Each rank writes its rows at their offset in the file, without HDF5.  Collective.
 
-    The ranks of a node write at the same time, the nodes in turn: a network file system may lose simultaneous writes of
-    several nodes.
+    The ranks of a node write at the same time, the nodes in turn: network file systems may lose some.
     """
     mine = _first_of_node(ranks.comm)
     for turn in sorted(set(ranks.comm.allgather(mine))):

@@ -14,7 +14,7 @@ from pgfmd.application import ensemble, files
 from pgfmd.application.ensemble import Ensemble
 from pgfmd.application.results import Results, Runs, size_in_words, table
 from pgfmd.observables.schema import LOADS
-from pgfmd.options.text import assignments, counted
+from pgfmd.options.text import assignments, counted, listed
 
 
 def damage(results: Results) -> dict[Path, str]:
@@ -104,7 +104,7 @@ def summary(results: Results) -> str:
     lines |= {f"{name} / s": f"{seconds:.3f}" for name, seconds in results.phases.items()}
     if len(results) and "stickiness" in results[0].numbers:
         lines["stickiness"] = f"{results[0].numbers['stickiness']:.3g} (Pastewka and Robbins: below 1 surfaces stick)"
-    return "\n".join([_listed(lines), "", table(results)])
+    return "\n".join([listed(lines), "", table(results)])
 
 
 def summary_of_ensemble(several: Ensemble) -> str:
@@ -118,7 +118,7 @@ def summary_of_ensemble(several: Ensemble) -> str:
     }
     lines |= {f"seed {seed}": f"failed: {message}" for seed, message in several.failed.items()}
     title = "mean over the seeds that solved the load ± standard error:"
-    return "\n".join([_listed(lines), "", title, ensemble.table(several)])
+    return "\n".join([listed(lines), "", title, ensemble.table(several)])
 
 
 def _origin(about: Mapping[str, Any]) -> dict[str, str]:
@@ -128,11 +128,6 @@ def _origin(about: Mapping[str, Any]) -> dict[str, str]:
         "started": f"{about['date']} on {about['host']}, {counted(about['ranks'], 'rank')} × "
         f"{counted(about['threads'], 'thread')}",
     }
-
-
-def _listed(lines: Mapping[str, str]) -> str:
-    width = max(map(len, lines))
-    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
 
 
 def cited(job: Mapping[str, Any]) -> list[str]:

@@ -227,8 +227,7 @@ SECTIONS = {kind.where: kind for kind in _SECTIONS}
 def load(path: str | os.PathLike, overrides: list[str] | tuple[str, ...] = ()) -> Job:
     """The job in the TOML file `path`, changed by `overrides` ("section.key=value"); raises InputError.
 
-    Relative paths count from the folder of the TOML file, in overrides from the working directory; the files must
-    exist.
+    Relative paths count from the folder of the TOML file, in overrides from the working directory; files must exist.
     """
     name = os.fspath(path)
     try:

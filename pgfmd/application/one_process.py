@@ -86,8 +86,7 @@ def line(contact: Certified) -> str:
 def job_on_file(path: str) -> str:
     """The text of a job on a file of heights, as `path` or `path:dataset`.  Points, size and unit stay in the file.
 
-    Missing points and edges that do not match are reported with the keys that treat them.  Raises InputError if the
-    file cannot be read.
+    Missing points and edges that do not match are reported with the keys that treat them.  Raises InputError.
     """
     surface = FromFile(path=path, missing="interpolate", detrend="plane")
     extent = surface.extent()

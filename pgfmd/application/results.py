@@ -16,6 +16,7 @@ from pgfmd.application.files import ENSEMBLE_FILE, FIELDS_FOLDER, FORMAT_VERSION
 from pgfmd.application.tables import read_columns
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import FIELDS, TABLE, Dataset, is_error
+from pgfmd.options.text import aligned
 
 if TYPE_CHECKING:
     import pandas
@@ -106,9 +107,7 @@ class Results:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": marked as running, but no process
-        holds the folder.
-        """
+        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": running, but in no process."""
         status = self.provenance.get("status", "interrupted")
         return "interrupted" if status == "running" and holder(self.directory) is None else status
 
@@ -303,9 +302,7 @@ def text_table(
         if counts is not None:
             bars = [bar + f" ({count:d})" * bool(count) for bar, count in zip(bars, counts[name], strict=True)]
         columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
-    widths = [max(map(len, column)) for column in columns]
-    rows = zip(*columns, strict=True)
-    return "\n".join("  ".join(entry.rjust(width) for entry, width in zip(row, widths, strict=True)) for row in rows)
+    return "\n".join(aligned(list(zip(*columns, strict=True))))
 
 
 def modern(

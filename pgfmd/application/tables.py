@@ -1,7 +1,6 @@
 """observables.h5: one row per load, and a group of curves and tables for each; names of axes, for xarray.  No MPI.
 
-Columns are read and written by h5py's low-level API: its selections take three times as long, which counts in ensembles
-of small runs.
+Columns are read and written by h5py's low-level API: selections take three times as long, which counts in small runs.
 """
 
 import io

@@ -9,8 +9,7 @@
 
 With `overwrite`, the new fields go to fields-2/ if the old ones are in fields/, and the other way round.  The old
 results stay whole until the first new load is complete.  Then the two views are removed, observables.h5 is replaced by
-one rename, the old fields are removed, and the views are written anew.  So they never show fields of other results than
-observables.h5.
+one rename, the old fields are removed, and the views are written anew.  So they show fields of its results alone.
 """
 
 from __future__ import annotations

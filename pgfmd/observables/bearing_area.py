@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, kw_only=True)
 class Bearing(Observable):
     """The bearing area: the highest points of the surface, as many as are in contact, and the height above which they
-    lie.  Its spectrum, autocorrelations and patches are measured if the job asks for the observables "spectra", "acf"
-    and "patches".
+    lie.  Its spectrum, autocorrelations and patches are measured if the job asks for "spectra", "acf" and "patches".
     """
 
     name = "bearing"
@@ -62,8 +61,7 @@ class Bearing(Observable):
 def count_digits(field: np.ndarray, prefix: np.uint64, shift: int, first: int, stop: int, counts: np.ndarray) -> None:
     """counts[(key >> shift) & 0xFFFF] += 1 for the keys with key >> shift >> 16 == prefix, of rows first … stop−1.
 
-    field: float64 numbers, viewed as int64.  The key of a number is an unsigned integer; keys have the order of the
-    numbers.
+    field: float64 numbers, viewed as int64.  The keys of numbers are unsigned integers in their order.
     """
     for i in range(first, stop):
         for j in range(field.shape[1]):

@@ -4,8 +4,7 @@ A field has shape (nx, ny) on a cell of lengths (lx, ly).  Its Fourier coefficie
 N = nx·ny, so that Σ_q |f̃|² is the mean square of the field: this is the normalisation of every spectrum in this
 package and in the result files.
 
-`bin_edges` and `lag_edges` make bins of a given width; `wave_number_bins` and `lag_bins` those that the keys of a job
-ask for.
+`bin_edges` and `lag_edges` make bins of a given width; `wave_number_bins` and `lag_bins` those that a job asks for.
 """
 
 import math
@@ -60,8 +59,7 @@ def bin_edges(
 def lag_edges(shape: Sequence[int], lengths: Sequence[float], width: float | None = None) -> np.ndarray:
     """Edges (m+1,) of bins in the distance r, centred on multiples of `width` (default: the larger grid spacing).
 
-    The first bin holds r = 0 alone; the last one ends at half the shorter side of the cell, up to where circles are
-    whole.
+    The first bin holds r = 0 alone; the last one ends at half the shorter side of the cell: circles are whole.
 
     :raises InputError: if `width` is not positive.
     """

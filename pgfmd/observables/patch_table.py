@@ -5,8 +5,7 @@ rank, for rank 0).  Runs that touch are joined to fragments; a piece of a patch 
 connected.  Two neighbouring ranks hold the same row, so that a piece of one and a piece of the other belong together
 where they hold the same run: there is nothing geometric left to do at a seam, and one rank alone is no special case.
 Seams are joined pairwise up a binary tree of ranks, groups of neighbours keeping only their two outer rows; the answers
-come down the same way.  No rank ever holds more than a few rows of the others, and what does not touch a seam does not
-travel.
+come down the same way.  No rank holds more than a few rows of the others; what touches no seam does not travel.
 
 Numbers: patches are numbered from 1 in the order of their first pixels, read row by row through the whole grid (rows
 along y, as stored).  This rule does not know about ranks.
@@ -213,8 +212,7 @@ def _number(
 ) -> dict[str, Any]:
     """Number the patches: entries of `Labels`.  Collective.
 
-    below: number of pieces with a pixel of this rank; seam: pieces at seams, their keys here, and those of their
-    patches.
+    below: number of pieces with a pixel of this rank; seam: pieces at seams, their keys, those of patches.
     """
     roots, own_key, key = seam
     kept = pieces.parent[:below] == np.arange(below, dtype=pieces.parent.dtype)

@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,18 @@ def with_error(value: float, error: float) -> str:
 def assignments(table: Mapping[str, Any]) -> str:
     """The entries that are not None, on one line: "young = 2.0, poisson = 0.3"."""
     return ", ".join(f"{name} = {show(value)}" for name, value in table.items() if value is not None)
+
+
+def listed(lines: Mapping[str, str]) -> str:
+    """A line for each entry that is not empty: its name, and its text in a column."""
+    width = max(map(len, lines))
+    return "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items() if value)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A line for each row, columns aligned to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
 
 
 def show(value: Any) -> str:

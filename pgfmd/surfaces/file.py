@@ -1,5 +1,4 @@
-"""Heights from a file, measured or made by another program.  Each rank reads its rows of an array file; rank 0 reads
-any other format."""
+"""Heights from a file.  Each rank reads its rows of an array file; rank 0 reads any other format."""
 
 from __future__ import annotations
 
@@ -53,8 +52,7 @@ def folded(count: int, copies: int) -> np.ndarray:
 def read_heights(
     grid: SlabGrid, source: Source, turned: bool, copies: int, length_unit: str | None
 ) -> tuple[np.ndarray, str]:
-    """Heights (nx_local, ny) in float64 of a (file, dataset), NaN where nothing was measured, and a description of the
-    file.  Collective.
+    """Heights (nx_local, ny) in float64 of a (file, dataset), NaN where not measured, and its description.  Collective.
 
     turned: x and y exchanged.  copies: 2 for mirror images in a cell of twice the size.  If the file gives its
     unit, heights and size are converted to length_unit.  Points and, if the file gives it, size must be the grid's.

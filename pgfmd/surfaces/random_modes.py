@@ -1,7 +1,6 @@
 """Heights whose Fourier modes are independent Gaussian numbers of given variance.
 
-The random number of mode (kx, ky) depends on (seed, kx, ky) alone, so that one seed is one surface on every rank count
-and on every grid.
+The random number of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is one surface on all ranks and grids.
 """
 
 from __future__ import annotations

@@ -183,8 +183,7 @@ def coordinates(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def refined_heights(surface: Surface, cell: Cell, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
-    """The heights (nx_local, ny) of a surface in a cell on `grid`, that of `cell.refined`, on which contacts are
-    solved.  Collective.
+    """Heights (nx_local, ny) of a surface in a cell on `grid`, that of `cell.refined`, for contacts.  Collective.
 
     Raises InputError on all ranks, as `Surface.heights` does.
     """

@@ -1,8 +1,7 @@
 """Independent-asperity models of an isotropic Gaussian surface: Greenwood–Williamson and Bush–Gibson–Thomas.
 
 Each model is a function of the separation d between the mean plane of the rough surface and the flat (a length, any
-shape) and returns the relative contact area and the mean pressure in the same shape.  `at_pressure` inverts any of
-them.
+shape) and returns the relative contact area and the mean pressure in the same shape.  `at_pressure` inverts any.
 """
 
 from collections.abc import Callable

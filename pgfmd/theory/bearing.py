@@ -34,8 +34,7 @@ def autocorrelation(height_correlation: Reals, fraction: Reals) -> np.ndarray:
 def spectrum_exponent(hurst: float) -> float:
     """2 + H: the contact spectrum falls as q^−(2+H) between the cut-offs.
 
-    Near r = 0 the autocorrelation falls by a cusp ∝ √(1 − ρ) ∝ r^H (doi:10.1088/0953-8984/23/21/215004 for the
-    exponent).
+    Near r = 0 the autocorrelation falls by a cusp ∝ √(1 − ρ) ∝ r^H (doi:10.1088/0953-8984/23/21/215004).
     """
     return 2 + hurst
 
