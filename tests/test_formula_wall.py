@@ -104,7 +104,7 @@ def test_random_contacts_by_brute_force(comm, law):
     """
     text, exact, gaps = LAWS[law]
     nodes, weights = np.polynomial.legendre.leggauss(40)
-    for seed in range(8):
+    for seed in range(4):
         random = np.random.default_rng([seed, len(law)])
         heights, load, n = random.standard_normal((12, 16)), 10 ** random.uniform(-3, 0), int(random.integers(1, 10))
         grid, contact = SlabGrid(comm, heights.shape), Contact(heights)
@@ -219,7 +219,7 @@ def test_gaps_beyond_its_ends_are_refused(comm, control):
         target = gap if control == "mean_gap" else summit - gap
         with pytest.raises(InputError, match=message):
             LoadControl(Load(**{control: (target,)}), problem).solution(target)
-    for gap in (2.001, 2 + summit, 8.9 + summit):  # at the second, the approach that counts is 0
+    for gap in (2.001, 2 + summit, 8 + summit):  # at the second, the approach that counts is 0
         target = gap if control == "mean_gap" else summit - gap
         found = LoadControl(Load(**{control: (target,)}), problem).solution(target)
         assert found.mean_gap == pytest.approx(gap, rel=1e-5, abs=0)
