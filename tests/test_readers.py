@@ -49,12 +49,13 @@ def visited(file) -> dict[str, h5py.Dataset]:
     return found
 
 
-@pytest.fixture(params=["h5netcdf", "netcdf4"])
-def xarray(request):
-    """xarray with one of its two readers of netCDF-4 as the default."""
+@pytest.fixture
+def xarray(run):
+    """xarray with one of its two readers of netCDF-4 as the default: another one for each precision."""
+    engine = {"float64": "h5netcdf", "float32": "netcdf4"}[run.job["output"]["precision"]]
     found = pytest.importorskip("xarray", reason="tools/setup.sh test")
-    pytest.importorskip({"netcdf4": "netCDF4"}.get(request.param, request.param), reason="tools/setup.sh test")
-    with found.set_options(netcdf_engine_order=[request.param]):
+    pytest.importorskip({"netcdf4": "netCDF4"}.get(engine, engine), reason="tools/setup.sh test")
+    with found.set_options(netcdf_engine_order=[engine]):
         yield found
 
 
