@@ -6,6 +6,7 @@ The run itself is replaced by a stand-in that writes known fields: what is teste
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -84,28 +85,49 @@ def stand_in(tmp_path: Path, fault: str = "pass") -> Path:
     return path
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """The results of a run without a launcher, with heights and pressures; made once."""
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "job.toml").write_text(JOB)
+    run = [sys.executable, stand_in(folder), "run", folder / "job.toml", "--output", folder / "out"]
+    subprocess.run([*run, "--set", 'output.fields=["height", "pressure"]'], check=True, capture_output=True)
+    return folder / "out"
+
+
+@pytest.fixture
+def results(finished, tmp_path) -> Path:
+    """A copy of these results."""
+    return Path(shutil.copytree(finished, tmp_path / "out"))
+
+
+def alone(*arguments, code="sys.exit(main())", **environment) -> subprocess.CompletedProcess:
+    """The command line in a process without MPI; or what `code` makes of its main()."""
+    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.application.cli import main; " + code
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, check=False, capture_output=True, text=True, env=os.environ | environment)
+
+
 def complaints(stderr: str) -> list[str]:
     """The lines of pgfmd itself, without what mpirun adds."""
     return [line for line in stderr.splitlines() if line.startswith("pgfmd: error:")]
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_run_writes_its_folder(mpirun, tmp_path, job, ranks):
-    """A run on one and two ranks ends with 0 and a complete folder, also into a path with spaces and accents."""
+def test_run_writes_its_folder(mpirun, tmp_path, job):
+    """A run on two ranks ends with 0 and a complete folder, also into a path with spaces and accents."""
     folder = tmp_path / "résultats du jour"
     script = stand_in(tmp_path)
-    done = mpirun(ranks, script, "run", job, "--output", folder, "--set", "load.pressure=[0.5, 0.25]")
+    done = mpirun(2, script, "run", job, "--output", folder, "--set", "load.pressure=[0.5, 0.25]")
     assert done.returncode == 0, done.stderr
     read = Results(folder)
-    assert read.status == "complete" and read.provenance["ranks"] == ranks and read.provenance["job_toml"] == JOB
+    assert read.status == "complete" and read.provenance["ranks"] == 2 and read.provenance["job_toml"] == JOB
     np.testing.assert_array_equal(read.field("pressure", 1), np.full((8, 6), 0.25))
 
 
-def test_run_without_mpirun(tmp_path, job):
+def test_run_without_mpirun(finished):
     """Without a launcher it is one rank."""
-    command = [sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"]
-    assert subprocess.run(command, check=False, capture_output=True).returncode == 0
-    assert len(Results(tmp_path / "out")) == 2
+    read = Results(finished)
+    assert len(read) == 2 and read.status == "complete" and read.provenance["ranks"] == 1
 
 
 @pytest.mark.parametrize(
@@ -155,15 +177,13 @@ def test_an_error_is_written_at_once(monkeypatch):
     assert writes == ["pgfmd: error: bad rows\n"]
 
 
-def test_check_and_info_need_no_mpi(tmp_path, job):
+def test_check_and_info_need_no_mpi(finished, job):
     """`check` and `info` do not import mpi4py, and tell what matters."""
-    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
-    code = "import sys; sys.modules['mpi4py'] = None; from pgfmd.application.cli import main; sys.exit(main())"
     for arguments, words in (
         (["check", job, "--ranks", "4"], ["valid", "8 × 6", "on a node of 4 ranks", "up to"]),
-        (["info", tmp_path / "out"], ["complete", "2 of 2 completed", "mean_pressure", "1 rank × "]),
+        (["info", finished], ["complete", "2 of 2 completed", "mean_pressure", "1 rank × "]),
     ):
-        done = subprocess.run([sys.executable, "-c", code, *arguments], check=False, capture_output=True, text=True)
+        done = alone(*arguments)
         assert done.returncode == 0, done.stderr
         assert all(word in done.stdout for word in words)
 
@@ -227,35 +247,27 @@ def test_warnings_of_libraries_are_lines_of_the_log(mpirun, tmp_path, job):
     assert [line[10:] for line in done.stderr.splitlines() if "look" in line] == ["RuntimeWarning: look out"]
 
 
-def test_terminals_that_know_ascii_only(tmp_path, job):
+def test_terminals_that_know_ascii_only(finished, job):
     """What they cannot show is shown as ?."""
-    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
-    environment = dict(os.environ) | {"PYTHONIOENCODING": "ascii"}
-    for arguments in (["check", job], ["info", tmp_path / "out"], ["check", tmp_path / "ä.toml"]):
-        command = [sys.executable, "-m", "pgfmd", *arguments]
-        done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
-        assert done.returncode == (2 if "ä" in str(arguments[1]) else 0)
-        assert "Traceback" not in done.stderr and ("8 ? 6" in done.stdout or "cannot be read" in done.stderr)
+    each = "print(main(['check', sys.argv[1]]), main(['info', sys.argv[2]]), main(['check', 'ä.toml']))"
+    done = alone(job, finished, code=each, PYTHONIOENCODING="ascii")
+    assert done.stdout.endswith("\n0 0 2\n") and done.stdout.count("8 ? 6") == 4  # twice each
+    assert "Traceback" not in done.stderr and "?.toml: cannot be read" in done.stderr
 
 
-def test_texts_from_files_do_not_reach_the_terminal_raw(tmp_path, capsys, job):
+def test_texts_from_files_do_not_reach_the_terminal_raw(results, capsys):
     """Escape sequences in a result file, as they may come from anybody, are shown as ?."""
-    subprocess.run([sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out"], check=True)
-    path = tmp_path / "out" / "observables.h5"
-    with h5py.File(path, "r+") as file:
+    with h5py.File(results / "observables.h5", "r+") as file:
         file.attrs["command"] = "\x1b]0;owned\x07\x1b[2J\u202e\x9b31m"
-    assert cli.main(["info", str(tmp_path / "out")]) == 0
+    assert cli.main(["info", str(results)]) == 0
     assert "?]0;owned??[2J??31m" in capsys.readouterr().out
 
 
-def test_verify(tmp_path, capsys, job):
+def test_verify(results, capsys):
     """`info --verify` reads every byte; a damaged file is named, with 2, and how to make it again."""
-    fields = 'output.fields=["height", "pressure"]'
-    run = [sys.executable, stand_in(tmp_path), "run", job, "--output", tmp_path / "out", "--set", fields]
-    subprocess.run(run, check=True)
-    arguments = ["info", "--verify", str(tmp_path / "out")]
+    arguments = ["info", "--verify", str(results)]
     assert cli.main(arguments) == 0 and "every byte" in capsys.readouterr().out
-    path = tmp_path / "out" / "fields" / "load_0001.h5"
+    path = results / "fields" / "load_0001.h5"
     data = bytearray(path.read_bytes())
     (at,) = [data.index(np.full(48, 0.2).tobytes())]
     data[at + 100] ^= 4
@@ -307,12 +319,8 @@ def test_check_tests_the_loads_as_a_run_does(tmp_path, capsys, load, checked, ru
     path.write_text(f"[grid]\nn = 8\n{surface}[solid]\ncontact_modulus = 1.0\n[load]\n{load}\n")
     assert cli.main(["check", str(path)]) == checked
     assert words in "".join(capsys.readouterr())
-    done = subprocess.run(
-        [sys.executable, "-m", "pgfmd", "run", path, "--output", tmp_path / "out"],
-        check=False, capture_output=True, text=True,
-    )  # fmt: skip
-    assert done.returncode == run, done.stderr
-    assert words in done.stderr
+    assert cli.main(["run", str(path), "--output", str(tmp_path / "out")]) == run
+    assert words in capsys.readouterr().err
 
 
 def test_check_says_what_it_does_not_test(tmp_path, capsys):
