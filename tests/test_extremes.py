@@ -77,17 +77,17 @@ SEED = 27
 
 
 def test_every_law_with_every_control():
-    """Five trips of each of the 20 pairs: none wrong; refused are areas of walls that touch everywhere, and seldom
+    """Three trips of each of the 20 pairs: none wrong; refused are areas of walls that touch everywhere, and seldom
     others: full contact, or a gap that determines no load.
     """
     verdicts, refused = Counter(), Counter()
-    for number, trip, outcome in round_trips.trips(SEED, 0, 100):
+    for number, trip, outcome in round_trips.trips(SEED, 0, 60):
         assert outcome.verdict != "wrong", f"seed {SEED}, trip {number}: {trip}: {outcome.detail}"
         verdicts[outcome.verdict] += 1
         everywhere = trip.control == "contact_area" and trip.law in ("exponential", "formula")
         assert not everywhere or "touches everywhere" in outcome.detail
         refused[trip.law, trip.control] += outcome.verdict == "refused" and not everywhere
-    assert verdicts["right"] + verdicts["jump"] >= 80 and max(refused.values()) <= 2, (verdicts, refused)
+    assert verdicts["right"] + verdicts["jump"] >= 48 and max(refused.values()) <= 2, (verdicts, refused)
 
 
 @pytest.mark.parametrize("number", range(4))
