@@ -136,6 +136,7 @@ def test_a_forked_worker():
         worker.join()
 
 
+@pytest.mark.breadth
 def test_a_thousand_calls_take_no_more_memory():
     """The memory of the process grows by less than the 2 MB, 2 kB a call, that pages of allocators may come to: one
     field of 16 × 16 points takes as much.

@@ -79,6 +79,7 @@ def test_what_the_wheel_holds(wheel):
     assert "# pgfmd" in metadata and "Requires-Dist: mpi4py>=4; extra" in metadata
 
 
+@pytest.mark.breadth  # it installs a whole environment: 42 s of a processor
 def test_pip_is_enough(wheel, tmp_path, comm):
     """In an empty environment, from an empty folder: one process solves a contact; with the extra `mpi` the mpirun that
     pip brought runs two ranks, which write the numbers that this installation writes."""
