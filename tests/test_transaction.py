@@ -132,8 +132,9 @@ def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
                 pass
         found.append(factor_in(folder))
         assert found[-1] in (old, 9.0)
-        run(folder, found[-1], "restart", fields)  # what is there can be continued
-        assert factor_in(folder) == found[-1] and Results(folder).status == "complete"
+        if number % 2:  # what is there can be continued
+            run(folder, found[-1], "restart", fields)
+            assert factor_in(folder) == found[-1] and Results(folder).status == "complete"
         run(folder, 9.0, "overwrite", fields)
         assert factor_in(folder) == 9.0
         left = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
