@@ -54,6 +54,9 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         mpi = item.get_closest_marker("mpi")
         alone = SIZE > 1 and mpi is not None and "breadth" in mpi.args and not config.getoption("--all")
+        # The mark of a whole module means its tests of a communicator: the others would only be repeated.
+        own = any(mark.name == "mpi" for mark in item.own_markers) or hasattr(item.module, "comm")
+        alone |= SIZE > 1 and not own and not {"comm", "shared_tmp_path"} & set(item.fixturenames)
         (others if alone or any(map(item.get_closest_marker, left_out)) else chosen).append(item)
     config.hook.pytest_deselected(items=others)
     items[:] = chosen

@@ -132,7 +132,8 @@ def written(comm, folder):
         ("fields.h5", [2], True),
     ],
 )
-@pytest.mark.parametrize("how", ["flipped", "cut short", "missing"])
+@pytest.mark.parametrize("how", ["flipped", *(pytest.param(how, marks=pytest.mark.mpi("breadth"))
+                                             for how in ("cut short", "missing"))])  # fmt: skip
 def test_damaged_results_are_made_again(comm, shared_tmp_path, name, pending, height, how):
     """A byte beside the numbers of a result file is damaged, or the file cut short or gone: what it held, and only
     that, is to be made again.

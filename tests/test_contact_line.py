@@ -201,6 +201,7 @@ def disc(grid, radius, centre, modulus=1.0):
     return solve(grid, -(dx**2 + dy**2) / (2 * curvature), load / (lx * ly), modulus)
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize(("radius", "within"), [(1.5, 0.03), (4.0, 0.01), (10.0, 0.001)])
 def test_discs(comm, radius, within):
     """Area of a Hertz contact about any centre, rms over centres: 1 % asked for at 4 pixels radius (counting: 7 %).

@@ -281,6 +281,7 @@ def test_an_energy_that_rounding_hides_is_refused_at_once(comm, monkeypatch):
             solve_contact(problem, Solver(tolerance=1e-8))
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
 @pytest.mark.parametrize("method", ["newton", "gfmd"])
 @pytest.mark.parametrize("zeta", [1e-3, 0.1, 10.0, 1e3])
@@ -303,7 +304,7 @@ def test_heavy_loads_are_certified_or_refused_at_once(comm, method, zeta):
 
 
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="the reference needs extended precision")
-@pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4, 17])
+@pytest.mark.parametrize("seed", [2, 4, 8, 17, 21, 23, 31, 38] if SIZE == 1 else [4])
 def test_newton_under_thin_plates(comm, seed):
     """White heights of 2 × 13 to 4 × 19 under slabs with a free base, .08 to 1.2 pixels thick, which bend like plates:
     without a descent Newton's method certified none of these.  The true error (slow reference) is within the bound."""

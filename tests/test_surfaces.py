@@ -204,9 +204,9 @@ def test_units_do_not_matter(comm, shared_tmp_path):
     assert physical.loads["elastic_energy"][0] == pytest.approx(energy, rel=1e-8, abs=0)
 
 
-def test_two_bodies_are_their_summed_heights():
+def test_two_bodies_are_their_summed_heights(comm):
     """`second` adds the heights of another body, whose peaks point to the first, on any ranks and when refined."""
-    comm, rough = MPI.COMM_WORLD, {"kind": "self-affine", "hurst": 0.7, "lambda_s": 4.0, "rms_slope": 0.1, "seed": 4}
+    rough = {"kind": "self-affine", "hurst": 0.7, "lambda_s": 4.0, "rms_slope": 0.1, "seed": 4}
     ball = {"kind": "paraboloid", "radius": 90.0}
     for grid in ({"n": [24, 20]}, {"n": [24, 20], "refine": 2}):
         parts = [pgfmd.surface({"grid": grid, "surface": body}, comm) for body in (rough, ball)]
