@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from conftest import SIZE, broad
+from job_texts import rough_job
 from mpi4py import MPI
 from solids import elastic
 
@@ -202,22 +203,7 @@ def test_bars_contain_the_error_of_the_solver(wavelength):
 
 def test_bars_are_printed(comm, tmp_path):
     """`pgfmd info` shows number ± bar for the numbers that have one."""
-    job = """
-[grid]
-n = 32
-[surface]
-kind = "self-affine"
-hurst = 0.5
-lambda_s = 8
-rms_slope = 0.05
-seed = 1
-[solid]
-contact_modulus = 1.0
-[load]
-pressure = 0.01
-[output]
-observables = ["discretisation"]
-"""
+    job = rough_job(32, load={"pressure": [0.01]}, output={"observables": ["discretisation"]})
     folder = comm.bcast(tmp_path / "run")
     simulate(parse(job), comm, folder)
     results = Results(folder)

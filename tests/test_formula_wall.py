@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from conftest import apart
+from job_texts import rough_job
 from reference import Contact, Real
 from solids import elastic
 
@@ -345,35 +346,14 @@ def test_the_derivative(text):
     assert np.abs(slope * 0.3 / 0.7 - (near - before) / 2e-5).max() < 1e-7 * np.abs(near - before).max() / 2e-5
 
 
-TASK = """
-[grid]
-n = 64
-[surface]
-kind = "self-affine"
-hurst = 0.8
-lambda_s = 8.0
-rms_slope = 0.1
-[wall]
-kind = "formula"
-pressure = "0.1 * (0.5 / gap)**9"
-gaps = [0.05, 20]
-[solid]
-contact_modulus = 1
-[load]
-pressure = [0.02, 0.05]
-[output]
-fields = ["pressure"]
-"""
-
-
 def test_from_a_job_file_and_from_python(tmp_path, comm):
     """The same contact, at the loads of a job and by `pgfmd.solve`: pressures to the last digits."""
-    path = comm.bcast(tmp_path)
+    path, wall = comm.bcast(tmp_path), {"kind": "formula", "pressure": "0.1 * (0.5 / gap)**9", "gaps": [0.05, 20]}
     if comm.rank == 0:
-        (path / "own.toml").write_text(TASK)
+        parts = {"load": {"pressure": [0.02, 0.05]}, "output": {"fields": ["pressure"]}, "wall": wall}
+        (path / "own.toml").write_text(rough_job(64, {"lambda_s": 8.0}, solid={"contact_modulus": 1.0}, **parts))
     comm.barrier()
     results = pgfmd.run(path / "own.toml", path / "own", comm=comm)
-    wall = {"kind": "formula", "pressure": "0.1 * (0.5 / gap)**9", "gaps": [0.05, 20]}
     heights = pgfmd.surface(path / "own.toml", comm)
     for load, contact in zip(results, pgfmd.solve(heights, [0.02, 0.05], wall=wall, comm=comm), strict=True):
         rows = contact.problem.grid.rows

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from job_texts import SOLID
+from job_texts import SOLID, rough_job
 from mpi4py import MPI
 
 from pgfmd.errors import InputError
@@ -60,23 +60,8 @@ def test_a_job_solves_alike(comm, shared_tmp_path):
     from pgfmd.application.results import Results
     from pgfmd.application.simulate import simulate
 
-    text = """
-        [grid]
-        n = 128
-        [surface]
-        kind = "self-affine"
-        hurst = 0.8
-        lambda_s = 8.0
-        rms_slope = 0.1
-        [solid]
-        contact_modulus = 1
-        [load]
-        pressure = [0.02]
-        [solver]
-        tolerance = 1e-20
-        [output]
-        fields = ["pressure", "gap"]
-    """
+    parts = {"solid": {"contact_modulus": 1.0}, "load": {"pressure": [0.02]}, "output": {"fields": ["pressure", "gap"]}}
+    text = rough_job(128, {"lambda_s": 8.0}, solver={"tolerance": 1e-20}, **parts)
     for name in ("blocked", "mpi4py-fft"):
         simulate(parse(text, "job", [f"solver.transform={name}"]), comm, shared_tmp_path / name)
     for name in ("pressure", "gap"):
