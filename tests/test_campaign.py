@@ -258,7 +258,10 @@ FOUND_BY_CAMPAIGNS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", FOUND_BY_CAMPAIGNS)
+SLOW = "a wall that is stiffer than its digits show"  # 9 s, half of all
+
+
+@pytest.mark.parametrize("name", broad(sorted(FOUND_BY_CAMPAIGNS, key=SLOW.__eq__), len(FOUND_BY_CAMPAIGNS) - 1))
 def test_what_campaigns_found_stays_mended(tmp_path, name):
     """No traceback, no warning, no wrong number: an answer, or one line."""
     document = {"output": SOUND["output"]} | FOUND_BY_CAMPAIGNS[name]
