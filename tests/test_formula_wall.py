@@ -208,6 +208,7 @@ def test_the_range_is_that_at_a_pressure(text):
     assert law.range_at(1e9) == 0
 
 
+@pytest.mark.mpi("breadth")
 @pytest.mark.parametrize("control", ["mean_gap", "displacement"])
 def test_gaps_beyond_its_ends_are_refused(comm, control):
     """Between its smallest gap, where contact is full, and first touch at its largest, where the formula becomes 0."""
