@@ -18,9 +18,24 @@ from pgfmd.observables.stiffness import Stiffness
 from pgfmd.observables.subsurface import Subsurface
 
 KINDS = (
-    Histogram, PressureSkewness, Spectra, Acf, GapSpectrum, GapSlope, ContactPatches, Bearing, Lowpass, Discretisation,
-    Stiffness, Percolation, ClosingLoad, Leakage, Subsurface, PartialSlip, Adhesion,
-)  # fmt: skip
+    Histogram,
+    PressureSkewness,
+    Spectra,
+    Acf,
+    GapSpectrum,
+    GapSlope,
+    ContactPatches,
+    Bearing,
+    Lowpass,
+    Discretisation,
+    Stiffness,
+    Percolation,
+    ClosingLoad,
+    Leakage,
+    Subsurface,
+    PartialSlip,
+    Adhesion,
+)
 OBSERVABLES.update({kind.name: kind for kind in KINDS})
 
 LAYOUT: GroupLayout = layout_of(OBSERVABLES.values())
