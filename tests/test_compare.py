@@ -67,6 +67,7 @@ def test_what_cannot_be_compared_is_refused(folders, capsys):
     """One folder, another kind of load, or no load in common: one line, exit code 2."""
     pgfmd.run(JOB | {"load": {"contact_area": [0.1]}}, folders / "area")
     pgfmd.run(JOB | {"load": {"pressure": [0.03]}}, folders / "other")
+    capsys.readouterr()  # the log, if a command in this process has opened it
     for others, words in (((), "two result folders"), (("area",), "imposes"), (("other",), "same target")):
         assert main(["compare", *(str(folders / name) for name in ("coarse", *others))]) == 2
         message = capsys.readouterr().err
