@@ -13,6 +13,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import Aim, ContactProblem, Imposed, Measured
+from pgfmd.solvers.controls import CONTROLS
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.load_control import LoadControl
 from pgfmd.solvers.options import Load, Solver
@@ -106,6 +107,34 @@ def test_a_load_does_not_depend_on_the_loads_before(rough):
         cold = solve_contact(ContactProblem(grid, heights, SOLID, HardWall(), load), Solver(tolerance=1e-18))
         apart = found.pressure - cold.pressure
         assert math.sqrt(grid.reduction.dot(apart, apart) / grid.reduction.dot(cold.pressure, cold.pressure)) < 1e-8
+
+
+def test_threads_make_no_collective_call(comm, monkeypatch):
+    """Mean and rms height of a search are of bands of rows that threads sum: what is the same on all ranks is known
+    before, as threads of different ranks would meet in other orders, or not at all.
+    """
+    grid = SlabGrid(comm, (32, 8))
+    heights = 3.0 + self_affine(grid, 0.8, 8.0, 0.1, 1)
+    control = CONTROLS["contact_area"](ContactProblem(grid, heights, SOLID, HardWall()), Load(contact_area=(0.1,)))
+    within, collect, kind = [], grid.threads.collect, type(grid.reduction)
+
+    def watched(*arguments):
+        within.append(True)
+        try:
+            return collect(*arguments)
+        finally:
+            within.pop()
+
+    one = kind._one
+
+    def counted(self, *arguments):
+        assert not within
+        return one(self, *arguments)
+
+    monkeypatch.setattr(grid.threads, "collect", watched)
+    monkeypatch.setattr(kind, "_one", counted)
+    rms = control.rms_height
+    assert rms == pytest.approx(math.sqrt(grid.reduction.dot(heights - 3, heights - 3) / grid.size), rel=1e-12)
 
 
 def test_an_area_that_jumps_is_met_on_the_nearer_side(comm):

@@ -66,17 +66,19 @@ class Control:
     def summit(self) -> float:
         """Largest height, from the mean height.  Collective."""
         # Depths below the highest point keep their digits even where heights are far from 0.
-        return self._mean(lambda heights: self.top - heights)
+        top = self.top  # collective: not in threads
+        return self._mean(lambda heights: top - heights)
 
     @cached_property
     def rms_height(self) -> float:
         """Of the heights about their mean.  Collective."""
-        size = self.top - self.lowest or 1.0  # squares of heights may underflow
-        return size * math.sqrt(self._mean(lambda heights: ((self.top - heights - self.summit) / size) ** 2))
+        top, summit = self.top, self.summit  # collective: not in threads
+        size = top - self.lowest or 1.0  # squares of heights may underflow
+        return size * math.sqrt(self._mean(lambda heights: ((top - heights - summit) / size) ** 2))
 
     def _mean(self, function: Callable[[np.ndarray], np.ndarray]) -> float:
         """Mean of a function of the heights, made of a band of rows at a time: whole, it would be the peak of memory.
-        Collective.
+        Threads call the function, so that it must make no collective call.  Collective.
         """
         heights = self.problem.heights
 
