@@ -25,8 +25,8 @@ SUMS = 1e-12  # relative error of the sums in a certified error
 BEYOND = 1.01  # safety factor on the depth that can touch
 FAR = 16.0  # largest height over the range of heights that single precision holds: to 1e-6 of the range
 WIDEST = 1e30  # largest range of heights and mean pressure in single precision; the inverse is the smallest
-# Heights in double precision stay as they are if |mean|/rms is at most this, those in single if it is at most half a
-# unit of their last digit; and if rms and 1/rms are at most `MODERATE`.
+# Heights in double precision stay as they are if |mean|/rms is at most this, those in single if it is at most half
+# the spacing of single-precision numbers at 1; and if rms and 1/rms are at most `MODERATE`.
 CENTRED = 1e-13
 
 
@@ -226,6 +226,8 @@ def in_storage(grid: SlabGrid, heights: np.ndarray) -> np.ndarray:
         reason = f"the largest is {largest / height:.0f} times their range; subtract the mean"
     if height and not 1 / WIDEST < height < WIDEST:
         reason = f"their range is {height:.1e}, and must lie between {1 / WIDEST:g} and {WIDEST:g}; take another unit"
+    if not largest < WIDEST:
+        reason = f"the largest is {largest:.1e}, and must be below {WIDEST:g}; take another unit"
     if reason:
         raise InputError(f'solver.storage = "float32": not with these heights: {reason}, or take "float64"')
     return heights.astype(np.float32)

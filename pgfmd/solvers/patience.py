@@ -46,6 +46,9 @@ def uncertifiable(rounding: float, tolerance: float) -> Uncertifiable:
     )
 
 
+SOLVER_SHARE = 0.8  # part of the tolerance that is the solver's, where pressures are stored in single precision
+
+
 def too_fine_for_single(least: float) -> Uncertifiable:
     """What to raise where fields stored in single precision cannot be certified to the tolerance, only to about
     `least`.

@@ -40,7 +40,7 @@ from pgfmd.solvers.active_set.continuation import (
 )
 from pgfmd.solvers.active_set.particle_mesh import FullResponse, MeshResponse
 from pgfmd.solvers.active_set.unknowns import PIECE, Fields
-from pgfmd.solvers.patience import STEPS, Patience, too_fine_for_single, uncertifiable
+from pgfmd.solvers.patience import SOLVER_SHARE, STEPS, Patience, too_fine_for_single, uncertifiable
 from pgfmd.solvers.second_order import Rounding, certified, energy_of_residual
 
 Precision = type[np.float32] | type[np.float64]
@@ -57,9 +57,9 @@ WORST = 0.4  # largest error of a start that counts
 MOVED = 1e-4  # the same where an area or a gap is sought; at 1e-5 searches cost 5 % more
 ROUGH, LOOSER = 5e-3, 3  # error of a start from which roughness that only this grid resolves makes most of it
 FINEST = 1e-8  # smallest one: single precision reaches it on any grid
-# Rounding below this part of the tolerance does not decide the next step.  Where fields are stored in single precision,
-# it is the second, since no step can be in double: 16 contacts at 9 tolerances took at most a tenth more transforms, or
-# were refused (256², 1024²).
+# Rounding below this part of the tolerance does not decide the next step.  MOST_UNSEEN: the same where fields are
+# stored in single precision, since no step can be in double there: 16 contacts at 9 tolerances took at most a tenth
+# more transforms, or were refused (256², 1024²).
 UNSEEN, MOST_UNSEEN = 0.05, 0.3
 
 
@@ -127,7 +127,7 @@ class Relaxation:
         """Iterate until the error is at most `tolerance`.  Overwrites and returns `state`.  Collective.
 
         `state.pressure` must be feasible.  Raises SolverError if the error stops falling above the tolerance, and
-        Uncertifiable if that is due to rounding in double precision.
+        Uncertifiable if that is due to rounding in the precision in which fields are stored.
         """
         precision, patience = self.precision, Patience(self.patience)
         met_late, asked, can_widen = 0, tolerance, self.grid.storage is np.float64
@@ -165,7 +165,7 @@ class Relaxation:
             # Before rounding would show in the next estimate, precision changes.
             shows = rounding > unseen * max(tolerance, self.left(wanted, enough) * estimate)
             if shows and not can_widen:
-                raise too_fine_for_single(rounding / unseen)
+                raise too_fine_for_single(rounding / unseen / SOLVER_SHARE)
             if shows or can_widen and patience.lost >= STUCK:
                 precision = np.float64
             self.improve(state, system, wanted, enough)
