@@ -86,7 +86,7 @@ class Stiffness(Observable):
         found = increment(problem, contact.pressure, self.width)
         contact.keep("current_density", found.pressure)
         value, error = (found.lower + found.upper) / 2, (found.upper - found.lower) / 2
-        if math.isinf(value):
+        if math.isinf(found.lower):
             error = 0.0
         if self.half_grid:
             other = on_half_grid(

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgfmd.errors import InputError
+from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.transforms import sink, source
 from pgfmd.parallel.collectives import shared
 from pgfmd.physics.laws.exponential_law import ExponentialWall
@@ -43,10 +43,11 @@ LAST = 0.6  # in the last round, over the factor that would just do: to 1e-6 4.3
 MOST_ROUNDS = 12
 MOST_ITERATIONS = 3000  # under an exponential wall
 # ⟨r, Mr⟩/⟨x, Gx⟩ of a residual r and the preconditioner M is .48 … .83 of the width of the bounds, .6 in the median (60
-# rounds at 512² and 1024², f_c .04 … .9).  Bounds are not computed, for half a pair, where that is too wide.
+# rounds at 512² and 1024², f_c .04 … .9).  Where that is above TOO_WIDE times the width asked for, bounds are not
+# computed: that saves half a pair.
 PART, TOO_WIDE = 0.6, 1.3
 CROWDED = 0.7  # share of points in contact from which the uniform x is a better start than the mesh's
-DOUBLE_FROM = 10.0  # width that is expected, over that asked for, from which a response need not be in double precision
+DOUBLE_TO = 10.0  # a response is in double precision where the expected width is at most this times that asked for
 SINGLE_FROM = 1e-4  # width of the bounds from which transforms in single precision suffice
 
 
@@ -91,7 +92,7 @@ class FixedContact(Relaxation):
             stiffness = math.inf if count else 0.0
             return Increment(np.full(grid.local_shape, count / grid.size), stiffness, stiffness, 0.0)
         operators, x = (self.inner.apply, self.preconditioner.apply), np.ones(points.count)
-        expected, former, best = 1.0, math.inf, (0.0, math.inf)  # widths; bounds
+        expected, former, best = 1.0, math.inf, (0.0, math.inf)  # expected and former width; best bounds of 1/K
         if count < CROWDED * grid.size:
             one = SetVector(points)
             one.own[:] = 1
@@ -99,30 +100,39 @@ class FixedContact(Relaxation):
             expected = CUT**2
         for left in reversed(range(MOST_ROUNDS)):
             x *= grid.size / reduction.sum(x)
-            real = self.real if expected <= DOUBLE_FROM * self.width or left == 0 else np.float32
+            real = self.real if expected <= DOUBLE_TO * self.width or left == 0 else np.float32
             value = self._respond(x, real)
             system = ConjugateGradients(points.below(0.0, self.state.gap), *operators)
-            width = system.square / (2 * self.state.energy) / PART
+            energy = self.state.energy  # rounding may make it negative where nearly all points are in contact
+            width = system.square / (2 * energy) / PART if energy > 0 else math.inf
             near = width <= TOO_WIDE * self.width or width > former / 2 or left == 0
             if near and real is not self.real:
                 expected = 0.0
                 continue
             former = width
             if near:
+                if not energy > 0:
+                    raise SolverError("stiffness: the response is lost in rounding; allow a larger width")
                 lower, upper = self._bounds(value)
                 stuck = upper - lower > (best[1] - best[0]) / 2
                 best = max(best[0], lower), min(best[1], upper)
                 width = (best[1] - best[0]) / best[1]
-                if width <= self.width or stuck:
+                if width <= self.width or stuck or left == 0:
                     break
             goal = LAST * math.sqrt(self.width / width)
             wanted = goal ** (1 / math.ceil(math.log(goal) / math.log(LEAST_CUT)))
             x += system.solve(wanted)[0]
             expected = wanted**2 * width
+        upper = 1 / (best[0] * self.unit) if best[0] > 0 else math.inf
         field = grid.new_field()
         field[...] = 0
         field[self.place == 1] = x
-        return Increment(field, 1 / (best[1] * self.unit), 1 / (best[0] * self.unit), grid.transforms - before)
+        return Increment(field, 1 / (best[1] * self.unit), upper, grid.transforms - before)
+
+    def free(self) -> None:
+        """Frees the transforms of the inner solver.  Collective."""
+        super().free()
+        self.preconditioner.free()
 
     def _respond(self, x: np.ndarray, real: Precision) -> float:
         """S = ⟨x, Gx⟩/N of x (count,) of mean 1, in this object's units; sets the residual.  Collective."""
