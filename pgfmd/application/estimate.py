@@ -12,8 +12,7 @@ from pgfmd.application.job import Job
 from pgfmd.application.results import size_in_words
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.cell import WORKSPACE
-from pgfmd.grid.grid_cost import Cost, largest_shares
-from pgfmd.grid.slab_grid import ROOM
+from pgfmd.grid.grid_cost import ROOM, Cost, largest_shares
 from pgfmd.options.section import in_words
 from pgfmd.options.text import counted, duration, listed, readable
 from pgfmd.parallel.mpi import shared_memory
@@ -136,8 +135,8 @@ class Plan:
         transformed = not blocked or any(cost.transforms for cost in self.measuring_costs())
         written = self.field_bytes + workspace * transformed  # blocked strips are made when a transform needs them
         solving, of_nodes = self.bytes_per_point(ranks), self.bytes_per_point(nodes)
-        rank = max(self._peak(shares, solving), written * shares[0] + gathered) + seen * shares[0]
-        node = max(self._peak(of_node, of_nodes), written * of_node[0] + gathered) + packed * of_node[0]
+        rank = max(self._peak(shares, solving, 1), written * shares[0] + gathered) + seen * shares[0]
+        node = max(self._peak(of_node, of_nodes, here), written * of_node[0] + gathered) + packed * of_node[0]
         return rank, node
 
     def rank_groups(self, ranks: int, room: float = math.inf) -> int:
@@ -157,21 +156,22 @@ class Plan:
 
         def fits(groups: int) -> bool:
             narrow, wide = ranks // groups, -(-ranks // groups)  # ranks of a group
-            most = self._peak(largest_shares((nx, ny), narrow), self.bytes_per_point())
+            most = self._peak(largest_shares((nx, ny), narrow), self.bytes_per_point(), 1)
             return wide <= nx and BASE_BYTES + most <= room
 
         most = min(ranks, surfaces)
         # If nothing fits, one group takes least memory on each rank; it needs a row for each.
         return min(filter(fits, range(most, 0, -1)), key=seconds, default=1 if ranks <= nx else most)
 
-    def _peak(self, shares: list[int], per_point: float) -> float:
-        """Bytes of a rank or a node at the worst of its grids, of which it holds `shares` points, finest first.
+    def _peak(self, shares: list[int], per_point: float, ranks: int) -> float:
+        """Bytes of these ranks, one or those of a node, at the worst of the grids of which they hold `shares` points,
+        finest first.
 
         per_point: bytes per point of the grid that is solved or measured; finer grids keep their heights meanwhile,
         and the finest also its transforms, if they are not freed.  A coarser grid can be the worst: fewer ranks hold
         it, with larger shares.
         """
-        freed = self.job.solver.transform == "blocked" and self.job.cell.domain.wraps and shares[0] > ROOM
+        freed = self.job.solver.transform == "blocked" and self.job.cell.domain.wraps and shares[0] > ROOM * ranks
         transforms = 0.0 if freed else shares[0] * WORKSPACE[self.job.solver.transform]
         heights = (1 + self.scaled) * np.dtype(self.job.solver.storage).itemsize
         return max(

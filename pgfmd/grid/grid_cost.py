@@ -17,6 +17,7 @@ class Cost:
 
 LEAST_ROWS = 16  # of a rank: more ranks, with fewer rows each, would not solve a grid faster
 LEAST_MESH_ROWS = 4  # the same of meshes and blocks, for which every inner iteration waits
+ROOM = 1 << 20  # points of a rank whose transforms are kept, 4 or 8 MB: on many ranks shared memory is slow to make
 SMALL = 256 * 256  # points that one rank alone transforms in the time of a few messages
 
 

@@ -24,6 +24,7 @@ from numpy.typing import DTypeLike
 from pgfmd.errors import InputError
 from pgfmd.grid.aligned import new_field
 from pgfmd.grid.domain import PERIODIC, Domain
+from pgfmd.grid.grid_cost import ROOM
 from pgfmd.grid.library_transform import LibraryTransform
 from pgfmd.grid.transforms import ColumnAction, RowAction, Transform, WholeTransform, sink, source
 from pgfmd.grid.transpose import Strips, make_strips
@@ -37,7 +38,6 @@ BAND = 1 << 16  # points of a band of rows: the bands of a few fields fit into t
 # One rank keeps transforms for the next grid alike: of so many modes at most, those of the last grids freed.  Each
 # belongs to one grid at a time, so that threads may solve at once.
 MOST_MODES, SPARES = 1 << 16, 16
-ROOM = 1 << 20  # points of a rank whose transforms are kept, 4 or 8 MB: on many ranks shared memory is slow to make
 AnyTransform = Transform | WholeTransform | LibraryTransform
 _spares: list[tuple[Hashable, Strips | None, dict[np.dtype, AnyTransform]]] = []
 _lock = threading.Lock()
