@@ -192,7 +192,8 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
 def _write_in_place(ranks: Ranks, path: Path, fields: dict[str, Field], offsets: dict[str, int]) -> None:
     """Each rank writes its rows at their offset in the file, without HDF5.  Collective.
 
-    The ranks of a node write at the same time, the nodes in turn: network file systems may lose some.
+    The ranks of a node write at the same time, the nodes in turn: network file systems may lose simultaneous writes of
+    several nodes.
     """
     mine = _first_of_node(ranks.comm)
     for turn in sorted(set(ranks.comm.allgather(mine))):

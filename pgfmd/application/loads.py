@@ -73,7 +73,7 @@ class Checkpoints:
         hdf5_slabs.replace_by(self.ranks, self.path, {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}, create)
 
     def load(self, index: int) -> np.ndarray | None:
-        """Pressure (nx_local, ny) of load `index`, in any unit; None if none is there, or whole.  Collective."""
+        """Pressure (nx_local, ny) of load `index`, in any unit; None if there is none or it is damaged.  Collective."""
         total = from_root(self.comm, self._total_of, index)
         if total is None:
             return None

@@ -107,7 +107,9 @@ class Results:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": running, but in no process."""
+        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": marked as running, but no process
+        holds the folder.
+        """
         status = self.provenance.get("status", "interrupted")
         return "interrupted" if status == "running" and holder(self.directory) is None else status
 

@@ -147,7 +147,7 @@ Tables = Mapping[str, Mapping[str, Any]]
 
 
 def surface(job: Job | Tables | str | os.PathLike, comm: MPI.Comm | None = None) -> np.ndarray:
-    """The heights of the surface in a run of `job`.  Collective over `comm`.
+    """The heights of the surface in a run of `job`, before solver.storage rounds them.  Collective over `comm`.
 
     job: a `Job`, the path of a TOML file, or its tables, of which only "grid" and "surface" are needed.  Without `comm`
     all heights (nx, ny), made by this process alone; with it this rank's rows (nx_local, ny).  The surface does not

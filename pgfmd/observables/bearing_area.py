@@ -30,7 +30,7 @@ class Bearing(Observable):
     """
 
     name = "bearing"
-    price = Cost(transforms=1.0, memory=2.0)  # if spectra are asked for; a mask with its runs
+    usual_cost = Cost(transforms=1.0, memory=2.0)  # if spectra are asked for; a mask with its runs
     needs_double = True  # heights are sorted by the bits of their numbers
     layout = {
         "bearing": {"threshold": Dataset("{length}", "height above which the surface has the relative area f_c")},

@@ -97,8 +97,8 @@ class Contact(ContactSolution):
             "contact_perimeter": area.perimeter / math.prod(self.grid.lengths),
             "contact_line": float(self.line is not None),
         }
-        others = LOADS.keys() - measured.keys() - {"target"}
-        found = {name: getattr(self, name) if name in others else measured[name] for name in LOADS if name != "target"}
+        names = [name for name in LOADS if name != "target"]
+        found = {name: measured[name] if name in measured else getattr(self, name) for name in names}
         if self.shared is None:
             self.grid.free()
         return found

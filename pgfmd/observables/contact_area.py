@@ -12,7 +12,8 @@ turning over 2π.  Around a circle, the pairs straddle the line at distance δ o
 is the length of that outer line.  The sum of the areas is too small by b = π(ax² + ay²)/32 + ½ ∮ δ² dθ.
 
 **Error.** With n edges between pixels in and out of contact: by the grid √n s and n s inside the line, √n and n without
-it, s the roughness in radians per pixel; by the solver √n η ‖p‖/b/(1 − f_c).  FACTORS: see NUMERICS.md.
+it, s the roughness in radians per pixel; by the solver √n η ‖p‖/d/(1 − f_c), η the relative error of
+the pressure, d its rise in one pixel at the edge.  FACTORS: see NUMERICS.md.
 """
 
 import math

@@ -40,7 +40,7 @@ class ContactPatches(Observable):
     """A table of the contact patches, one entry each, in the order of the numbers in the field `labels`."""
 
     name = "patches"
-    price = Cost(memory=2.0)  # a mask and the runs of points in contact in each row
+    usual_cost = Cost(memory=2.0)  # a mask and the runs of points in contact in each row
     layout = {"patches": {**SHAPES, **LOADS, **LINES}}
 
     connectivity: int = key(choice(8, 4), 8, "8: points are neighbours over edges and corners; 4: over edges")

@@ -55,7 +55,7 @@ class Discretisation(Observable):
     """
 
     name = "discretisation"
-    price = Cost(transforms=6.0, memory=15.0)  # two contacts on a quarter of the points and a residual, at 1024²
+    usual_cost = Cost(transforms=6.0, memory=15.0)  # two contacts on a quarter of the points and a residual, at 1024²
     attraction = False
     needs_period = "heights are coarsened by their Fourier modes"
     layout = {

@@ -1,7 +1,7 @@
 """Points joined by faces of conductance T: aggregates of points, the graph of these, elimination, fluxes.
 
 Aggregates are matched twice (Notay 2010, ETNA 37, 123).  Diagonals are row sums, and the coarsest graph is eliminated
-without subtraction (Grassmann, Taksar and Heyman 1985, doi:10.1287/opre.33.5.1107), with a contrast of 1e20 too.
+without subtraction (Grassmann, Taksar and Heyman 1985, doi:10.1287/opre.33.5.1107): a contrast of 1e20 does no harm.
 """
 
 from typing import NamedTuple

@@ -23,7 +23,7 @@ class GapSlope(Observable):
     """√⟨|∇g|²⟩ = √Σ q²|g̃(q)|² over all modes of the gap, points in contact included."""
 
     name = "gap_slope"
-    price = Cost(transforms=0.5)  # one forward transform
+    usual_cost = Cost(transforms=0.5)  # one forward transform
     needs_period = "from the modes of the gap"
     layout = {"loads": {"gap_rms_slope": Dataset("1", "rms slope of the gap over the cell, from its modes")}}
 

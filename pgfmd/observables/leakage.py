@@ -27,7 +27,8 @@ log = logging.getLogger("pgfmd")
 
 @dataclass(frozen=True, kw_only=True)
 class Leakage(Observable):
-    """Reynolds flow, ∇·(g³∇p_f) = 0 for the fluid's pressure p_f, through the gap g, mean gradients along x and y.
+    """Reynolds flow, ∇·(g³∇p_f) = 0 for the fluid's pressure p_f, through the gap g, under a mean gradient along x and
+    one along y.
 
     The conductivity K is 12 × viscosity × the flow per width over that gradient, a length cubed: g³ between parallel
     plates.  Over the cube of the mean gap it is the pressure flow factor of Patir and Cheng (1978,

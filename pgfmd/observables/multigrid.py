@@ -202,7 +202,9 @@ class Level:
         return self.new(self.from_root(whole, self.counts))
 
     def solved(self, target: np.ndarray) -> np.ndarray:
-        """A⁻¹ target by conjugate gradients, exact on the coarsest level; overwrites the target.  Collective."""
+        """About A⁻¹ target: a few steps of flexible conjugate gradients; on the coarsest level exact.  The target is
+        overwritten.  Collective.
+        """
         if self.coarse is None:
             return self.cycle(target)
         x, r, step = self.new(), target, None

@@ -29,7 +29,8 @@ class Observable(Section):
     "loads" stands for columns that it adds to the table of loads: one number per load, NAME_error the error of NAME.
     fields: of `schema.FIELDS`, that it can write.  attraction: whether it can be measured where the wall attracts.
     needs_period: why it is not measured with open boundaries; "" if it is.  needs_double: whether it needs fields
-    that are stored in double precision.  price: see `cost`, where this does not depend on its keys or on the surface.
+    that are stored in double precision.  usual_cost: what `cost`
+    returns unless it is overridden.
     """
 
     name: ClassVar[str]
@@ -38,7 +39,7 @@ class Observable(Section):
     attraction: ClassVar[bool] = True
     needs_period: ClassVar[str] = ""
     needs_double: ClassVar[bool] = False
-    price: ClassVar[Cost] = Cost()
+    usual_cost: ClassVar[Cost] = Cost()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -61,7 +62,7 @@ class Observable(Section):
 
         cutoff: wave number beyond which the surface has no modes; None: not known, every mode of the grid may count.
         """
-        return self.price
+        return self.usual_cost
 
     def check_contact(self, solid: Solid, law: ContactLaw) -> None:
         """Raises InputError if it cannot be measured on contacts of this solid and law."""

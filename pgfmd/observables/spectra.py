@@ -33,7 +33,7 @@ class Spectra(Spectrum):
     """
 
     name = "spectra"
-    price = Cost(transforms=1.5)  # a forward one for the pressure, the contact, and both heights and pressure
+    usual_cost = Cost(transforms=1.5)  # a forward one for the pressure, the contact, and both heights and pressure
     layout = {
         "stress_spectrum": spectrum_layout("{pressure}^2", "|σ̃|² of the pressure"),
         "contact_spectrum": spectrum_layout("1", "|Θ̃|² of the contact"),
@@ -61,7 +61,7 @@ class GapSpectrum(Spectrum):
     """
 
     name = "gap_spectrum"
-    price = Cost(transforms=0.5)  # one forward transform
+    usual_cost = Cost(transforms=0.5)  # one forward transform
     needs_period = "the gap does not vanish at the border"
     layout = {"gap_spectrum": spectrum_layout("{length}^2", "|g̃|² of the gap")}
 
@@ -94,7 +94,7 @@ class Acf(Observable):
     """
 
     name = "acf"
-    price = Cost(transforms=2.0)  # one each for the pressure and the contact
+    usual_cost = Cost(transforms=2.0)  # one each for the pressure and the contact
     needs_period = "mean over all pairs of points at one distance"
     layout = {
         **acf_layout("stress", "{pressure}^2", "stress autocorrelation ⟨σ(r) σ(r')⟩"),

@@ -93,7 +93,9 @@ class Subsurface(Observable):
 
     @staticmethod
     def _square(contact: Contact, spectrum: np.ndarray, depth: float) -> np.ndarray:
-        """¾(σ_xx − σ_yy)² + (σ_zz − ½(σ_xx + σ_yy))² + 3(σ_xy² + σ_xz² + σ_yz²) at a depth.  Collective."""
+        """¾(σ_xx − σ_yy)² + (σ_zz − ½(σ_xx + σ_yy))² + 3(σ_xy² + σ_xz² + σ_yz²), von Mises' stress squared, at a
+        depth.  Collective.
+        """
         grid, nu = contact.grid, float(contact.problem.solid.poisson or 0.0)
         qx, qy = grid.qx.copy(), grid.qy.copy()
         for q, count, length in zip((qx, qy), grid.shape, grid.lengths, strict=True):
@@ -126,7 +128,9 @@ class Subsurface(Observable):
 
 
 def _summit(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Place and value of the largest y: of a parabola through three points, but at an end or if x hardly differs."""
+    """Place and value of the largest y: of a parabola through three points; the point itself at an end, or where x
+    hardly differs.
+    """
     k = int(np.argmax(y))
     if not 0 < k < len(x) - 1 or not y[k] > 0 or not x[k - 1] < x[k] < x[k + 1]:
         return float(x[k]), float(y[k])

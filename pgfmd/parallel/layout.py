@@ -26,7 +26,7 @@ Piece = tuple[int, np.ndarray]
 """First row, and the rows."""
 
 JOINED = 1 << 20  # bytes up to which all that goes to a rank is packed into one message
-# By `hops`, rows of so many ranks meet on one: rank 0 gets 9 messages of 64 ranks, and not one from each of the others.
+# By `hops`, rows of so many ranks meet on one: on 64 ranks rank 0 gets 9 messages, not 63.
 RADIX = 4
 
 
@@ -166,7 +166,7 @@ class Exchange:
                     self.requests.append(self.comm.Isend(_items(rows), rank))
 
     def finish(self) -> None:
-        """Waits until all messages have arrived and are unpacked."""
+        """Waits until all messages have arrived and are unpacked; then carries out the further hops of `relay`."""
         MPI.Request.Waitall(self.requests)
         for whole, parts in self._joined:
             _copy_parts(whole, parts, join=False)
@@ -181,8 +181,9 @@ class Exchange:
 
 
 def hops(source: Layout, target: Layout) -> list[RowPlan]:
-    """Plans by which all rows go from one layout to another.  If one of these has over `RADIX` times as many holders,
-    rows go through layouts between, which have as many times fewer each.  Collective.
+    """Plans by which all rows go from one layout to another.  If one layout has over `RADIX` times as many holders as
+    the other, rows go through layouts between; each has 1/`RADIX` of the holders of the larger one beside it.
+    Collective.
     """
     holders = [int(np.count_nonzero(np.diff(layout.starts))) for layout in (source, target)]
     most, counts = max(holders), list[int]()

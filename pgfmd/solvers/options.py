@@ -104,8 +104,8 @@ METHODS = tuple(
 class Solver(Section):
     """How the contact is found, and how well.
 
-    method "auto" takes the fastest method for the contact law, and dynamics ("gfmd") should that fail in
-    double precision.
+    method "auto" takes the fastest method for the contact law, if that fails and storage is "float64",
+    dynamics ("gfmd").
     """
 
     where: ClassVar[str] = "solver"
