@@ -180,7 +180,12 @@ def wrong_heights(job: dict, heights: np.ndarray) -> str:
         return ""
     size = np.abs(expected).max()
     deviation = np.abs(heights - expected).max()
-    return f"heights are {deviation / size:.1e} off" if deviation > 1e-13 * size else ""
+    return f"heights are {deviation / size:.1e} off" if deviation > max(1e-13, single_digit(job)) * size else ""
+
+
+def single_digit(job: dict) -> float:
+    """Relative rounding of fields that are stored in single precision; else 0."""
+    return 2e-7 if job["solver"].get("storage") == "float32" else 0.0
 
 
 def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: Answer) -> str:
@@ -192,7 +197,8 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
         return f"not finite: {numbers}"
     if not 0 <= answer.certified_error <= job["solver"]["tolerance"]:
         return f"certified error {answer.certified_error:.3g} for a tolerance of {job['solver']['tolerance']:.3g}"
-    if pressure.min() < 0 or abs(float(np.mean(pressure.astype(reference.Real)) / (load or 1) - (load > 0))) > ROUNDING:
+    digit = max(ROUNDING, single_digit(job))
+    if pressure.min() < 0 or abs(float(np.mean(pressure.astype(reference.Real)) / (load or 1) - (load > 0))) > digit:
         return "the load is not carried, or there is tension"
     if pressure.max() > most * (1 + ROUNDING):
         return "more than the hardness"
@@ -207,7 +213,7 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
         separation = {"mean_gap": answer.target - summit, "displacement": -answer.target}.get(control, 0)
         size = max(np.ptp(contact.heights), separation) or 1
         wrong = np.abs(gap.ravel() - (separation - contact.heights)).max() / size
-        return f"gap without load is {float(wrong):.1e} off" if wrong > 1e-14 else ""
+        return f"gap without load is {float(wrong):.1e} off" if wrong > max(1e-14, single_digit(job)) else ""
     try:
         sigma_ref = job["wall"].get("sigma_ref")
         carried = pressure.astype(reference.Real).mean()  # of few points that do not yield digits of the load count
@@ -217,11 +223,12 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
             raise
         return ""
     if most < math.inf:  # the level of gaps may depend on few points
-        return wrong_energy(exact, answer)
-    return wrong_energy(exact, answer) or wrong_gap(exact, answer, zeta) or wrong_control(exact, job, control, answer)
+        return wrong_energy(exact, answer, digit)
+    wrong = wrong_energy(exact, answer, digit) or wrong_gap(exact, answer, zeta)
+    return wrong or wrong_control(exact, job, control, answer)
 
 
-def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
+def wrong_energy(exact: reference.Solved, answer: Answer, digit: float) -> str:
     """The true error, and the energy."""
     error = exact.error_of(answer.pressure)
     if answer.elastic_energy > 0:  # the reported error is relative to the reported energy
@@ -231,7 +238,7 @@ def wrong_energy(exact: reference.Solved, answer: Answer) -> str:
         return f"certified {answer.certified_error:.3g}, true error {float(error):.3g}"
     energy = exact.work / 2
     relative = reference.Real(answer.certified_error) * max(answer.elastic_energy / energy, 1) if energy > 0 else 0
-    room = 2 * np.sqrt(2 * relative) + 2 * relative + ROUNDING
+    room = 2 * np.sqrt(2 * relative) + 2 * relative + digit
     if abs(answer.elastic_energy - energy) > room * energy + 1e-323:
         return f"elastic energy {answer.elastic_energy:.17g} instead of {float(energy):.17g}"
     return ""
