@@ -82,6 +82,14 @@ def test_gaps_beside_contact_keep_their_digits(comm):
     assert found.mean_gap == pytest.approx(found.grid.reduction.sum(found.gap) / found.grid.size, rel=1e-6)
 
 
+def test_jobs_whose_heights_underflow_are_refused(comm, shared_tmp_path):
+    """Heights of a job are made in double precision: tiny ones are not taken for a plane."""
+    surface = {"lambda_s": 8.0, "rms_slope": 1e-50}
+    text = rough_job(32, surface, load={"pressure": [1e-52]}, solver={"storage": "float32"})
+    with pytest.raises(InputError, match="solver.storage.*range"):
+        simulate(parse(text), comm, shared_tmp_path / "out")
+
+
 @pytest.mark.parametrize(("unit", "mean", "reason"), [(1.0, 1000.0, "subtract the mean"), (1e-32, 0.0, "range")])
 def test_heights_that_single_precision_does_not_hold_are_refused(comm, unit, mean, reason):
     """One line that says why."""

@@ -80,7 +80,6 @@ def simulate(
     if alone:
         machine.refuse_too_large(comm, memory)
     grid = SlabGrid(comm, job.cell.shape, job.cell.lengths, transform=job.solver.transform, domain=job.cell.domain)
-    grid.storage = np.dtype(job.solver.storage).type
     inputs = {path: digest(comm, (path, dataset)) for path, dataset in job.sources.values()}
     origin = Origin(job.text, as_toml(job), len(job.load.targets), inputs)
     limits, output = (job.run.checkpoint_interval, job.run.time_limit), job.output
@@ -96,6 +95,7 @@ def simulate(
         refuse_changes(job, origin, writer.earlier, writer.directory)
         with phases("surface"):
             heights = refined_heights(job.surface, job.grid, grid, job.output.length_unit)
+            grid.storage = np.dtype(job.solver.storage).type  # only now: whether it holds the heights is to be seen
             heights = in_storage(grid, heights)
             job.solid.prepare(grid)
         machine.report(comm, memory, available)  # only now: for wrong input the error is the only line

@@ -230,6 +230,7 @@ def in_storage(grid: SlabGrid, heights: np.ndarray) -> np.ndarray:
         reason = f"the largest is {largest:.1e}, and must be below {WIDEST:g}; take another unit"
     if reason:
         raise InputError(f'solver.storage = "float32": not with these heights: {reason}, or take "float64"')
+    grid.make_room()  # of transforms in double precision
     return heights.astype(np.float32)
 
 
