@@ -38,9 +38,9 @@ SURE = 0.3  # part of the target's tolerance that may be due to the solution's c
 FARTHER = 4.0  # far from a target: its error over the part that the solution's certified error may make
 ROUNDING = 1e-15  # width of a bracket in ln p̄ below which it is rounding
 JUMP = 1e-4  # width of a bracket in ln p̄ below which an area that differs between its ends counts as jumping
-# Certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump.  In single precision,
-# that asked for: on large grids rounding hides less.
-SHARP = {np.float64: 1e-12, np.float32: math.inf}
+# Certified error of its ends: at 1e-8, points at the edge join or leave up to 4 % from the jump.  In single precision
+# rounding hides less than 3e-11 on small grids; on large ones such areas are refused.
+SHARP = {np.float64: 1e-12, np.float32: 1e-10}
 ABOUT, LEAST_SIDE = 1e-2, 64  # tolerance of a gap on the coarser grid that gives a first guess, and its least side
 STEP = 3.0  # largest first change of ln p̄
 MOST_SOLVES = 80

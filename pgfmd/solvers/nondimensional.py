@@ -47,6 +47,9 @@ class Dimensionless:
         """overwrite_heights: their memory is used, and they are lost.  Raises InputError for what cannot be solved,
         Uncertifiable where no pressure in double precision is accurate enough."""
         physical.check()
+        load, single = physical.mean_pressure, physical.grid.storage is np.float32
+        if single and load and not 1 / WIDEST < load < WIDEST:
+            raise InputError(f'mean pressure = {load:g}: too far from 1 for solver.storage = "float32"; take "float64"')
         assert physical.law.convex and physical.law.lowest == 0
         self.physical, self._began = physical, time.perf_counter()
         grid, solid, law = physical.grid, physical.solid, physical.law
@@ -69,8 +72,6 @@ class Dimensionless:
                 f"{SHORTEST:g} of the rms height of what can touch, here {made.unit:g}; shorter walls are hard: "
                 'wall.kind = "hard"'
             )
-        if grid.storage is np.float32 and not 1 / WIDEST < mean < WIDEST:
-            raise InputError(f'mean pressure = {mean:g}: too far from 1 for solver.storage = "float32"; take "float64"')
         self.units = Units(made.unit, mean, law.gap(mean, solid), law.highest)
         self.problem = ContactProblem(
             grid, made.field, solid.in_units(made.unit, mean), law.in_units(self.units), 1.0,

@@ -224,7 +224,7 @@ def wrong_answer(contact: reference.Contact, job: dict, control: str, answer: An
         return ""
     if most < math.inf:  # the level of gaps may depend on few points
         return wrong_energy(exact, answer, digit)
-    wrong = wrong_energy(exact, answer, digit) or wrong_gap(exact, answer, zeta)
+    wrong = wrong_energy(exact, answer, digit) or wrong_gap(exact, answer, zeta, single_digit(job))
     return wrong or wrong_control(exact, job, control, answer)
 
 
@@ -244,7 +244,7 @@ def wrong_energy(exact: reference.Solved, answer: Answer, digit: float) -> str:
     return ""
 
 
-def wrong_gap(exact: reference.Solved, answer: Answer, zeta) -> str:
+def wrong_gap(exact: reference.Solved, answer: Answer, zeta, single: float) -> str:
     """Gap and mean gap: an error d of the pressure changes u = Gp anywhere by at most √(G₀₀) ‖d‖, ‖d‖² ≤ 2D, and the
     level of contact, ⟨p, g⟩/P, by (D + ‖p‖ ‖d‖ + ‖d‖²)/P."""
     contact, count = exact.contact, exact.contact.count
@@ -254,7 +254,7 @@ def wrong_gap(exact: reference.Solved, answer: Answer, zeta) -> str:
     level = (bound + np.sqrt(work) * change + 2 * bound) / count if zeta is None else change
     size = max(np.ptp(contact.heights), np.abs(exact.gap).max() if zeta else 0)
     # p̄ sums up to 24² pressures in pairs: 10 roundings of 1.1e-16, and 2 digits of the logarithm, each times ζ.
-    rounding = 1e-13 * size + 1.5e-15 * (zeta or 0)
+    rounding = (1e-13 + single) * size + 1.5e-15 * (zeta or 0)
     room = 1.5 * (change + level) * exact.unit + rounding
     largest = np.abs(answer.gap.ravel() - exact.gap).max()
     if largest > room + (np.sqrt(2 * bound) * exact.unit if zeta is None else 0):
