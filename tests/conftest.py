@@ -8,11 +8,13 @@ waits --patience seconds for the others; if they hang in a communication that it
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import shutil
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
@@ -66,6 +68,17 @@ def broad(values, default: int = 1) -> list:
     """Values to parametrise with: the first `default` of them run by default, the others with `--all`."""
     values = [value if isinstance(value, tuple) else (value,) for value in values]
     return [pytest.param(*value, marks=pytest.mark.breadth if i >= default else ()) for i, value in enumerate(values)]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def log_of_before():
+    """A command that runs in this process opens the log, for all that follows: it is closed with the module."""
+    log, show = logging.getLogger("pgfmd"), warnings.showwarning
+    before = log.handlers[:], log.level, log.propagate
+    yield
+    log.handlers[:], log.level, log.propagate = before
+    log.setLevel(log.level)  # which forgets what was cached
+    warnings.showwarning = show
 
 
 @pytest.fixture(scope="session")
