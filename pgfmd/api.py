@@ -153,8 +153,9 @@ def solve(
 
     Exactly one of pressure, contact_area, mean_gap, displacement (what they mean: [load] of a job) and force (pressure
     times the area of the cell) is imposed: a number, or a list, whose contacts are solved when the iterator reaches
-    them, each starting from the last if its p̄ is within 5 %.  Or percolation="gap": the contact at the highest load
-    found at which the gap percolates.  area_tolerance, gap_tolerance, percolation_accuracy: see [load] of a job.
+    them, each starting from the last where that pays.  Or percolation="gap": the contact at the
+    highest load found at which the gap percolates.  area_tolerance, gap_tolerance, percolation_accuracy: see [load] of
+    a job.
 
     boundary: "periodic", or "open": the heights are a patch of an infinite surface, and no pressure acts outside of it;
     displacement is then the approach of distant points.

@@ -26,13 +26,14 @@ SOLID = elastic(8 / 3)
 
 
 class Counted:
-    """`LoadControl` of a surface, and how often they solved."""
+    """`LoadControl` of a surface, how often it solved, and whether from a start."""
 
     def __init__(self, control, grid, heights, solid=SOLID, wall=None, tolerance=1e-6, **keywords):
-        self.solves = 0
+        self.solves, self.starts = 0, []
 
         def solve(problem, start, tolerance):
             self.solves += 1
+            self.starts.append(start is not None)
             return solve_contact(problem, Solver(tolerance=tolerance), start)
 
         problem = ContactProblem(grid, heights, solid, wall or HardWall())
@@ -109,6 +110,16 @@ def test_a_load_does_not_depend_on_the_loads_before(rough):
         assert math.sqrt(grid.reduction.dot(apart, apart) / grid.reduction.dot(cold.pressure, cold.pressure)) < 1e-8
 
 
+@pytest.mark.parametrize(("step", "starts"), [(1.001, True), (1.02, False)])
+def test_a_load_starts_from_its_neighbour_where_that_pays(comm, step, starts):
+    """Under a hard wall on a half-space loads .1 % apart start from each other, loads 2 % apart do not."""
+    grid = SlabGrid(comm, (32, 32))
+    counted = Counted("pressure", grid, self_affine(grid, 0.8, 8.0, 0.1, 1))
+    for load in (0.01, 0.01 * step):
+        counted.solution(load)
+    assert counted.starts == [False, starts]
+
+
 def test_threads_make_no_collective_call(comm, monkeypatch):
     """Mean and rms height of a search are of bands of rows that threads sum: what is the same on all ranks is known
     before, as threads of different ranks would meet in other orders, or not at all.
@@ -116,10 +127,11 @@ def test_threads_make_no_collective_call(comm, monkeypatch):
     grid = SlabGrid(comm, (32, 8))
     heights = 3.0 + self_affine(grid, 0.8, 8.0, 0.1, 1)
     control = CONTROLS["contact_area"](ContactProblem(grid, heights, SOLID, HardWall()), Load(contact_area=(0.1,)))
-    within, collect, kind = [], grid.threads.collect, type(grid.reduction)
+    within, calls, collect, kind = [], [], grid.threads.collect, type(grid.reduction)
 
     def watched(*arguments):
         within.append(True)
+        calls.append(True)
         try:
             return collect(*arguments)
         finally:
@@ -134,7 +146,9 @@ def test_threads_make_no_collective_call(comm, monkeypatch):
     monkeypatch.setattr(grid.threads, "collect", watched)
     monkeypatch.setattr(kind, "_one", counted)
     rms = control.rms_height
-    assert rms == pytest.approx(math.sqrt(grid.reduction.dot(heights - 3, heights - 3) / grid.size), rel=1e-12)
+    assert len(calls) == 2  # for the mean and for the rms height
+    exact = math.sqrt(grid.reduction.dot(heights - 3, heights - 3) / grid.size)
+    assert rms == pytest.approx(exact, rel=1e-12)  # rounding of 256 squares
 
 
 def test_an_area_that_jumps_is_met_on_the_nearer_side(comm):
