@@ -57,7 +57,7 @@ def pytest_collection_modifyitems(config, items):
         mpi = item.get_closest_marker("mpi")
         alone = SIZE > 1 and mpi is not None and "breadth" in mpi.args and not config.getoption("--all")
         # The mark of a whole module means its tests of a communicator: the others would only be repeated.
-        own = any(mark.name == "mpi" for mark in item.own_markers) or hasattr(item.module, "comm")
+        own = any(mark.name == "mpi" for mark in item.own_markers) or hasattr(item.module, "comm")  # of test_inner.py
         alone |= SIZE > 1 and not own and not {"comm", "shared_tmp_path"} & set(item.fixturenames)
         (others if alone or any(map(item.get_closest_marker, left_out)) else chosen).append(item)
     config.hook.pytest_deselected(items=others)
@@ -72,7 +72,7 @@ def broad(values, default: int = 1) -> list:
 
 @pytest.fixture(autouse=True, scope="module")
 def log_of_before():
-    """A command that runs in this process opens the log, for all that follows: it is closed with the module."""
+    """A command that runs in this process opens the log, for all that follows: that is taken back after the module."""
     log, show = logging.getLogger("pgfmd"), warnings.showwarning
     before = log.handlers[:], log.level, log.propagate
     yield

@@ -40,16 +40,16 @@ def bad_ones(comm, folder, numbers) -> tuple[list[str], Counter]:
 @pytest.mark.parametrize("count", broad([40, 300]))
 def test_random_jobs(comm, shared_tmp_path, count):
     """Each is right, to its certified error, or refused in one line.  A third are right at least: 62 per cent
-    of 11,600 were, and fewer than a third of 40 then has a probability of 1e-4.  On ranks only fifteen are solved,
-    too few for that.
+    of 11,600 were, and fewer than a third of 40 then has a probability of 1e-4.  On ranks fifteen are run, of which one
+    at most is right with a probability of 1e-5.  Number 203 is the first in single precision that is solved.
     """
     if SIZE > 1:
         if count > 40:
             pytest.skip("takes too long")
         count = 15
-    bad, verdicts = bad_ones(comm, shared_tmp_path, range(count))
+    bad, verdicts = bad_ones(comm, shared_tmp_path, sorted({*range(count), 203}))
     assert not bad, f"{verdicts}\n" + "\n".join(bad[:3])
-    assert SIZE > 1 or verdicts[cases.RIGHT] > count / 3
+    assert verdicts[cases.RIGHT] > (count / 3 if SIZE == 1 else 1)
 
 
 def test_a_job_is_the_same_whatever_was_drawn_before():

@@ -87,7 +87,7 @@ def test_every_law_with_every_control():
         everywhere = trip.control == "contact_area" and trip.law in ("exponential", "formula")
         assert not everywhere or "touches everywhere" in outcome.detail
         refused[trip.law, trip.control] += outcome.verdict == "refused" and not everywhere
-    assert verdicts["right"] + verdicts["jump"] >= 48 and max(refused.values()) <= 2, (verdicts, refused)
+    assert verdicts["right"] + verdicts["jump"] >= 48 and max(refused.values()) <= 1, (verdicts, refused)
 
 
 @pytest.mark.parametrize("number", range(4))

@@ -113,7 +113,7 @@ def test_window_of_rows(beyond, count):
 @pytest.mark.parametrize("radix", [2, layout.RADIX])
 @pytest.mark.parametrize("count", [1, (comm.size + 1) // 2])
 def test_rows_relayed_are_those_sent(monkeypatch, radix, count):
-    """To few ranks and back, through ranks between where all have over `radix` times as many."""
+    """To few ranks and back, through ranks between if there are over `radix` times as many ranks as holders."""
     monkeypatch.setattr(layout, "RADIX", radix)
     all_ranks, few = SlabGrid(comm, (23, 6)).layout, Layout.spread(comm, 23, count)
     whole = np.random.default_rng(1).random((23, 6))
@@ -137,6 +137,7 @@ class Planned(alone.Comm):
         receive[...] = 0
 
 
+# Three for each factor of 4: 64 → 16 → 4 → 1.
 @pytest.mark.parametrize(("ranks", "most"), [(4, 3), (16, 6), (32, 7), (64, 9), (256, 12)])
 def test_no_rank_meets_all_others(ranks, most):
     """Rows that come to one rank, and go back, are few messages for any rank: 9 on 64 ranks, where one from each other

@@ -178,8 +178,8 @@ def test_thirty_killed_replacements(tmp_path):
 
 
 def test_killed_runs_go_on(tmp_path):
-    """Killed at a random moment, one rank, all, or by mpirun: restarted on any rank count, the result is that of an
-    undisturbed run.
+    """Killed at a random moment, in a way drawn by chance (one rank, all, or by mpirun): restarted on any rank count,
+    the result is that of an undisturbed run.
     """
     campaign(tmp_path, 128, 2, 0.1)
 

@@ -24,7 +24,7 @@ pytestmark = [
 N = 14
 # Over the stress of full contact.
 LOADS = (1e-100, 1e-30, 1e-17, 1e-13, 1e-10, 1e-8, 1e-6, 1e-4, 1e-2, 0.1, 0.5, 2.0, 10.0, 1e3)
-THICKNESSES = (0.05, 1.0, 20.0, 0.3, 4.0, 1e3) if SIZE == 1 else (1.0,)
+THICKNESSES = (0.05, 1.0, 1e3, 0.3, 4.0, 20.0) if SIZE == 1 else (1.0,)
 SLABS = broad([(base, thickness) for thickness in THICKNESSES for base in ("bonded", "free", "sliding")], 9)
 
 

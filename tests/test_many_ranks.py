@@ -39,7 +39,7 @@ def case(tmp_path_factory):
 
 @pytest.mark.parametrize("ranks", [*broad([5, 8], 0), pytest.param(16, marks=pytest.mark.long)])
 def test_many_ranks(case, tmp_path, ranks):
-    """On 5, 8 and 16 ranks of unequal slabs the pressure is that of one rank."""
+    """On 5 and 8 (with `--all`) and 16 ranks (with `--long`) of unequal slabs the pressure is that of one rank."""
     run = launching.start(ranks, "run", case / "job.toml", "--output", tmp_path / "out")
     code, stderr = launching.wait(run, 300)
     assert code == 0, stderr

@@ -63,21 +63,24 @@ def test_far_heights_are_those_of_their_mean(comm):
     asked = {"comm": comm, "threads": 1, "storage": "float32"}
     near, far = (pgfmd.solve(heights + up, 0.01, **asked) for up in (0.0, 3.0))
     wrong, total = near.pressure - far.pressure, near.grid.reduction
-    assert total.dot(wrong, wrong) <= 4e-6 * total.dot(near.pressure, near.pressure)
-    assert far.mean_gap == pytest.approx(near.mean_gap, rel=1e-5)
+    assert total.dot(wrong, wrong) <= 4e-10 * total.dot(near.pressure, near.pressure)
+    assert far.mean_gap == pytest.approx(near.mean_gap, rel=1e-6)
     stored = (heights + 3.0).astype(np.float32).astype(float)
     again = pgfmd.certify(stored, far.pressure.astype(float), far.mean_pressure, comm=comm, threads=1)
     assert again.certified_error < 2e-8
 
 
 def test_gaps_beside_contact_keep_their_digits(comm):
-    """A gap is stored to the last digit of itself, not of the distance between the mean planes: points that have just
-    opened differ from double precision as the pressures beside them do.
+    """A gap is stored to the last digit of itself, not of the distance between the mean planes, some 4, whose digit is
+    2⁻²²: gaps below .1 are finer than that, and contact is as flat as in double precision.
     """
     heights = rough(comm)
     asked = {"comm": comm, "threads": 1, "tolerance": 1e-9}
     found, exact = (pgfmd.solve(heights, 0.0005, storage=kind, **asked) for kind in ("float32", "float64"))
-    assert found.max_violation <= 10 * exact.max_violation + 1e-7
+    small = found.gap[(found.gap > 0) & (found.gap < 0.1)].astype(float)
+    finer, total = found.grid.reduction.sums(np.count_nonzero(small % 2.0**-22), len(small))
+    assert finer > total / 2 > 100
+    assert found.max_violation <= 1.1 * exact.max_violation
     assert found.approach == pytest.approx(exact.approach, rel=1e-6)
     assert found.mean_gap == pytest.approx(found.grid.reduction.sum(found.gap) / found.grid.size, rel=1e-6)
 
@@ -102,11 +105,11 @@ def test_an_area_that_jumps_is_met_on_the_nearer_side(comm):
     grid = SlabGrid(comm, (64, 8))
     wave = np.cos(2 * np.pi * np.arange(64) / 64)[grid.rows, None] * np.ones(8)
     found = pgfmd.solve(wave, contact_area=0.4, storage="float32", comm=comm, threads=1)
-    assert abs(found.contact_area - 0.4) <= 1 / 32
+    assert abs(found.contact_area - 0.4) <= 1 / 64
 
 
-def test_several_loads_start_from_each_other(comm):
-    """A list of pressures: each load is certified and has its pressure."""
+def test_each_of_several_loads_is_certified(comm):
+    """A list of pressures: each contact is certified and bears its pressure, to the rounding of single precision."""
     for load, found in zip((0.01, 0.0103, 0.0101), pgfmd.solve(
         rough(comm), [0.01, 0.0103, 0.0101], storage="float32", comm=comm, threads=1
     ), strict=True):  # fmt: skip
@@ -114,8 +117,8 @@ def test_several_loads_start_from_each_other(comm):
         assert found.certified_error <= 1e-8
 
 
-def test_a_neighbouring_pressure_is_a_start(comm):
-    """It is used: what was the answer needs no iteration, and is certified by 1.5 transforms."""
+def test_a_start_is_used(comm):
+    """What was the answer needs no iteration, and is certified by 1.5 transforms."""
     asked = {"storage": "float32", "comm": comm, "threads": 1}
     cold = pgfmd.solve(rough(comm), 0.01, **asked)
     warm = pgfmd.solve(rough(comm), 0.01, start=cold.pressure, **asked)
@@ -125,9 +128,13 @@ def test_a_neighbouring_pressure_is_a_start(comm):
 def test_large_grids_give_their_transforms_back(comm, monkeypatch):
     """Where ranks free what can be made anew, the contact is the same to the last bit."""
     asked = {"storage": "float32", "comm": comm, "threads": 1}
+    free, calls = SlabGrid.free, []
+    monkeypatch.setattr(SlabGrid, "free", lambda grid: (calls.append(grid), free(grid))[1])
     kept = pgfmd.solve(rough(comm), 0.01, **asked)
+    count = len(calls)
     monkeypatch.setattr(slab_grid, "ROOM", 0)
     freed = pgfmd.solve(rough(comm), 0.01, **asked)
+    assert len(calls) > 2 * count
     assert np.array_equal(kept.pressure, freed.pressure) and np.array_equal(kept.gap, freed.gap)
 
 

@@ -116,7 +116,8 @@ def quick(monkeypatch):
 @pytest.mark.parametrize(("fields", "repeated"), broad([(True, 1), (False, 1), (True, 2)]))
 def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
     """A run with --overwrite killed at each change of the folder in turn: old before one instant, new after it.  The
-    run is repeated, killed or not, and ends with the new results and nothing else, in either folder of fields.
+    run is repeated, killed or not, and ends with the new results and nothing else, in either folder of fields; what every
+    second kill leaves is continued before.
     """
     found, number = [], 0
     while True:
@@ -132,7 +133,7 @@ def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
                 pass
         found.append(factor_in(folder))
         assert found[-1] in (old, 9.0)
-        if number % 2:  # what is there can be continued
+        if (number + repeated + fields) % 2 == 0:  # what is there can be continued
             run(folder, found[-1], "restart", fields)
             assert factor_in(folder) == found[-1] and Results(folder).status == "complete"
         run(folder, 9.0, "overwrite", fields)

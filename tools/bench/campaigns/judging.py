@@ -184,7 +184,7 @@ def wrong_heights(job: dict, heights: np.ndarray) -> str:
 
 
 def single_digit(job: dict) -> float:
-    """Relative rounding of fields that are stored in single precision; else 0."""
+    """Relative rounding of fields that are stored in single precision, three of 6e-8 (heights, field, sum); else 0."""
     return 2e-7 if job["solver"].get("storage") == "float32" else 0.0
 
 
