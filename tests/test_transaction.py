@@ -116,8 +116,8 @@ def quick(monkeypatch):
 @pytest.mark.parametrize(("fields", "repeated"), broad([(True, 1), (False, 1), (True, 2)]))
 def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated):
     """A run with --overwrite killed at each change of the folder in turn: old before one instant, new after it.  The
-    run is repeated, killed or not, and ends with the new results and nothing else, in either folder of fields; what every
-    second kill leaves is continued before.
+    run is repeated, killed or not, and ends with the new results and nothing else, in either folder of fields; what
+    every second kill leaves is continued before.
     """
     found, number = [], 0
     while True:
