@@ -207,6 +207,12 @@ def test_what_rounding_hides_is_refused(comm):
         pgfmd.solve(rough(comm), 0.01, storage="float32", tolerance=1e-14, comm=comm, threads=1)
 
 
+def test_a_gap_closer_than_rounding_is_refused(comm):
+    """The message names the key that asks for so small an error."""
+    with pytest.raises(Uncertifiable, match="gap_tolerance .* need a smaller error.*single precision"):
+        pgfmd.solve(rough(comm), mean_gap=0.4, gap_tolerance=1e-8, storage="float32", comm=comm, threads=1)
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [

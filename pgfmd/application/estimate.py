@@ -52,7 +52,9 @@ RETURNED = 2**25  # bytes of an array from which glibc returns its memory to the
 MEASURING_BYTES = 38.0  # per point, before a contact is solved: heights, their slopes, strips
 WORTH = 0.5  # largest part of the patch to which a solve is restricted (`solvers.active_set.cropping`)
 PADDED = 1.1  # memory of strips of patch and mesh in single precision, as measured on whole runs, over padded strips
-SEARCH_BYTES = 5.0  # per point, where the load is not given: a mask, and the pressure that starts the next solution
+# Per point, where the load is not given: by one solution (8192²: areas 1.2, gaps and displacements less); by several, a
+# mask, and the pressure that starts the next one.
+AIMED_BYTES, SEARCH_BYTES = 1.2, 5.0
 
 
 @dataclass(frozen=True)
@@ -96,9 +98,8 @@ class Plan:
         loads = len(job.load.targets)
         itemsize = 4 if job.output.precision == "float32" else 8
         field_count = sum(1 if name == "height" else loads for name in job.output.fields)
-        by_level = job.wall.kind == "hard" and job.solver.method in ("auto", "active-set")
-        one_solution = by_level or job.imposed.control in ("pressure", "percolation")
-        work_of_search = SEARCH_WORK[job.imposed.control] if one_solution else SOLUTIONS_WORK
+        known = self.one_solution or job.imposed.control in ("pressure", "percolation")
+        work_of_search = SEARCH_WORK[job.imposed.control] if known else SOLUTIONS_WORK
         if job.imposed.control == "mean_gap" and not job.cell.domain.wraps:
             work_of_search = OPEN_GAP_WORK
         contacts = loads * work_of_search
@@ -180,6 +181,12 @@ class Plan:
         )
 
     @property
+    def one_solution(self) -> bool:
+        """Whether what is imposed is met by one solution, not by a search over loads."""
+        hard = self.job.wall.kind == "hard" and self.job.solver.method in ("auto", "active-set")
+        return hard and self.job.imposed.control != "percolation"
+
+    @property
     def scaled(self) -> bool:
         """Whether heights are solved in a scaled copy."""
         slope, cell, surface = self.job.surface.whole.known_slope() or 0.0, self.job.cell, self.job.surface.whole
@@ -196,8 +203,9 @@ class Plan:
         """Bytes per grid point at the peak of solving and measuring, on the fullest of so many slabs."""
         job = self.job
         costs = self.solving_costs(slabs) + self.measuring_costs()
-        searched, yields = job.imposed.control != "pressure", job.wall.highest < math.inf
-        kept = self.field_bytes + SEARCH_BYTES * searched + PLASTIC_BYTES * yields
+        kept = self.field_bytes + PLASTIC_BYTES * (job.wall.highest < math.inf)
+        if job.imposed.control != "pressure":
+            kept += AIMED_BYTES if self.one_solution else SEARCH_BYTES
         torus = job.cell.domain.torus(job.cell.n, job.cell.spacings)
         if small := [each for each in self.extents if each.part <= WORTH]:
             most = max(small, key=lambda each: each.part)

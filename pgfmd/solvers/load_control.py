@@ -136,7 +136,9 @@ class LoadControl:
             if not shared(self.grid.comm, failure):
                 raise
             if self.grid.storage is np.float32 and isinstance(failure, Uncertifiable) and tolerance >= self.tolerance:
-                raise self._named(failure, tolerance, target) from None  # a search needs as small an error
+                keys = f"{self.control.tolerance_text} and solver.tolerance = {self.tolerance:g}"
+                failure.args = (f"{self.control.asked(target)}: {keys} need a smaller error: {failure}",)
+                raise  # a search needs as small an error
             return None
         self._totals += found.iterations, found.transforms, found.seconds
         if self.control.error(found, target) + self.control.uncertainty(found, target) > 1:
@@ -264,22 +266,19 @@ class LoadControl:
         return dataclasses.replace(found, mean_gap=found.mean_gap + moved, approach=found.approach - moved)
 
     def _solved(self, mean_pressure: float, tolerance: float, target: float) -> ContactSolution:
-        """The contact at that mean pressure.  Collective."""
+        """The contact at that mean pressure.  If it fails, the message says which key of the job asked for the
+        tolerance.  Collective.
+        """
         try:
             return self._solve_at(mean_pressure, tolerance)
         except SolverError as failure:
-            self._named(failure, tolerance, target)
+            asked = f"solver.tolerance = {self.tolerance:g}"
+            if tolerance < self.tolerance:
+                asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
+            elif tolerance > self.tolerance:
+                asked = f"not even a certified error of {tolerance:g} is reached on the way"
+            failure.args = (f"{self.control.asked(target)}: {asked}: {failure}",)
             raise
-
-    def _named(self, failure: SolverError, tolerance: float, target: float) -> SolverError:
-        """The failure; its message says which key of the job asked for the tolerance."""
-        asked = f"solver.tolerance = {self.tolerance:g}"
-        if tolerance < self.tolerance:
-            asked = f"{self.control.tolerance_text} needs a certified error of {tolerance:.1e}"
-        elif tolerance > self.tolerance:
-            asked = f"not even a certified error of {tolerance:g} is reached on the way"
-        failure.args = (f"{self.control.asked(target)}: {asked}: {failure}",)
-        return failure
 
 
 def load_control(load: Load, problem: ContactProblem, tolerance: float = 1e-8) -> LoadControl | Branch:
