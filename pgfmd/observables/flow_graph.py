@@ -34,6 +34,41 @@ class Graph(NamedTuple):
         return len(self.first) - 1 if len(self.first) else int(self.other[0])
 
 
+class Flux(NamedTuple):
+    """A flux on the faces of a graph in compressed rows.  Where `potential` is empty, `values` are those of the faces.
+    Else they are those of the graph of its aggregates, shared between faces in proportion to T; in an aggregate the
+    flux is T times the difference of the potentials.  That takes a number for each point instead of one for each face.
+    """
+
+    graph: Graph
+    values: np.ndarray
+    aggregate: np.ndarray
+    potential: np.ndarray
+    aggregates: Graph
+
+
+@compiled(inline="always")
+def face_to(graph: Graph, a: int, b: int) -> int:
+    """The face of point a, in compressed rows, to point b."""
+    c = graph.first[a]
+    while graph.other[c] != b:
+        c += 1
+    return c
+
+
+@compiled(inline="always")
+def through(flux: Flux, i: int, k: int) -> float:
+    """The flux through face k of point i."""
+    if len(flux.potential) == 0:
+        return flux.values[k]
+    j, t = flux.graph.other[k], flux.graph.weight[k]
+    a, b = flux.aggregate[i], flux.aggregate[j]
+    if a == b:
+        return t * (flux.potential[i] - flux.potential[j])
+    c = face_to(flux.aggregates, a, b)
+    return flux.values[c] * (t / flux.aggregates.weight[c])
+
+
 @compiled(inline="always")
 def span(first: np.ndarray, i: int) -> tuple[int, int]:
     """First face of a point, and the one after its last."""
@@ -141,7 +176,7 @@ def coarsened(graph: Graph, aggregate: np.ndarray, count: int) -> Graph:
     n = len(first) - 1 if len(first) else len(border)
     order, begin = grouped(aggregate, n, count)
     most, at = len(weight) if len(first) else 4 * n, 0
-    firsts, others, weights = np.zeros(count + 1, np.int64), np.empty(most, np.int32), np.empty(most)
+    firsts, others, weights = np.zeros(count + 1, np.int32), np.empty(most, np.int32), np.empty(most)
     borders, seen = np.empty(most, np.int8), np.full(aggregate.max() + 1 if len(aggregate) else 0, -1)
     for a in range(count):
         for m in range(begin[a], begin[a + 1]):
@@ -244,12 +279,13 @@ def place(order: np.ndarray, before: int, i: int) -> int:
 
 @compiled()
 def shared_flux(
-    graph: Graph, coarse: Graph, above: np.ndarray, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray
+    graph: Graph, above: Flux, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray, potential: np.ndarray
 ) -> float:
-    """Σ f²/T of a flux with Σ_j f_ij = r_i: `above`, that of the coarse graph, in proportion to T between aggregates,
+    """Σ f²/T of a flux with Σ_j f_ij = r_i: `above`, that of the graph of aggregates, in proportion to T between these,
     and the least that balances the rest within each.  flux: filled unless empty; on a slab with the faces down and
-    right of each point in turn.
+    right of each point in turn.  potential: as in `Flux`, filled unless empty.
     """
+    coarse = above.graph
     order, begin = grouped(aggregate, len(r), len(coarse.first) - 1)
     first, other, weight, border = graph
     largest, total, in_slab = np.diff(begin).max() if len(begin) > 1 else 0, 0.0, len(first) == 0
@@ -268,10 +304,8 @@ def shared_flux(
                     table[m, place(order, before, j)] += t
                 if b == a or t == 0:
                     continue
-                c = coarse.first[a]
-                while coarse.other[c] != b:
-                    c += 1
-                f = above[c] * (t / coarse.weight[c])
+                c = face_to(coarse, a, b)
+                f = through(above, a, c) * (t / coarse.weight[c])
                 target[m] -= f
                 total += f * f / t
                 if len(flux) and (not in_slab or k & 2):
@@ -280,6 +314,8 @@ def shared_flux(
         back_substitute(table, n, target)
         for m in range(n):
             i = order[before + m]
+            if len(potential):
+                potential[i] = target[m]
             low, stop = span(first, i)
             for k in range(low, stop):
                 j, t, _ = face(first, other, weight, border, i, k)

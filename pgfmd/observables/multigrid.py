@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.observables import flow_graph
-from pgfmd.observables.flow_graph import ACROSS_X, ACROSS_Y, BORDER_BELOW, Graph, back_substitute, match
+from pgfmd.observables.flow_graph import ACROSS_X, ACROSS_Y, BORDER_BELOW, Flux, Graph, back_substitute, match
 from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
@@ -82,7 +82,7 @@ class Level:
         self.graph, self.halo, self.depth = graph, halo, depth
         self.copies = sum(halo.copies) if halo else 0
         self.coarse: Level | None = None
-        self.factor = np.empty((0, 0))
+        self.factor, self.aggregate = np.empty((0, 0)), NOWHERE
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
         elif graph.points <= COARSEST and halo is None:
@@ -108,6 +108,8 @@ class Level:
             else:
                 flow_graph.composed(self.aggregate, found)
         self.coarse = Level(graph, halo, self.depth + 1)
+        if halo is not None and len(self.graph.first):  # the start comes from rank 0, where levels have theirs
+            self.graph = self.graph._replace(border=np.zeros(1, np.int8))
 
     def _gather(self, halo: Halo) -> None:
         """Makes the level of rank 0, whose points are those of all ranks in turn."""
@@ -119,10 +121,10 @@ class Level:
         parts = comm.gather((np.diff(first), number[other], weight, border))
         if parts is None:
             nothing = np.empty(0, np.int32)
-            whole = Graph(np.zeros(1, np.int64), nothing, np.empty(0), nothing.astype(np.int8))
+            whole = Graph(np.zeros(1, np.int32), nothing, np.empty(0), nothing.astype(np.int8))
         else:
             degree, *columns = (np.concatenate(each) for each in zip(*parts, strict=True))
-            whole = Graph(np.concatenate([[0], np.cumsum(degree)]), *columns)
+            whole = Graph(np.concatenate([[0], np.cumsum(degree)]).astype(np.int32), *columns)
         self.faces = np.array(comm.allgather(len(other)))
         self.root = Level(whole, None) if comm.rank == 0 else None
 
@@ -272,26 +274,27 @@ class Level:
             self.halo.fill(b)
         return self.sum(form_in_slab(self.graph, kind, a, b))
 
-    def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[np.ndarray, float]:
-        """A flux f_ij on the faces with Σ_j f_ij = r_i, and Σ f²/T over the faces of this rank's points, each counted
-        for both.  keep: else the flux is not stored.  Collective.
+    def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[Flux, float]:
+        """A flux f_ij on the faces with Σ_j f_ij = r_i; on the finest level Σ f²/T over the faces of this rank's points
+        too, each counted for both.  keep: else the flux of a slab of the grid is not stored.  Collective.
         """
-        graph = self.graph
+        graph, values, potential, aggregates, total = self.graph, NOTHING, NOTHING, self.graph, 0.0
         if len(self.factor):
-            flux = flow_graph.potential_flux(graph, self.eliminated(r))
-            return flux, float(np.sum(flux**2 / graph.weight))
-        if self.coarse is None and graph.points == 0 and self.halo is None:
-            return np.empty(0), 0.0
-        if self.coarse is None:
+            values = flow_graph.potential_flux(graph, self.eliminated(r))
+        elif self.coarse is None and self.halo is not None:
             whole = self.to_root(r[: graph.points], self.counts)
             if self.root is not None:
-                whole = self.root.fluxes(whole)[0]
-            flux = self.from_root(whole, self.faces)
-            return flux, float(np.sum(flux**2 / graph.weight))
-        coarse, _ = self.coarse.fluxes(self.restricted(r))
-        faces = len(graph.weight) if len(graph.first) else 2 * graph.points
-        flux = np.zeros(faces if keep else 0)
-        return flux, flow_graph.shared_flux(graph, self.coarse.graph, coarse, self.aggregate, r[: graph.points], flux)
+                whole = self.root.fluxes(whole)[0].values
+            values = self.from_root(whole, self.faces)
+        elif self.coarse is not None:
+            above, _ = self.coarse.fluxes(self.restricted(r))
+            if self.halo is not None and len(graph.first):
+                values, potential, aggregates = above.values, np.zeros(graph.points), above.graph
+            elif len(graph.first) or keep:
+                values = np.zeros(len(graph.weight) if len(graph.first) else 2 * graph.points)
+            stored = NOTHING if len(potential) else values
+            total = flow_graph.shared_flux(graph, above, self.aggregate, r[: graph.points], stored, potential)
+        return Flux(graph, values, self.aggregate, potential, aggregates), total
 
 
 @compiled()

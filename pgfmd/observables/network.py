@@ -14,6 +14,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
@@ -25,6 +26,7 @@ from pgfmd.parallel.compiled import compiled
 
 MOST, PATIENCE = 300, 12  # iterations; those without halving the error, after which the bounds stay as they are
 SURE = 0.2  # of the width: error, as the multigrid estimates it, at which bounds are computed first
+SINGLE = 1e-5  # widths from which on conductances have single precision, 8 bytes per point less, counted in the bounds
 NEGLIGIBLE = 1e-6  # of the largest gap: smaller ones count as closed if paths are left.  What rounding leaves in pools
 # behind them would have to leave through them, and the bounds would be as far apart.
 
@@ -41,7 +43,7 @@ class Flow(NamedTuple):
 def slab_graph(grid: SlabGrid, mask: np.ndarray, down: np.ndarray, right: np.ndarray) -> Graph:
     """The graph of a mask and its conductances to the next row and column, all (nx_local, ny).  Collective."""
     (around, faces), (nx, ny) = grid.neighbours([mask, down]), mask.shape
-    weight = np.empty((2 * nx + 1, ny))
+    weight = np.empty((2 * nx + 1, ny), down.dtype)
     up, to_right = weight[: nx + 1], weight[nx + 1 :]
     up[0], up[1:], to_right[:] = faces[0], down, right
     up[:-1] *= mask
@@ -57,7 +59,7 @@ def slab_graph(grid: SlabGrid, mask: np.ndarray, down: np.ndarray, right: np.nda
     flags[0] += flow_graph.BORDER_ABOVE * (grid.rows.start == 0)
     flags[-1] += flow_graph.BORDER_BELOW * (grid.rows.stop == grid.shape[0])
     other = np.array([nx * ny, ny], np.int32)
-    return Graph(np.empty(0, np.int64), other, weight.ravel(), flags.ravel())
+    return Graph(np.empty(0, np.int32), other, weight.ravel(), flags.ravel())
 
 
 class Network:
@@ -94,7 +96,7 @@ class Network:
                 flux, square = level.fluxes(level.rest(r, u, r), with_flux)
                 square = self.grid.reduction.sum(square) / 2
                 if square <= width * upper or stuck:
-                    fluxes = self._on_faces(u, kind, flux) if with_flux else None
+                    fluxes = self._on_faces(u, kind, flux.values) if with_flux else None
                     return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
                 z = level.cycle(r)
                 ready = 0.7 * width * estimate / square
@@ -132,7 +134,8 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
         raise InputError(f"leakage: the cube of the largest gap, {unit:g}, is beyond double precision: change the unit")
     mask = np.isin(labels.label_field(), winding)
     del labels
-    network = Network(grid, conductances(grid, gap, mask, unit))
+    single = width >= SINGLE and least > 0
+    network = Network(grid, conductances(grid, gap, mask, unit, np.float32 if single else np.float64))
     del mask
     found = network.solve(axis, width, with_flux)
     (lx, ly), (ax, ay) = grid.lengths, grid.spacing
@@ -141,27 +144,27 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
     if fluxes is not None:
         drop = cube * grid.lengths[axis]
         fluxes = fluxes[0] * (drop / ay), fluxes[1] * (drop / ax)
-    return Flow(scale * found.lower, scale * found.upper, fluxes, found.iterations)
+    digit = float(np.finfo(np.float32).eps) if single else 0.0  # K changes by no larger part than the conductances do
+    bounds = scale * (1 - digit) * found.lower, scale * (1 + digit) * found.upper
+    return Flow(*bounds, fluxes, found.iterations)
 
 
-def conductances(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, unit: float) -> Graph:
+def conductances(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, unit: float, dtype: DTypeLike = float) -> Graph:
     """The graph of the points of a mask whose faces have the harmonic mean of (gap/unit)³.  Collective."""
     k = np.where(mask, gap / unit, 0.0)
     k **= 3
     after, (ax, ay) = grid.neighbours([k])[0][1:], grid.spacing
-    down, right = np.empty_like(k), np.empty_like(k)
+    down, right = np.empty(k.shape, dtype), np.empty(k.shape, dtype)
     for i in range(len(k)):
-        _harmonic(k[i], k[i + 1] if i + 1 < len(k) else after[0], down[i])
-        _harmonic(k[i], np.roll(k[i], -1), right[i])
-    down *= ay / ax
-    right *= ax / ay
+        down[i] = _harmonic(k[i], k[i + 1] if i + 1 < len(k) else after[0]) * (ay / ax)
+        right[i] = _harmonic(k[i], np.roll(k[i], -1)) * (ax / ay)
     return slab_graph(grid, mask, down, right)
 
 
-def _harmonic(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+def _harmonic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Harmonic mean; 0 where one of both is."""
     total = a + b
-    out[:] = np.divide(2 * a * b, total, out=np.zeros_like(a), where=total > 0)
+    return np.divide(2 * a * b, total, out=np.zeros_like(a), where=total > 0)
 
 
 @compiled()
