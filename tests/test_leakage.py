@@ -13,7 +13,7 @@ from pgfmd.application.results import Results
 from pgfmd.application.simulate import simulate
 from pgfmd.errors import InputError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.observables import multigrid
+from pgfmd.observables import multigrid, network
 from pgfmd.observables.network import Network, flow_through, slab_graph
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.surfaces.self_affine import self_affine
@@ -128,6 +128,20 @@ def test_contrast(comm):
     face = 2e-24 / (1 + 1e-24)
     found = flow(comm, gap, 0, 1e-6)
     assert found.upper / (16 / 8) == pytest.approx(face / 2, rel=1e-6)
+
+
+def test_single_precision_is_counted(comm, monkeypatch):
+    """Conductances that are rounded, as for wide bounds: plates of a known conductivity beside a pool, which is deeper
+    and sets the unit, lie within, though both bounds of the rounded ones are equal.
+    """
+    monkeypatch.setattr(network, "SINGLE", 0.0)
+    for gap in np.linspace(0.3, 0.9, 12):
+        field = np.full((16, 12), gap)
+        field[:, :3] = 0
+        field[5, 1] = 1
+        exact = gap**3 * 9 / 12
+        found = flow(comm, field, 0, 1e-9)
+        assert exact * (1 - 1e-6) <= found.lower <= exact <= found.upper <= exact * (1 + 1e-6)
 
 
 def test_closed_gap(comm):

@@ -20,13 +20,14 @@ from pgfmd.parallel.compiled import compiled
 from pgfmd.parallel.mpi import MPI
 
 COARSEST = 400  # points that are eliminated
-IN_SLABS = 2  # levels
+IN_SLABS = 3  # levels
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
 INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor on the residual
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
+SMALLEST = 1e-300  # diagonal whose inverse is finite
 PART = 1 << 16  # entries of a sum at a time
 NOTHING = np.empty(0)  # in place of a target of 0
 NOWHERE = np.empty(0, np.int32)  # in place of aggregates: values are stored point by point
@@ -82,7 +83,7 @@ class Level:
         self.graph, self.halo, self.depth = graph, halo, depth
         self.copies = sum(halo.copies) if halo else 0
         self.coarse: Level | None = None
-        self.factor, self.aggregate = np.empty((0, 0)), NOWHERE
+        self.factor, self.aggregate, self.inverse = np.empty((0, 0)), NOWHERE, inverse_diagonal(graph)
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
         elif graph.points <= COARSEST and halo is None:
@@ -182,15 +183,21 @@ class Level:
         """z ≈ A⁻¹ target: a symmetric preconditioner, but for inner steps.  Collective."""
         if self.coarse is None:  # where no point has a neighbour, nothing is left there
             return self.eliminated(target) if self.halo is None else self.gathered_solution(target)
-        in_slab = len(self.graph.first) == 0
-        z, sweep = self.new(dtype=np.float32 if in_slab else float), relax_in_slab if in_slab else relax
-        sweep(self.graph, target, z, False)
+        z = self.new(dtype=np.float32 if self.halo else float)
+        self.sweep(target, z, False)
         coarse = self.rest(target, z, self.coarse.new(), self.aggregate)
         self.prolonged(self.coarse.solved(coarse), z)
         if self.halo is not None:
             self.halo.fill(z)
-        sweep(self.graph, target, z, True)
+        self.sweep(target, z, True)
         return z
+
+    def sweep(self, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
+        """Gauss–Seidel over own points."""
+        if len(self.graph.first):
+            relax(self.graph, self.inverse, target, x, backward)
+        else:
+            relax_in_slab(self.graph, target, x, backward)
 
     def eliminated(self, target: np.ndarray) -> np.ndarray:
         """A⁻¹ target on the coarsest level."""
@@ -212,7 +219,7 @@ class Level:
         x, r, step = self.new(), target, None
         goal = 0.0
         for k in range(INNER):
-            square = self.sum(scaled_square(self.graph, r))
+            square = self.sum(scaled_square(self.inverse, r))
             goal = goal or INNER_CUT**2 * square
             if square <= goal and k or square == 0:
                 break
@@ -288,7 +295,7 @@ class Level:
             values = self.from_root(whole, self.faces)
         elif self.coarse is not None:
             above, _ = self.coarse.fluxes(self.restricted(r))
-            if self.halo is not None and len(graph.first):
+            if self.halo is not None and self.depth == 1:
                 values, potential, aggregates = above.values, np.zeros(graph.points), above.graph
             elif len(graph.first) or keep:
                 values = np.zeros(len(graph.weight) if len(graph.first) else 2 * graph.points)
@@ -312,7 +319,7 @@ def residual(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndar
 
 @compiled()
 def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndarray, out: np.ndarray) -> None:
-    """The same of a graph of a slab, row by row."""
+    """The same of a graph of a slab, row by row; products in double precision, or r would drift from b − Ax."""
     n, ny = graph.other
     line = np.empty(ny)
     for begin in range(0, n, ny):
@@ -321,12 +328,12 @@ def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate:
         up, down = graph.weight[begin : begin + ny], graph.weight[begin + ny : begin + 2 * ny]
         right, above, below = graph.weight[n + ny + begin : n + begin + 2 * ny], x[before : before + ny], x[after:]
         for j in range(ny):
-            line[j] = up[j] * (above[j] - own[j]) + down[j] * (below[j] - own[j])
+            line[j] = np.float64(up[j]) * (above[j] - own[j]) + np.float64(down[j]) * (below[j] - own[j])
         for j in range(1, ny):
-            line[j] += right[j - 1] * (own[j - 1] - own[j])
+            line[j] += np.float64(right[j - 1]) * (own[j - 1] - own[j])
         for j in range(ny - 1):
-            line[j] += right[j] * (own[j + 1] - own[j])
-        across = right[ny - 1] * (own[0] - own[ny - 1])
+            line[j] += np.float64(right[j]) * (own[j + 1] - own[j])
+        across = np.float64(right[ny - 1]) * (own[0] - own[ny - 1])
         line[ny - 1] += across
         line[0] -= across
         if len(target):
@@ -341,17 +348,25 @@ def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate:
 
 
 @compiled()
-def relax(graph: Graph, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
+def inverse_diagonal(graph: Graph) -> np.ndarray:
+    """The inverse of the sum of each point's T in compressed rows; 0 where it overflows."""
+    out = np.zeros(max(len(graph.first) - 1, 0))
+    for i in range(len(out)):
+        diagonal = graph.weight[graph.first[i] : graph.first[i + 1]].sum()
+        out[i] = 1 / diagonal if diagonal > SMALLEST else 0.0
+    return out
+
+
+@compiled()
+def relax(graph: Graph, inverse: np.ndarray, target: np.ndarray, x: np.ndarray, backward: bool) -> None:
     """A sweep of Gauss–Seidel over own points, forward or backward."""
-    count = len(graph.first) - 1
+    count = len(inverse)
     for step in range(count):
         i = count - 1 - step if backward else step
-        total, diagonal = target[i], 0.0
+        total = target[i]
         for k in range(graph.first[i], graph.first[i + 1]):
             total += graph.weight[k] * x[graph.other[k]]
-            diagonal += graph.weight[k]
-        if diagonal > 0:
-            x[i] = total / diagonal
+        x[i] = total * inverse[i]
 
 
 @compiled()
@@ -403,7 +418,7 @@ def form_in_slab(graph: Graph, kind: int, a: np.ndarray, b: np.ndarray) -> float
         for j in range(ny):
             of_row += down[j] * (a_next[j] - a_row[j] + w) * (b_next[j] - b_row[j] + w)
         for j in range(ny - 1):
-            of_row += right[j] * (a_row[j + 1] - a_row[j]) * (b_row[j + 1] - b_row[j])
+            of_row += np.float64(right[j]) * (a_row[j + 1] - a_row[j]) * (b_row[j + 1] - b_row[j])
         w = 1 if kind == ACROSS_Y else 0
         total += of_row + right[ny - 1] * (a_row[0] - a_row[ny - 1] + w) * (b_row[0] - b_row[ny - 1] + w)
     return total
@@ -426,15 +441,11 @@ def prolong(coarse: np.ndarray, aggregate: np.ndarray, n: int, out: np.ndarray) 
 
 
 @compiled()
-def scaled_square(graph: Graph, r: np.ndarray) -> float:
+def scaled_square(inverse: np.ndarray, r: np.ndarray) -> float:
     """Σ r²/diagonal of a graph in compressed rows."""
     total = 0.0
-    for i in range(len(graph.first) - 1):
-        diagonal = 0.0
-        for k in range(graph.first[i], graph.first[i + 1]):
-            diagonal += graph.weight[k]
-        if diagonal > 0:
-            total += r[i] * r[i] / diagonal
+    for i in range(len(inverse)):
+        total += r[i] * inverse[i] * r[i]
     return total
 
 
