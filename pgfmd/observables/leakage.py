@@ -70,11 +70,14 @@ class Leakage(Observable):
     )  # fmt: skip
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
-        """Setting up and some seven iterations of the multigrid in each direction, 80 to 180 transforms at 512² and
-        1024²; the faces and vectors of all levels.
+        """Setting up and four (to 1e-3) or seven (to 1e-6) iterations of the multigrid in each direction; the faces and
+        vectors of all levels.  Measured at 1024² to 4096².
         """
-        directions = 2 if self.direction == "both" else 1
-        return Cost(transforms=115.0 * directions * (1 + 0.25 * self.half_grid) + 5.0 * self.half_grid, memory=92.0)
+        from pgfmd.observables.network import SINGLE
+
+        each = 55.0 - 10.0 * math.log10(self.width)
+        directions = (2 if self.direction == "both" else 1) * (1 + 0.25 * self.half_grid)
+        return Cost(each * directions + 5.0 * self.half_grid, memory=66.0 if self.width >= SINGLE else 74.0)
 
     def axes(self) -> tuple[int, ...]:
         """0 for x, 1 for y."""
