@@ -180,7 +180,7 @@ def test_loading_and_unloading_lose_energy_in_jumps(comm, heights, length, contr
     gaps, pressures = np.transpose(curve)
     assert drops.sum() == pytest.approx(-np.trapezoid(pressures, gaps), rel=0.02)
     assert curve[-1] == pytest.approx(curve[0], rel=1e-6)
-    for count in (9, 25):
+    for count in (5, 9, 25):
         coarse = Load(**{control: tuple(np.linspace(*targets[:2], count))}, cycle=True)
         run = branch(heights[rows], AdhesiveWall(work=0.5, range=length), coarse, 1e-10, comm)
         lost = sum(run.solution(target).details["energy_drop"] for target in coarse.targets)

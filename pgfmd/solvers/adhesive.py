@@ -77,7 +77,6 @@ class AdhesiveContact(AdhesiveModel):
             state.curvature = 1e-3 if bent_down else max(least_ritz(steps)[0], 1e-3)
             state.curvatures = (*state.curvatures[-2:], 1.0 if bent_down else state.curvature)
         state.error = decrement(square, steps, min(state.curvature, 1.0)) * state.residual**2 / state.scale
-        state.negative |= bent_down
         found *= np.float32(state.residual)
         if careful:
             np.subtract(self.law.least, state.gap, out=found, where=~self.free, casting="same_kind")

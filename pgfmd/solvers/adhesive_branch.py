@@ -1,7 +1,7 @@
 """Adhesive contacts at a sequence of targets: each continues from the last, so that loading and unloading differ.
 
-A step along a branch begins with the gap extrapolated from the last two.  Where the area leapt over negative
-curvature, or energy was lost, the branch ends between two targets: the place is bisected, from the stable side.
+A step along a branch begins with the gap extrapolated from the last two.  Where the area leapt, or energy was lost, the
+branch may end between two targets: the place is bisected, from the stable side.
 """
 
 from __future__ import annotations
@@ -121,13 +121,13 @@ class Branch:
             state, way = self._cold(hold), PROBED if self.load.branch == "probe" else COLD
         else:
             before, state = _bare(self.last), self._from(self.last, target, extrapolated=True)
-            while self.load.jump_accuracy and self._leapt(before, (target, state), state.negative):
+            while self.load.jump_accuracy and self._leapt(before, (target, state)):
                 ends = [self.last, (target, state)]
                 del state  # as the fields of what is not needed any more take memory
                 gradual = not self._bisect(ends)
                 if not gradual and ends[1][0] == target:  # did the extrapolated start jump too early?
                     nearer = target, self._from(ends[0], target)
-                    if not self._leapt(ends[0], nearer, nearer[1].negative):
+                    if not self._leapt(ends[0], nearer):
                         gradual, ends[1] = True, nearer
                     del nearer
                 self.last = ends[gradual - 1]
@@ -209,11 +209,11 @@ class Branch:
         share = distance(self.contact, hold, floor, worse * state.scale / 2) / (FAR * floor)
         return min(self.tolerance, 1 / max(share, 1e-100) ** 2)
 
-    def _leapt(self, low: Point, high: Point, negative: bool = True) -> bool:
-        """Whether the area leapt, with negative curvature, or energy was lost by whatever force was between."""
+    def _leapt(self, low: Point, high: Point) -> bool:
+        """Whether the area leapt, or energy was lost by whatever force was between."""
         (_, old), (_, new) = low, high
         leap = abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
-        return (negative and leap) or self._lost(low, high)[0] > self.tolerance * (old.scale + new.scale)
+        return leap or self._lost(low, high)[0] > self.tolerance * (old.scale + new.scale)
 
     def _bisect(self, ends: list[Point]) -> bool:
         """Makes the ends the last state before a jump and the first after it; False if it is gradual.  Collective.

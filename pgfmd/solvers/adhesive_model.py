@@ -67,8 +67,8 @@ class AdhesiveState:
     """A contact in units of the law.
 
     gap, stress: g and K(g + h) (nx_local, ny); mean: mean gap; elastic: ⟨u, Ku⟩/2 and law: ΣW, per point; square:
-    ⟨r, Gr⟩ per point; curvature: an estimate of the least θ with K + W'' ≥ θK, from inner iterations; negative: whether
-    one followed negative curvature; error: energy error over 2 E_el
+    ⟨r, Gr⟩ per point; curvature: an estimate of the least θ with K + W'' ≥ θK, from inner iterations;
+    error: energy error over 2 E_el
     """
 
     gap: np.ndarray
@@ -86,7 +86,6 @@ class AdhesiveState:
     iterations: int = 0
     inner: int = 0
     refused: int = 0
-    negative: bool = False
     residual: float = math.inf
     level: float = 0.0
     pressure_error: float = math.nan
