@@ -40,6 +40,7 @@ def completed(folder) -> int:
     return len(Results(folder)) if (folder / "observables.h5").exists() else 0
 
 
+@pytest.mark.breadth
 def test_slurm_job_is_requeued(tmp_path):
     """SIGUSR1 to the script, as SLURM sends it: the run of an array's task ends with 75 and is queued again."""
     job = launching.write_job(tmp_path / "a job.toml", 64, lambda_s=8, pressures=LOADS)

@@ -159,7 +159,7 @@ def test_wrong_input_on_two_ranks(mpirun, tmp_path, job, arguments, words):
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("fault", broad(FAULTS, 2), ids=range(len(FAULTS)))
+@pytest.mark.parametrize("fault", broad(FAULTS), ids=range(len(FAULTS)))
 def test_faults_inside_a_run_end_all_ranks(mpirun, tmp_path, job, fault):
     """Whatever fails, on all ranks or on one while the others wait, all end soon, with the reason and its code."""
     code, words = FAULTS[fault]

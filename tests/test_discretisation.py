@@ -246,6 +246,7 @@ def test_gap_errs_by_what_the_energy_lacks(comm, law):
     assert np.linalg.norm(field - gap) < 0.7 * np.linalg.norm(gap)
 
 
+@pytest.mark.mpi("breadth")
 def test_long_waves_of_the_gap_are_as_uncertain_as_its_mean(comm):
     """Local errors of either sign have a white spectrum, so that long waves tell the size of the mean.
 

@@ -76,18 +76,19 @@ def test_a_refusal_is_right_only_where_it_is_expected(monkeypatch):
 SEED = 27
 
 
-def test_every_law_with_every_control():
-    """Three trips of each of the 20 pairs: none wrong; refused are areas of walls that touch everywhere, and seldom
+@pytest.mark.parametrize("count", broad([20, 60]))
+def test_every_law_with_every_control(count):
+    """One trip of each of the 20 pairs, or three: none wrong; refused are areas of walls that touch everywhere, and seldom
     others: full contact, or a gap that determines no load.
     """
     verdicts, refused = Counter(), Counter()
-    for number, trip, outcome in round_trips.trips(SEED, 0, 60):
+    for number, trip, outcome in round_trips.trips(SEED, 0, count):
         assert outcome.verdict != "wrong", f"seed {SEED}, trip {number}: {trip}: {outcome.detail}"
         verdicts[outcome.verdict] += 1
         everywhere = trip.control == "contact_area" and trip.law in ("exponential", "formula")
         assert not everywhere or "touches everywhere" in outcome.detail
         refused[trip.law, trip.control] += outcome.verdict == "refused" and not everywhere
-    assert verdicts["right"] + verdicts["jump"] >= 48 and max(refused.values()) <= 1, (verdicts, refused)
+    assert verdicts["right"] + verdicts["jump"] >= 0.8 * count and max(refused.values()) <= 1, (verdicts, refused)
 
 
 @pytest.mark.parametrize("number", range(4))
@@ -168,6 +169,7 @@ def test_costs_are_a_line():
     assert min(scaling_model._line([(1.0, 1.0), (2.0, 2.1)])) >= 0
 
 
+@pytest.mark.breadth
 def test_a_share_of_many_ranks(tmp_path):
     """One process does the share of one rank of 32: transform, mesh and blocks of its eight rows."""
     words = ["emulate", tmp_path / "found.jsonl", "--n", "256", "--ranks", "32"]

@@ -261,6 +261,7 @@ def test_read_only(tmp_path, what):
             assert Results(disk / "out").status == "complete"
 
 
+@pytest.mark.breadth
 def test_an_interrupt_of_one_rank_does_not_wait_for_the_others(tmp_path):
     """A KeyboardInterrupt on one rank belongs to it alone: a file that both write must not be closed together."""
     fault = """

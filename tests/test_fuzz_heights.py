@@ -97,7 +97,7 @@ def test_damaged_height_files(tmp_path, request):
     """Bytes changed, lost, inserted anywhere in .npy and HDF5 files: each ends in finite heights or one line."""
     good = originals(tmp_path)
     assert read_all(good) == len(good) * ["heights"]
-    count = 4000 if request.config.getoption("--long") else 150
+    count = 4000 if request.config.getoption("--long") else 80
     chance = np.random.default_rng(2)
     folder = tmp_path / "damagéd files"
     folder.mkdir()

@@ -59,7 +59,7 @@ def random_contact(seed: int):
 def test_random_contacts_by_brute_force(comm, batch):
     """Pressures and gaps to 1e-8 of their largest value, by a dense solver in extended precision; and loosely solved,
     a certificate that is not below the true error, to 1e-15 of rounding."""
-    for seed in range(50 * batch, 50 * batch + 50):
+    for seed in range(50 * batch, 50 * batch + (50 if comm.size == 1 else 20)):
         heights, load, hardness, thickness, contact = random_contact(seed)
         try:
             exact = contact.hard(load, hardness)

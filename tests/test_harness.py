@@ -55,6 +55,7 @@ def test_suite_goes_on_after_a_failure(mpirun, tmp_path):
     assert output.count("1 failed, 1 passed") == 2
 
 
+@pytest.mark.breadth
 def test_hang_ends_with_a_message(mpirun, tmp_path):
     """Where one rank fails before a communication, the run ends when its patience (3 s) does, with a message."""
     output, code = _suite(mpirun, tmp_path, barrier="    comm.Barrier()")

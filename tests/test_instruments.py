@@ -212,6 +212,7 @@ def test_a_new_job_on_a_file(tmp_path, monkeypatch, capsys):
     assert main(["new", "--heights", "none.npy"]) == 2
 
 
+@pytest.mark.breadth
 def test_a_folder_of_instruments_files(tmp_path, capsys):
     """Each file that SurfaceTopography reads is solved from path, modulus and load, also packed, with the package's
     heights, size and unit, which the export and the page of figures keep; other files do not count."""

@@ -181,7 +181,7 @@ def test_killed_runs_go_on(tmp_path):
     """Killed at a random moment, in a way drawn by chance (one rank, all, or by mpirun): restarted on any rank count,
     the result is that of an undisturbed run.
     """
-    campaign(tmp_path, 128, 2, 0.1)
+    campaign(tmp_path, 128, 1, 0.1)
 
 
 @pytest.mark.long

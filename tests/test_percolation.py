@@ -55,7 +55,7 @@ def widest(gap, mask):
 def test_masks_against_a_flood_fill(comm, connectivity):
     """Random masks of any density, oblong cells, spirals: as a serial flood fill with windings says."""
     rng = np.random.default_rng(12)
-    for _ in range(60):
+    for _ in range(60 if comm.size == 1 else 20):
         mask = rng.random(rng.integers(4, 12, 2)) < rng.uniform(0.2, 0.9)
         grid = SlabGrid(comm, mask.shape)
         found = percolates(label_patches(comm, mask[grid.rows].copy(), grid.starts, connectivity))
@@ -80,7 +80,7 @@ def test_constriction_against_brute_force(comm, monkeypatch, gathered):
     """
     monkeypatch.setattr(percolation, "GATHERED", gathered)
     rng = np.random.default_rng(4)
-    for _ in range(60):
+    for _ in range(60 if comm.size == 1 else 20):
         shape = rng.integers(4, 13, 2)
         gap = np.round(rng.random(shape), 1 + rng.integers(3)) + 0.01  # with and without equal values
         mask = rng.random(shape) < rng.uniform(0.5, 0.9)

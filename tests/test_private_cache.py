@@ -288,6 +288,7 @@ print(*Count.names)
 LOOPS = ("rows_and_tiles", "tiles_and_columns", "_unite", "_place")
 
 
+@pytest.mark.breadth
 def test_a_loop_is_compiled_by_one_process(tmp_path):
     """However many processes begin together with an empty cache, each loop is compiled by one of them; the others wait
     for it and load it.  A process after them compiles nothing."""

@@ -328,6 +328,7 @@ def test_a_signal_ends_all_runs(tmp_path, number):
     assert family and all(_state(pid)[:1] in ([], ["Z"]) for pid in family)
 
 
+@pytest.mark.breadth
 def test_a_run_that_is_killed_ends_all(tmp_path):
     """Of two runs one is killed, as where memory runs out: the other ends too, with one line and exit code 1."""
     job = ROOT / "jobs" / "paper" / "large.toml"
@@ -379,7 +380,7 @@ KINDS = {
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("names", broad([(names,) for names in KINDS], 7), ids="+".join)
+@pytest.mark.parametrize("names", broad([(names,) for names in KINDS], 4), ids="+".join)
 def test_every_figure_on_every_kind_of_run(runs, names):
     """A figure is drawn, with curves, or refuses in one line that says what is missing; nothing warns."""
     for figure in figures.FIGURES:
@@ -478,6 +479,7 @@ def test_wrong_folder_is_one_line(tmp_path, capsys):
     assert "area_load" in capsys.readouterr().err
 
 
+@pytest.mark.breadth
 def test_a_folder_alone_is_an_overview(runs, tmp_path, capsys):
     """`pgfmd plot DIR` draws `pgfmd plot overview DIR`."""
     assert figures.main([str(runs["kept"]), "--output", str(tmp_path)]) == 0
@@ -535,6 +537,7 @@ def test_every_figure_explains_itself(figure, capsys):
     assert figure in capsys.readouterr().out
 
 
+@pytest.mark.breadth
 def test_a_figure_can_be_drawn_by_its_file(runs, tmp_path):
     """`python tools/plots/NAME.py DIR` works as `pgfmd plot NAME DIR` does."""
     command = [sys.executable, str(PLOTS / "area_load.py"), str(runs["kept"]), "--output", str(tmp_path)]
