@@ -24,7 +24,7 @@ IN_SLABS = 3  # levels
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
-INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor on the residual
+INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level, and the factor on the residual, by `Effort`
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 SMALLEST = 1e-300  # diagonal whose inverse is finite
@@ -73,14 +73,26 @@ class Step(NamedTuple):
     energy: float
 
 
+class Effort:
+    """How accurately coarse levels are solved: a place in `INNER`.  Where pools behind narrow constrictions make the
+    iteration slow (some 50 steps to 1e-8, in one of 25 contacts near closure), more saves steps, and time.
+    """
+
+    place = 0
+
+    def raise_it(self) -> None:
+        """Makes it the next one, if there is one."""
+        self.place = min(self.place + 1, len(INNER) - 1)
+
+
 class Level:
     """One level of the multigrid, with all coarser ones.  Vectors hold own points, then copies.  Collective to make.
 
-    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.
+    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.  effort: of all levels.
     """
 
-    def __init__(self, graph: Graph, halo: Halo | None, depth: int = 0) -> None:
-        self.graph, self.halo, self.depth = graph, halo, depth
+    def __init__(self, graph: Graph, halo: Halo | None, effort: Effort, depth: int = 0) -> None:
+        self.graph, self.halo, self.effort, self.depth = graph, halo, effort, depth
         self.copies = sum(halo.copies) if halo else 0
         self.coarse: Level | None = None
         self.factor, self.aggregate, self.inverse = np.empty((0, 0)), NOWHERE, inverse_diagonal(graph)
@@ -108,7 +120,7 @@ class Level:
                 self.aggregate = found
             else:
                 flow_graph.composed(self.aggregate, found)
-        self.coarse = Level(graph, halo, self.depth + 1)
+        self.coarse = Level(graph, halo, self.effort, self.depth + 1)
         if halo is not None and len(self.graph.first):  # the start comes from rank 0, where levels have theirs
             self.graph = self.graph._replace(border=np.zeros(1, np.int8))
 
@@ -127,7 +139,7 @@ class Level:
             degree, *columns = (np.concatenate(each) for each in zip(*parts, strict=True))
             whole = Graph(np.concatenate([[0], np.cumsum(degree)]).astype(np.int32), *columns)
         self.faces = np.array(comm.allgather(len(other)))
-        self.root = Level(whole, None) if comm.rank == 0 else None
+        self.root = Level(whole, None, self.effort) if comm.rank == 0 else None
 
     def to_root(self, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """One vector of those of all ranks, on rank 0; empty elsewhere.  Collective."""
@@ -218,9 +230,10 @@ class Level:
             return self.cycle(target)
         x, r, step = self.new(), target, None
         goal = 0.0
-        for k in range(INNER):
+        steps, cut = INNER[self.effort.place]
+        for k in range(steps):
             square = self.sum(scaled_square(self.inverse, r))
-            goal = goal or INNER_CUT**2 * square
+            goal = goal or cut**2 * square
             if square <= goal and k or square == 0:
                 break
             step = self.advance(x, r, self.cycle(r), step)

@@ -20,11 +20,12 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import flow_graph
 from pgfmd.observables.flow_graph import Graph, crossing, face
-from pgfmd.observables.multigrid import Halo, Level
+from pgfmd.observables.multigrid import Effort, Halo, Level
 from pgfmd.observables.patch_table import label_patches
 from pgfmd.parallel.compiled import compiled
 
 MOST, PATIENCE = 300, 12  # iterations; those without halving the error, after which the bounds stay as they are
+SLOW = 0.3  # part of the error that a step leaves, from which on coarse levels are solved better; .1 is usual
 SURE = 0.2  # of the width: error, as the multigrid estimates it, at which bounds are computed first
 SINGLE = 1e-5  # widths from which on conductances have single precision, 8 bytes per point less, counted in the bounds
 NEGLIGIBLE = 1e-6  # of the largest gap: smaller ones count as closed if paths are left.  What rounding leaves in pools
@@ -69,7 +70,8 @@ class Network:
         self.grid = grid
         n, ny = graph.other
         rows = np.arange(ny), np.arange(n - ny, n)
-        self.level = Level(graph, Halo(grid.comm, n, list(rows), [ny, ny]))
+        self.effort = Effort()
+        self.level = Level(graph, Halo(grid.comm, n, list(rows), [ny, ny]), self.effort)
 
     def solve(self, axis: int, width: float, with_flux: bool = False) -> Flow:
         """K along x (axis 0) or y (1) to bounds of that relative width, or to what rounding leaves.  Raises SolverError
@@ -85,6 +87,8 @@ class Network:
             z = level.cycle(r)
             estimate = level.dot(r, z)
             upper = level.form(u, u, kind)
+            if iteration > 0 and estimate > least * SLOW:
+                self.effort.raise_it()
             if estimate < least / 2:
                 least, since = estimate, iteration
             stuck = iteration - since >= PATIENCE or not estimate > 0 or iteration > 0 and step is None
