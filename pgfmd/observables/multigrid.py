@@ -1,9 +1,9 @@
 """Potentials of a graph by flexible conjugate gradients with aggregation multigrid (K-cycle: Notay, Vassilevski 2008,
 doi:10.1002/nla.542), on slabs.
 
-The finest level is a slab of the grid, the others have compressed rows.  Two levels lie in slabs, with copies of the
-points of neighbouring ranks; aggregates stay within a slab.  The next one, about .03 of the points, is gathered on rank
-0.  Directions on the finest level are in single precision: counts of iterations are the same.
+The finest level is a slab of the grid, the others have compressed rows.  Three levels lie in slabs, with copies of the
+points of neighbouring ranks; aggregates stay within a slab.  The next one, about .01 of the points, is gathered on rank
+0.  Preconditioned residuals and directions in slabs are in single precision: counts of iterations are the same.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Level:
             else:
                 flow_graph.composed(self.aggregate, found)
         self.coarse = Level(graph, halo, self.effort, self.depth + 1)
-        if halo is not None and len(self.graph.first):  # the start comes from rank 0, where levels have theirs
+        if halo is not None and len(self.graph.first):  # only levels of rank 0, which make the start, need it later
             self.graph = self.graph._replace(border=np.zeros(1, np.int8))
 
     def _gather(self, halo: Halo) -> None:
