@@ -59,6 +59,7 @@ sys.exit(cli.main())
 
 FAULTS = {
     # what goes wrong inside a run → exit code, words on stderr
+    "if comm.rank == comm.size - 1: raise ValueError('alone')\n        comm.Barrier()": (1, "pgfmd: error: alone\n"),
     "raise InputError('NaN in the heights\\nfile')": (2, "pgfmd: error: NaN in the heights file\n"),
     "with raise_together(comm):\n            if comm.rank == comm.size - 1: raise InputError('bad rows')": (
         2,
@@ -66,7 +67,6 @@ FAULTS = {
     ),
     "raise SolverError('no descent')": (3, "pgfmd: error: no descent\n"),
     "raise OSError(28, 'No space left on device')": (1, "No space left on device\n"),
-    "if comm.rank == comm.size - 1: raise ValueError('alone')\n        comm.Barrier()": (1, "pgfmd: error: alone\n"),
 }
 
 

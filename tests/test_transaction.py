@@ -117,10 +117,9 @@ def quick(monkeypatch):
     ("fields", "repeated", "stride"), broad([(True, 1, 3), (True, 1, 1), (False, 1, 1), (True, 2, 1)])
 )
 def test_old_or_new_at_every_instant(tmp_path, monkeypatch, fields, repeated, stride):
-    """A run with --overwrite killed at each change of the folder in turn, by default at every third: old before one
-    instant, new after it.  The
-    run is repeated, killed or not, and ends with the new results and nothing else, in either folder of fields; what
-    every second kill leaves is continued before.
+    """A run with --overwrite killed at each change of the folder in turn, or one in `stride`: old before one instant,
+    new after.  The run is repeated, killed or not, and ends with the new results and nothing else, in either folder
+    of fields; what every second kill leaves is continued before.
     """
     found, number = [], 0
     while True:

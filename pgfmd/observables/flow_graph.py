@@ -18,6 +18,8 @@ STRONG = 0.9  # a point is matched if its free neighbour's T is at least this pa
 class Graph(NamedTuple):
     """The faces of n points in compressed rows: first (n + 1,), the other point, T, and the kind of border crossed.
 
+    border may be empty where nobody asks for it.
+
     Or those of a slab of the grid, where `first` is empty: other: n and ny; T to the row before (n + ny,), then to the
     next column (n,), 0 without a face; border: flags of each point.  The faces of point i are 4i up, 4i + 1 left,
     4i + 2 down and 4i + 3 right; copies of the rows around follow own points.
@@ -35,9 +37,9 @@ class Graph(NamedTuple):
 
 
 class Flux(NamedTuple):
-    """A flux on the faces of a graph in compressed rows.  Where `potential` is empty, `values` are those of the faces.
-    Else they are those of the graph of its aggregates, shared between faces in proportion to T; in an aggregate the
-    flux is T times the difference of the potentials.  That takes a number for each point instead of one for each face.
+    """A flux on the faces of a graph.  Where `potential` is empty, `values` has one for each face.  Otherwise `values`
+    belong to the graph of aggregates, and are shared between faces in proportion to T; within an aggregate the flux is
+    T times the difference of the potentials.  That takes one number for each point instead of one for each face.
     """
 
     graph: Graph
@@ -81,7 +83,7 @@ def face(
 ) -> tuple[int, float, int]:
     """The other point, T, and the kind of border crossed of point i's face k in a graph of these arrays."""
     if len(first):
-        return int(other[k]), weight[k], int(border[k])
+        return int(other[k]), weight[k], int(border[k]) if k < len(border) else 0
     n, ny, flags, side = int(other[0]), int(other[1]), border[i], k & 3
     if side == 0:
         return i - ny if i >= ny else i + n, weight[i], -1 if flags & BORDER_ABOVE else 0
@@ -176,7 +178,7 @@ def coarsened(graph: Graph, aggregate: np.ndarray, count: int) -> Graph:
     n = len(first) - 1 if len(first) else len(border)
     order, begin = grouped(aggregate, n, count)
     most, at = len(weight) if len(first) else 4 * n, 0
-    firsts, others, weights = np.zeros(count + 1, np.int32), np.empty(most, np.int32), np.empty(most)
+    firsts, others, weights = np.zeros(count + 1, np.int64), np.empty(most, np.int32), np.empty(most)
     borders, seen = np.empty(most, np.int8), np.full(aggregate.max() + 1 if len(aggregate) else 0, -1)
     for a in range(count):
         for m in range(begin[a], begin[a + 1]):

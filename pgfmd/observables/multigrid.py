@@ -3,7 +3,7 @@ doi:10.1002/nla.542), on slabs.
 
 The finest level is a slab of the grid, the others have compressed rows.  Three levels lie in slabs, with copies of the
 points of neighbouring ranks; aggregates stay within a slab.  The next one, about .01 of the points, is gathered on rank
-0.  Preconditioned residuals and directions in slabs are in single precision: counts of iterations are the same.
+0.  Preconditioned residuals and directions in slabs are in single precision, which takes as many iterations as double.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ IN_SLABS = 3  # levels
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
-INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level, and the factor on the residual, by `Effort`
+INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level; factor by which the residual shall fall; by `Effort`
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
-SMALLEST = 1e-300  # diagonal whose inverse is finite
+SMALLEST = 1e-300  # smaller diagonals are not inverted
 PART = 1 << 16  # entries of a sum at a time
 NOTHING = np.empty(0)  # in place of a target of 0
 NOWHERE = np.empty(0, np.int32)  # in place of aggregates: values are stored point by point
@@ -74,8 +74,8 @@ class Step(NamedTuple):
 
 
 class Effort:
-    """How accurately coarse levels are solved: a place in `INNER`.  Where pools behind narrow constrictions make the
-    iteration slow (some 50 steps to 1e-8, in one of 25 contacts near closure), more saves steps, and time.
+    """How accurately coarse levels are solved: a place in `INNER`.  One contact in 25 near closure takes some 50 steps
+    to 1e-8, as pools lie behind narrow constrictions; with better coarse solutions it takes 13 at most.
     """
 
     place = 0
@@ -88,7 +88,7 @@ class Effort:
 class Level:
     """One level of the multigrid, with all coarser ones.  Vectors hold own points, then copies.  Collective to make.
 
-    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.  effort: of all levels.
+    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.  effort: shared by all levels.
     """
 
     def __init__(self, graph: Graph, halo: Halo | None, effort: Effort, depth: int = 0) -> None:
@@ -122,7 +122,7 @@ class Level:
                 flow_graph.composed(self.aggregate, found)
         self.coarse = Level(graph, halo, self.effort, self.depth + 1)
         if halo is not None and len(self.graph.first):  # only levels of rank 0, which make the start, need it later
-            self.graph = self.graph._replace(border=np.zeros(1, np.int8))
+            self.graph = self.graph._replace(border=np.empty(0, np.int8))
 
     def _gather(self, halo: Halo) -> None:
         """Makes the level of rank 0, whose points are those of all ranks in turn."""
@@ -134,10 +134,10 @@ class Level:
         parts = comm.gather((np.diff(first), number[other], weight, border))
         if parts is None:
             nothing = np.empty(0, np.int32)
-            whole = Graph(np.zeros(1, np.int32), nothing, np.empty(0), nothing.astype(np.int8))
+            whole = Graph(np.zeros(1, np.int64), nothing, np.empty(0), nothing.astype(np.int8))
         else:
             degree, *columns = (np.concatenate(each) for each in zip(*parts, strict=True))
-            whole = Graph(np.concatenate([[0], np.cumsum(degree)]).astype(np.int32), *columns)
+            whole = Graph(np.concatenate([[0], np.cumsum(degree)]), *columns)
         self.faces = np.array(comm.allgather(len(other)))
         self.root = Level(whole, None, self.effort) if comm.rank == 0 else None
 
@@ -295,8 +295,9 @@ class Level:
         return self.sum(form_in_slab(self.graph, kind, a, b))
 
     def fluxes(self, r: np.ndarray, keep: bool = True) -> tuple[Flux, float]:
-        """A flux f_ij on the faces with Σ_j f_ij = r_i; on the finest level Σ f²/T over the faces of this rank's points
-        too, each counted for both.  keep: else the flux of a slab of the grid is not stored.  Collective.
+        """A flux f_ij on the faces with Σ_j f_ij = r_i.  On the finest level also Σ f²/T over the faces of this rank's
+        points, each counted for both; elsewhere that has no meaning.  keep: else the flux of a slab of the grid is not
+        stored.  Collective.
         """
         graph, values, potential, aggregates, total = self.graph, NOTHING, NOTHING, self.graph, 0.0
         if len(self.factor):
@@ -332,7 +333,7 @@ def residual(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndar
 
 @compiled()
 def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate: np.ndarray, out: np.ndarray) -> None:
-    """The same of a graph of a slab, row by row; products in double precision, or r would drift from b − Ax."""
+    """The same of a graph of a slab, row by row; products in double precision, so that r drifts less."""
     n, ny = graph.other
     line = np.empty(ny)
     for begin in range(0, n, ny):
@@ -362,7 +363,7 @@ def residual_in_slab(graph: Graph, target: np.ndarray, x: np.ndarray, aggregate:
 
 @compiled()
 def inverse_diagonal(graph: Graph) -> np.ndarray:
-    """The inverse of the sum of each point's T in compressed rows; 0 where it overflows."""
+    """The inverse of the sum of each point's T in compressed rows; 0 if the sum is at most `SMALLEST`."""
     out = np.zeros(max(len(graph.first) - 1, 0))
     for i in range(len(out)):
         diagonal = graph.weight[graph.first[i] : graph.first[i + 1]].sum()

@@ -25,9 +25,9 @@ from pgfmd.observables.patch_table import label_patches
 from pgfmd.parallel.compiled import compiled
 
 MOST, PATIENCE = 300, 12  # iterations; those without halving the error, after which the bounds stay as they are
-SLOW = 0.3  # part of the error that a step leaves, from which on coarse levels are solved better; .1 is usual
+POOR = 0.3  # a step that leaves more of the error makes coarse levels be solved better; .1 is usual
 SURE = 0.2  # of the width: error, as the multigrid estimates it, at which bounds are computed first
-SINGLE = 1e-5  # widths from which on conductances have single precision, 8 bytes per point less, counted in the bounds
+SINGLE = 1e-5  # from this width on conductances are rounded to single precision, which the bounds include: 8 bytes less
 NEGLIGIBLE = 1e-6  # of the largest gap: smaller ones count as closed if paths are left.  What rounding leaves in pools
 # behind them would have to leave through them, and the bounds would be as far apart.
 
@@ -60,7 +60,7 @@ def slab_graph(grid: SlabGrid, mask: np.ndarray, down: np.ndarray, right: np.nda
     flags[0] += flow_graph.BORDER_ABOVE * (grid.rows.start == 0)
     flags[-1] += flow_graph.BORDER_BELOW * (grid.rows.stop == grid.shape[0])
     other = np.array([nx * ny, ny], np.int32)
-    return Graph(np.empty(0, np.int32), other, weight.ravel(), flags.ravel())
+    return Graph(np.empty(0, np.int64), other, weight.ravel(), flags.ravel())
 
 
 class Network:
@@ -87,7 +87,7 @@ class Network:
             z = level.cycle(r)
             estimate = level.dot(r, z)
             upper = level.form(u, u, kind)
-            if iteration > 0 and estimate > least * SLOW:
+            if iteration > 0 and estimate > least * POOR:
                 self.effort.raise_it()
             if estimate < least / 2:
                 least, since = estimate, iteration
@@ -141,15 +141,15 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
     single = width >= SINGLE and least > 0
     network = Network(grid, conductances(grid, gap, mask, unit, np.float32 if single else np.float64))
     del mask
-    found = network.solve(axis, width, with_flux)
+    rounding = float(np.finfo(np.float32).eps) if single else 0.0  # at least that of T; K changes by no larger part
+    found = network.solve(axis, width - 2 * rounding, with_flux)
     (lx, ly), (ax, ay) = grid.lengths, grid.spacing
     scale = cube * (lx / ly if axis == 0 else ly / lx)
     fluxes = found.fluxes
     if fluxes is not None:
         drop = cube * grid.lengths[axis]
         fluxes = fluxes[0] * (drop / ay), fluxes[1] * (drop / ax)
-    digit = float(np.finfo(np.float32).eps) if single else 0.0  # K changes by no larger part than the conductances do
-    bounds = scale * (1 - digit) * found.lower, scale * (1 + digit) * found.upper
+    bounds = scale * (1 - rounding) * found.lower, scale * (1 + rounding) * found.upper
     return Flow(*bounds, fluxes, found.iterations)
 
 

@@ -1,7 +1,7 @@
 """Adhesive contacts at a sequence of targets: each continues from the last, so that loading and unloading differ.
 
 A step along a branch begins with the gap extrapolated from the last two.  Where the area leapt, or energy was lost, the
-branch may end between two targets: the place is bisected, from the stable side.
+branch may end between two targets: the interval is bisected, from the stable side.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class Branch:
                 gradual = not self._bisect(ends)
                 if not gradual and ends[1][0] == target:  # did the extrapolated start jump too early?
                     nearer = target, self._from(ends[0], target)
-                    if not self._leapt(ends[0], nearer):
+                    if not self._dropped(ends[0], nearer):
                         gradual, ends[1] = True, nearer
                     del nearer
                 self.last = ends[gradual - 1]
@@ -213,7 +213,11 @@ class Branch:
         """Whether the area leapt, or energy was lost by whatever force was between."""
         (_, old), (_, new) = low, high
         leap = abs(new.near - old.near) > max(LEAST_LEAP, LEAP * max(new.near, old.near))
-        return leap or self._lost(low, high)[0] > self.tolerance * (old.scale + new.scale)
+        return leap or self._dropped(low, high)
+
+    def _dropped(self, low: Point, high: Point) -> bool:
+        """Whether energy was lost by whatever force was between."""
+        return self._lost(low, high)[0] > self.tolerance * (low[1].scale + high[1].scale)
 
     def _bisect(self, ends: list[Point]) -> bool:
         """Makes the ends the last state before a jump and the first after it; False if it is gradual.  Collective.
