@@ -149,9 +149,10 @@ def test_single_precision_is_counted(comm, monkeypatch):
 
 def test_slow_steps_are_answered(monkeypatch):
     """Pools behind narrow constrictions: where a step leaves much of the error, coarse levels are solved better."""
+    monkeypatch.setattr(multigrid, "IN_SLABS", 1)  # the next level is solved directly
     gap = np.exp(1.5 * np.random.default_rng(1).normal(size=(96, 96)))
     count = flow(ALONE, gap, 0, 1e-8).iterations
-    monkeypatch.setattr(multigrid, "INNER", multigrid.INNER[:1])
+    monkeypatch.setattr(multigrid, "INNER", 2 * multigrid.INNER[:1])
     assert count <= 0.8 * flow(ALONE, gap, 0, 1e-8).iterations
 
 

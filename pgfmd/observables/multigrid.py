@@ -25,6 +25,7 @@ SIZES = 3, 6  # most points of an aggregate after the first and the second match
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
 INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level; factor by which the residual shall fall; by `Effort`
+CHEAP = 20_000  # points of a level on rank 0 up to which more steps cost little, however large the grid
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 SMALLEST = 1e-300  # smaller diagonals are not inverted
@@ -74,8 +75,8 @@ class Step(NamedTuple):
 
 
 class Effort:
-    """How accurately coarse levels are solved: a place in `INNER`.  One contact in 25 near closure takes some 50 steps
-    to 1e-8, as pools lie behind narrow constrictions; with better coarse solutions it takes 13 at most.
+    """How accurately the coarsest levels are solved: a place in `INNER`.  One contact in 25 near closure takes some 50
+    steps to 1e-8, as pools lie behind narrow constrictions; with better coarse solutions it takes half as many.
     """
 
     place = 0
@@ -230,7 +231,7 @@ class Level:
             return self.cycle(target)
         x, r, step = self.new(), target, None
         goal = 0.0
-        steps, cut = INNER[self.effort.place]
+        steps, cut = INNER[self.effort.place if self.halo is None and self.graph.points <= CHEAP else 0]
         for k in range(steps):
             square = self.sum(scaled_square(self.inverse, r))
             goal = goal or cut**2 * square
