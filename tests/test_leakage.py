@@ -147,6 +147,18 @@ def test_single_precision_is_counted(comm, monkeypatch):
         assert found.upper - found.lower >= 2e-7 * exact
 
 
+@pytest.mark.parametrize("lengths", [(6.0, 6e35), (6e35, 6.0)])
+def test_long_pixels_are_not_rounded_away(lengths):
+    """Across pixels of 1e35 : 1, conductances beyond single precision: a shallow column, whose two faces to the deep
+    ones decide, bounds the flow."""
+    gap = np.full((6, 6), 0.01)
+    gap[:, 0] = 3e-5
+    gap[3, 2] = 1  # sets the unit
+    face = 2 / (3e-5**-3 + 0.01**-3)
+    found = flow(ALONE, gap, 1, 1e-3, lengths)
+    assert 0 < found.lower <= 6 * face / 2 * (1 + 1e-6) and 6 * face / 2 * (1 - 1e-6) <= found.upper < 7 * face
+
+
 def test_slow_steps_are_answered(monkeypatch):
     """Pools behind narrow constrictions: where a step leaves much of the error, coarse levels are solved better."""
     monkeypatch.setattr(multigrid, "IN_SLABS", 1)  # the next level is solved directly

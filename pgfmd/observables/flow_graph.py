@@ -40,6 +40,7 @@ class Flux(NamedTuple):
     """A flux on the faces of a graph.  Where `potential` is empty, `values` has one for each face.  Otherwise `values`
     belong to the graph of aggregates, and are shared between faces in proportion to T; within an aggregate the flux is
     T times the difference of the potentials.  That takes one number for each point instead of one for each face.
+    aggregate: of points (n,), then of copies; potential: (n,).
     """
 
     graph: Graph
