@@ -88,7 +88,8 @@ def test_every_law_with_every_control(count):
         everywhere = trip.control == "contact_area" and trip.law in ("exponential", "formula")
         assert not everywhere or "touches everywhere" in outcome.detail
         refused[trip.law, trip.control] += outcome.verdict == "refused" and not everywhere
-    assert verdicts["right"] + verdicts["jump"] >= 0.8 * count and max(refused.values()) <= 1, (verdicts, refused)
+    assert verdicts["right"] + verdicts["jump"] >= 0.8 * count, verdicts
+    assert max(refused.values()) <= 1 and sum(refused.values()) <= count / 10, refused
 
 
 @pytest.mark.parametrize("number", range(4))

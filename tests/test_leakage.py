@@ -134,7 +134,7 @@ def test_contrast(comm):
 
 def test_single_precision_is_counted(comm, monkeypatch):
     """Plates beside a deeper pool, which sets the unit: the bounds enclose the exact K though conductances are rounded,
-    as for wide bounds, and those of the rounded ones differ by less.
+    as for wide bounds.  Without that allowance they would be closer than the rounding.
     """
     monkeypatch.setattr(network, "SINGLE", 0.0)
     for gap in np.linspace(0.3, 0.9, 12):
@@ -161,7 +161,7 @@ def test_long_pixels_are_not_rounded_away(lengths):
 
 def test_slow_steps_are_answered(monkeypatch):
     """Pools behind narrow constrictions: where a step leaves much of the error, coarse levels are solved better."""
-    monkeypatch.setattr(multigrid, "IN_SLABS", 1)  # the next level is solved directly
+    monkeypatch.setattr(multigrid, "IN_SLABS", 1)  # or the first level on rank 0 is eliminated
     gap = np.exp(1.5 * np.random.default_rng(1).normal(size=(96, 96)))
     count = flow(ALONE, gap, 0, 1e-8).iterations
     monkeypatch.setattr(multigrid, "INNER", 2 * multigrid.INNER[:1])

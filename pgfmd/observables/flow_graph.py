@@ -18,7 +18,7 @@ STRONG = 0.9  # a point is matched if its free neighbour's T is at least this pa
 class Graph(NamedTuple):
     """The faces of n points in compressed rows: first (n + 1,), the other point, T, and the kind of border crossed.
 
-    border may be empty where nobody asks for it.
+    border may be empty where it is not used.
 
     Or those of a slab of the grid, where `first` is empty: other: n and ny; T to the row before (n + ny,), then to the
     next column (n,), 0 without a face; border: flags of each point.  The faces of point i are 4i up, 4i + 1 left,

@@ -35,7 +35,7 @@ IN_SLABS = 3  # levels
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
-INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level; factor by which the residual shall fall; by `Effort`
+INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level, and by what factor the residual shall fall; by `Effort`
 CHEAP = 20_000  # points of a level on rank 0 up to which more steps cost little, however large the grid
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
@@ -77,7 +77,7 @@ class Halo:
 
 
 class Step(NamedTuple):
-    """A direction, −A · direction (in a slab, where it would take most memory, it is not kept), and its energy."""
+    """A direction, −A · direction (not kept on the finest level, where it would take most memory), and its energy."""
 
     direction: np.ndarray
     product: np.ndarray
@@ -85,8 +85,8 @@ class Step(NamedTuple):
 
 
 class Effort:
-    """How accurately the coarsest levels are solved: a place in `INNER`.  One contact in 25 near closure takes some 50
-    steps to 1e-8, as pools lie behind narrow constrictions; with better coarse solutions it takes half as many.
+    """How accurately levels of `CHEAP` points are solved: a place in `INNER`.  One contact in 25 near closure takes some
+    50 steps to 1e-8, as pools lie behind narrow constrictions; with better coarse solutions it takes half as many.
     """
 
     place = 0

@@ -25,9 +25,9 @@ from pgfmd.observables.patch_table import label_patches
 from pgfmd.parallel.compiled import compiled
 
 MOST, PATIENCE = 300, 12  # iterations; those without halving the error, after which the bounds stay as they are
-POOR = 0.3  # a step that leaves more of the error makes coarse levels be solved better; .1 is usual
+POOR = 0.3  # once a step leaves more of the least error so far, coarse levels are solved better; .1 is usual
 SURE = 0.2  # of the width: error, as the multigrid estimates it, at which bounds are computed first
-SINGLE = 1e-5  # from this width on conductances are rounded to single precision, which the bounds include: 8 bytes less
+SINGLE = 1e-5  # for widths from here on conductances are in single precision, 8 bytes less; the bounds allow for it
 NEGLIGIBLE = 1e-6  # of the largest gap: smaller ones count as closed if paths are left.  What rounding leaves in pools
 # behind them would have to leave through them, and the bounds would be as far apart.
 
@@ -141,7 +141,7 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
     single = width >= SINGLE and least**3 * min(grid.spacing) / max(grid.spacing) > np.finfo(np.float32).tiny * unit**3
     network = Network(grid, conductances(grid, gap, mask, unit, np.float32 if single else np.float64))
     del mask
-    rounding = float(np.finfo(np.float32).eps) if single else 0.0  # at least that of T; K changes by no larger part
+    rounding = float(np.finfo(np.float32).eps) if single else 0.0  # no T changes by a larger part, so K does not
     found = network.solve(axis, width - 2 * rounding, with_flux)
     (lx, ly), (ax, ay) = grid.lengths, grid.spacing
     scale = cube * (lx / ly if axis == 0 else ly / lx)

@@ -243,7 +243,7 @@ class Branch:
                 ends[not late] = middle
             del middle, halves
             loose = 0.0
-        return self._leapt(ends[0], ends[1])
+        return self._dropped(ends[0], ends[1])
 
     def _known(self, ends: list[Point]) -> bool:
         """Whether the energy lost is known to `KNOWN` and `jump_accuracy`, whatever force was between."""
