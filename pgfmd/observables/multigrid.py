@@ -85,8 +85,8 @@ class Step(NamedTuple):
 
 
 class Effort:
-    """How accurately levels of `CHEAP` points are solved: a place in `INNER`.  One contact in 25 near closure takes some
-    50 steps to 1e-8, as pools lie behind narrow constrictions; with better coarse solutions it takes half as many.
+    """How accurately levels of at most `CHEAP` points are solved: a place in `INNER`.  One contact in 25 near closure
+    takes some 50 steps to 1e-8, as pools lie behind narrow constrictions; with better solutions it takes half as many.
     """
 
     place = 0
