@@ -35,8 +35,7 @@ IN_SLABS = 3  # levels
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
-INNER = (4, 0.25), (8, 0.05)  # most steps on a coarse level, and by what factor the residual shall fall; by `Effort`
-CHEAP = 20_000  # points of a level on rank 0 up to which more steps cost little, however large the grid
+INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 PART = 1 << 16  # entries of a sum at a time
@@ -84,26 +83,14 @@ class Step(NamedTuple):
     energy: float
 
 
-class Effort:
-    """How accurately levels of at most `CHEAP` points are solved: a place in `INNER`.  One contact in 25 near closure
-    takes some 50 steps to 1e-8, as pools lie behind narrow constrictions; with better solutions it takes half as many.
-    """
-
-    place = 0
-
-    def raise_it(self) -> None:
-        """Makes it the next one, if there is one."""
-        self.place = min(self.place + 1, len(INNER) - 1)
-
-
 class Level:
     """One level of the multigrid, with all coarser ones.  Vectors hold own points, then copies.  Collective to make.
 
-    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.  effort: shared by all levels.
+    halo: None on levels of rank 0 alone.  On other ranks such levels have no points.
     """
 
-    def __init__(self, graph: Graph, halo: Halo | None, effort: Effort, depth: int = 0) -> None:
-        self.graph, self.halo, self.effort, self.depth = graph, halo, effort, depth
+    def __init__(self, graph: Graph, halo: Halo | None, depth: int = 0) -> None:
+        self.graph, self.halo, self.depth = graph, halo, depth
         self.copies = sum(halo.copies) if halo else 0
         self.coarse: Level | None = None
         self.factor, self.aggregate, self.inverse = np.empty((0, 0)), NOWHERE, inverse_diagonal(graph)
@@ -131,7 +118,7 @@ class Level:
                 self.aggregate = found
             else:
                 flow_graph.composed(self.aggregate, found)
-        self.coarse = Level(graph, halo, self.effort, self.depth + 1)
+        self.coarse = Level(graph, halo, self.depth + 1)
         if halo is not None and len(self.graph.first):  # only levels of rank 0, which make the start, need it later
             self.graph = self.graph._replace(border=np.empty(0, np.int8))
 
@@ -150,7 +137,7 @@ class Level:
             degree, *columns = (np.concatenate(each) for each in zip(*parts, strict=True))
             whole = Graph(np.concatenate([[0], np.cumsum(degree)]), *columns)
         self.faces = np.array(comm.allgather(len(other)))
-        self.root = Level(whole, None, self.effort) if comm.rank == 0 else None
+        self.root = Level(whole, None) if comm.rank == 0 else None
 
     def to_root(self, values: np.ndarray, counts: np.ndarray) -> np.ndarray:
         """One vector of those of all ranks, on rank 0; empty elsewhere.  Collective."""
@@ -239,16 +226,14 @@ class Level:
         """
         if self.coarse is None:
             return self.cycle(target)
-        x, r, step = self.new(), target, None
+        x, r, last = self.new(), target, list[Step]()
         goal = 0.0
-        steps, cut = INNER[self.effort.place if self.halo is None and self.graph.points <= CHEAP else 0]
-        for k in range(steps):
+        for k in range(INNER):
             square = self.sum(scaled_square(self.inverse, r))
-            goal = goal or cut**2 * square
+            goal = goal or INNER_CUT**2 * square
             if square <= goal and k or square == 0:
                 break
-            step = self.advance(x, r, self.cycle(r), step)
-            if step is None:
+            if not self.advance(x, r, self.cycle(r), last):
                 break
         return x
 
@@ -268,34 +253,35 @@ class Level:
             largest, last = last.aggregate[largest], last.coarse
         x = flow_graph.unrolled(self.graph, largest, kind)
         x += last.cycle(self.rest(b, x, last.new(), largest))[largest]
-        r, step = self.rest(b, x, self.new()), None
+        r, steps = self.rest(b, x, self.new()), list[Step]()
         for _ in range(FIRST):
-            step = self.advance(x, r, self.cycle(r), step)
+            self.advance(x, r, self.cycle(r), steps)
         return x
 
-    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, step: Step | None) -> Step | None:
-        """One step along z, conjugate to the last, whose memory is used; none if r is but rounding.  Collective."""
+    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, last: list[Step], kept: int = 1) -> bool:
+        """One step along z, which is made conjugate to the last ones, of which it becomes one; `kept` are kept.  False
+        if r is but rounding.  Collective.
+        """
         lean = len(self.graph.first) == 0
-        if step is None:
-            direction, product = z, self.new() if not lean else NOTHING
-        else:
-            direction, product, energy = step
-            both = self.form(z, direction) if lean else -self.dot(z, product)
-            add_scaled(z, -both / energy, direction, direction)
-        if not lean:
-            self.rest(NOTHING, direction, product)
-        energy = self.form(direction, direction) if lean else -self.dot(direction, product)
-        length = self.dot(direction, r) / energy if energy > 0 else 0.0
+        for step in last:
+            both = self.form(z, step.direction) if lean else -self.dot(z, step.product)
+            add_scaled(z, -both / step.energy, step.direction, z)
+            del step  # or its memory would be there when the next product is made
+        del last[: len(last) - kept + 1]
+        product = NOTHING if lean else self.rest(NOTHING, z, self.new())
+        energy = self.form(z, z) if lean else -self.dot(z, product)
+        length = self.dot(z, r) / energy if energy > 0 else 0.0
         if not abs(length) <= LONGEST:
-            return None
+            return False
         if lean:  # r remains b − Ax: x changes by the rounded direction
-            direction *= np.float32(length)
+            z *= np.float32(length)
             energy, length = energy * length**2, 1.0
-            self.rest(r, direction, r)
+            self.rest(r, z, r)
         else:
             add_scaled(r, length, product, r)
-        add_scaled(x, length, direction, x)
-        return Step(direction, product, energy or math.inf)
+        add_scaled(x, length, z, x)
+        last.append(Step(z, product, energy or math.inf))
+        return True
 
     def form(self, a: np.ndarray, b: np.ndarray, kind: int = 0) -> float:
         """Σ T (a_j − a_i + w)(b_j − b_i + w) over the faces of a slab's graph; kind 0: without w.  Collective."""
