@@ -13,7 +13,7 @@ from pgfmd.grid import aligned, grid_cost, slab_grid, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import Interpolation, SubGrid, interpolate, restrict, restrict_locally
 from pgfmd.parallel import collectives, mpi
-from pgfmd.parallel.collectives import await_all, raise_together, shared, slab_starts
+from pgfmd.parallel.collectives import await_all, by_node, raise_together, shared, slab_starts
 from pgfmd.parallel.layout import Layout
 
 pytestmark = [pytest.mark.mpi, pytest.mark.uneven]
@@ -77,22 +77,53 @@ def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
     assert caplog.text.count("/dev/shm is too small") == (comm.rank == 0)
 
 
-def test_nodes_that_are_not_alike(comm, monkeypatch, caplog):
-    """Nodes of 2, 2, … ranks, and of one where ranks are odd in number: strips of all ranks are exchanged then, spectra
-    are right, and one line on rank 0 says so.
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("shape", [(9, 8), (300, 290), (11, 600)])
+def test_nodes_that_are_not_alike(comm, monkeypatch, caplog, shape, dtype):
+    """A node of all ranks but one and a node of one, either way round: spectra are right, a rank sends one message to
+    the other node, or, where it is alone there, gets one from each of its ranks, and one line says so.
     """
-    if comm.size == 1:
-        pytest.skip("one rank is one node")
-    pair = comm.Split(comm.rank // 2)
+    if comm.size < 3:
+        pytest.skip("two nodes that differ have three ranks")
+    caplog.set_level("INFO", "pgfmd")
+    for lonely, said in ((comm.size - 1, f"{comm.size - 1} + 1 ranks"), (0, f"1 + {comm.size - 1} ranks")):
+        transpose._say.cache_clear()
+        caplog.clear()
+        node, separate = comm.Split(comm.rank == lonely), comm.Dup()
+        monkeypatch.setattr(transpose, "node_of", lambda _, node=node: node)
+        whole, grid = field(shape).astype(dtype), SlabGrid(separate, shape)
+        spectrum = grid.forward(whole[grid.rows])
+        expected = np.fft.rfft2(whole).T[grid.columns]
+        assert np.abs(spectrum - expected).max(initial=0) <= EXACT[dtype] * np.abs(whole).sum()
+        assert np.allclose(grid.backward(spectrum), whole[grid.rows], rtol=0, atol=100 * EXACT[dtype])
+        senders = set(grid._strips._senders.tolist()) - {comm.rank}
+        others = set(range(comm.size)) - {lonely}
+        assert senders == (others if comm.rank == lonely else {lonely} if node.rank == 0 else set())
+        assert caplog.text.count(said) == (comm.rank == 0)
+        grid.free()
+        separate.Free()
+        node.Free()
+
+
+def test_ranks_are_numbered_by_node(comm, monkeypatch, caplog):
+    """Ranks dealt to nodes in turn exchange all in messages, and one line says so, until they are numbered by node."""
+    if comm.size < 3:
+        pytest.skip("two nodes that are not consecutive have three ranks")
+    node, separate = comm.Split(comm.rank % 2), comm.Dup()
     transpose._warn.cache_clear()
-    monkeypatch.setattr(transpose, "node_of", lambda _: pair)
-    alone = comm.Dup()  # peers are remembered for each communicator
-    whole, grid = field((9, 8)), SlabGrid(alone, (9, 8))
+    monkeypatch.setattr(transpose, "node_of", lambda _: node)
+    whole, grid = field((9, 8)), SlabGrid(separate, (9, 8))
     assert np.abs(grid.forward(whole[grid.rows]) - np.fft.rfft2(whole).T[grid.columns]).max(initial=0) <= 1e-13
-    assert caplog.text.count("different numbers of ranks") == (comm.rank == 0 and comm.size % 2)
+    assert caplog.text.count("not numbered node by node") == (comm.rank == 0)
     grid.free()
-    alone.Free()
-    pair.Free()
+    monkeypatch.setattr(collectives, "node_of", lambda _: node)
+    ordered = by_node(separate)
+    assert ordered.allgather(comm.rank) == sorted(range(comm.size), key=lambda rank: (rank % 2, rank))
+    pair = comm.Split(comm.rank // 2)
+    monkeypatch.setattr(collectives, "node_of", lambda _: pair)
+    assert by_node(separate) is separate
+    for made in (ordered, separate, node, pair):
+        made.Free()
 
 
 class Node:
@@ -114,7 +145,7 @@ def test_messages_between_nodes_have_32_bit_counts(tmp_path, monkeypatch, n, nod
     """
     ranks, path, pieces = 64 * nodes, tmp_path / "memory", []
 
-    def allocate(self, node, count):
+    def allocate(self, node, count, shares):
         path.touch()
         os.truncate(path, count)  # a sparse file: no byte is touched
         pieces.append(np.memmap(path, np.uint8, "r+"))
@@ -122,7 +153,8 @@ def test_messages_between_nodes_have_32_bit_counts(tmp_path, monkeypatch, n, nod
 
     monkeypatch.setattr(transpose.ExchangedStrips, "_allocate", allocate)
     monkeypatch.setattr(transpose, "datatype", lambda dtype, count: count)
-    strips = transpose.ExchangedStrips(Node(ranks), (n, n), Node(64), Node(nodes))
+    monkeypatch.setattr(transpose, "peers_of", lambda *_: Node(nodes))
+    strips = transpose.ExchangedStrips(Node(ranks), (n, n), Node(64), np.arange(0, ranks + 1, 64))
     dtype = np.dtype(kind)
     strips._exchange(dtype, False)
     columns, rows = slab_starts(n // 2 + 1, ranks)[::64], slab_starts(n, ranks)

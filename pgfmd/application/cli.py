@@ -268,9 +268,10 @@ def _run(options: argparse.Namespace) -> int:
     try:
         from pgfmd.application.job import load
         from pgfmd.application.simulate import run_job
-        from pgfmd.parallel.collectives import from_root
+        from pgfmd.parallel.collectives import by_node, from_root
 
         gc.enable()
+        comm = by_node(comm)
         job = from_root(comm, load, options.job, options.set)
         run_job(job, comm, options.output, overwrite=options.overwrite, restart=options.restart)
     except (Exception, KeyboardInterrupt) as error:  # any error must end all ranks, and one of them must report it

@@ -3,7 +3,7 @@
 Before it each rank holds whole rows, after it whole columns: its *strip*, the columns ky of this rank for all nx rows.
 Ranks of one node write into each other's strips, which lie in shared memory (`SharedStrips`).  With several nodes, one
 strip in shared memory serves all ranks of a node, and each rank sends its rows to one rank of every other node: as many
-messages per rank as there are nodes, in one `Alltoallv` (`ExchangedStrips`).
+messages per rank as there are nodes (`ExchangedStrips`).  Nodes may hold different numbers of ranks.
 
 A strip is an array of shape (tiles, rows, columns of a tile); the last tile need not be full.  In shared memory a tile
 has a few columns, so that passes along rows and along columns both read and write long contiguous pieces of memory.  An
@@ -23,15 +23,18 @@ import numpy as np
 
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import ALIGNMENT, aligned_bytes, row_stride
-from pgfmd.parallel.collectives import node_of, peers_of, slab_starts
+from pgfmd.parallel.collectives import node_of, node_starts, peers_of, slab_starts
 from pgfmd.parallel.mpi import MPI, datatype, shared_memory, world
 
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part
 WORD = np.dtype(np.int64)  # type of copies, whatever the numbers are
+TAG = 1  # of messages between nodes that are not alike; rows that go to neighbours have 0
 log = logging.getLogger("pgfmd")
 Counts = tuple[np.ndarray, np.ndarray]
 """Blocks of each rank's part of a buffer, and where the parts begin."""
+Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]
+"""Ranks, a buffer, blocks of each rank's part, where the parts begin, and the datatype of a block."""
 
 
 class Parts(NamedTuple):
@@ -68,14 +71,14 @@ class Strips(ABC):
         self.width = int(self.column_starts[comm.rank + 1] - self.column_starts[comm.rank])
         self.window: MPI.Win | None = None
 
-    def _allocate(self, node: MPI.Comm, count: int) -> None:
-        """Allocate `count` bytes, shared with the node.  Collective.
+    def _allocate(self, node: MPI.Comm, count: int, shares: bool) -> None:
+        """Allocate `count` bytes, shared with the node.  shares: whether some node has several ranks.  Collective.
 
         Sets flat: the memory of all its ranks, and begins: where that of each rank begins in it, on a cache line.
         Raises NoSharedMemory on all ranks if those of some node cannot share so much.
         """
         self.node = node
-        if node.size == 1:
+        if not shares:
             self.flat, self.begins = aligned_bytes(count), np.zeros(1, np.int64)
             return
         # Asked before: where the memory does not suffice, some libraries fail on one rank, and the others wait for it.
@@ -150,7 +153,7 @@ class SharedStrips(Strips):
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
         self.first_row = int(self.row_starts[comm.rank])
-        self._allocate(comm, math.prod(self._tiles(16)) * 16)
+        self._allocate(comm, math.prod(self._tiles(16)) * 16, comm.size > 1)
         self._touched = np.zeros(comm.size, np.int64)  # tiles of each strip
 
     def _tiles(self, itemsize: int) -> tuple[int, int, int]:
@@ -196,23 +199,32 @@ class SharedStrips(Strips):
 
 class ExchangedStrips(Strips):
     """One strip for all ranks of a node, in memory that they share.  Rows are packed for each other node and sent to
-    the rank there that has the same place in its node, by one `Alltoallv`.
+    one rank there: in one `Alltoallv` where all nodes have as many ranks, else in messages from rank to rank.
     """
 
-    def __init__(self, comm: MPI.Comm, shape: tuple[int, int], node: MPI.Comm, peers: MPI.Comm) -> None:
-        """node: the ranks that share memory, consecutive in `comm`, as many on each node; peers: those of the same
-        place in each node, in the order of the nodes.
+    def __init__(self, comm: MPI.Comm, shape: tuple[int, int], node: MPI.Comm, starts: np.ndarray) -> None:
+        """node: the ranks that share memory, consecutive in `comm`; starts: the first rank of each node and, last, the
+        number of ranks.
         """
         super().__init__(comm, shape)
-        self.peers, self.node_number = peers, peers.rank
-        self.node_starts = self.column_starts[:: node.size]
+        sizes = np.diff(starts)
+        self.node_number = int(np.searchsorted(starts, comm.rank, side="right")) - 1
+        here = slice(*starts[self.node_number : self.node_number + 2])
+        place = np.arange(comm.size) - np.repeat(starts[:-1], sizes)  # of each rank in its node
+        self._targets = starts[:-1] + node.rank % sizes
+        senders = place % node.size == node.rank
+        senders[here] = False
+        senders[comm.rank] = True  # sends nothing: `put` writes rows for its own node straight into the strip
+        self._senders = np.flatnonzero(senders)
+        self.peers = peers_of(comm, node) if sizes.min() == sizes.max() else None
+        self.node_starts = self.column_starts[starts]
         self.first_column = int(self.column_starts[comm.rank] - self.node_starts[self.node_number])
         self._strides = {kind: self._stride(kind) for kind in (8, 16)}  # of each node's strip: items from row to row
         self._blocks = {kind: int(np.gcd.reduce(strides)) for kind, strides in self._strides.items()}
-        sizes = [[counts * kind for counts in self._sizes(kind)] for kind in (8, 16)]
-        strip, packed = (max(each) for each in zip(*sizes, strict=True))
+        counts = [[counts * kind for counts in self._sizes(kind)] for kind in (8, 16)]
+        strip, packed = (max(each) for each in zip(*counts, strict=True))
         self._packed = strip + node.rank * packed  # bytes before this rank's packed rows
-        self._allocate(node, strip + node.size * packed if node.rank == 0 else 0)
+        self._allocate(node, strip + node.size * packed if node.rank == 0 else 0, sizes.max() > 1)
 
     def _stride(self, itemsize: int) -> np.ndarray:
         widths = np.diff(self.node_starts)
@@ -226,16 +238,15 @@ class ExchangedStrips(Strips):
         return -(-counts[0] // lines) * lines, -(-counts[1] // lines) * lines
 
     def _layout(self, itemsize: int) -> tuple[Counts, Counts]:
-        """The parts of this rank's packed rows, one for each node, and of the strip, one for the rows of each peer.
+        """The parts of this rank's packed rows, one for each node, and of the strip, one for the rows of each sender.
 
         Counted in blocks of items, the largest of which all strides are multiples, from the first packed row and from
         the begin of the strip: MPI libraries take no count and no displacement above 2³¹ − 1.
         """
         strides = self._strides[itemsize] // self._blocks[itemsize]
-        mine = slice(self.node.rank, self.comm.size, self.node.size)
-        rows, first = np.diff(self.row_starts)[mine], self.row_starts[mine]
+        rows, first = np.diff(self.row_starts)[self._senders], self.row_starts[self._senders]
         packed, strip = self.rows * strides, rows * strides[self.node_number]
-        packed[self.node_number] = strip[self.node_number] = 0  # `put` writes them straight into the strip
+        packed[self.node_number] = strip[self._senders == self.comm.rank] = 0
         return (packed, np.cumsum(packed) - packed), (strip, first * strides[self.node_number])
 
     def parts(self, dtype: np.dtype) -> Parts:
@@ -265,8 +276,22 @@ class ExchangedStrips(Strips):
         """Send packed rows to strips, or back.  Collective."""
         (packed, strip), block = self._layout(dtype.itemsize), datatype(dtype, self._blocks[dtype.itemsize])
         messages = [self.flat[self._packed :], *packed, block], [self.flat, *strip, block]
-        if self.peers.size > 1:
+        if self.peers is None:
+            ends = (self._targets, *messages[0]), (self._senders, *messages[1])
+            sent, received = reversed(ends) if back else ends
+            self._send(sent, received, dtype.itemsize * self._blocks[dtype.itemsize])
+        elif self.peers.size > 1:
             self.peers.Alltoallv(*(reversed(messages) if back else messages))
+
+    def _send(self, sent: Ends, received: Ends, size: int) -> None:
+        """Messages of blocks of `size` bytes from rank to rank, all at once.  Collective."""
+        requests = []
+        for start, (ranks, flat, counts, begins, block) in ((self.comm.Irecv, received), (self.comm.Isend, sent)):
+            for rank, count, begin in zip(ranks.tolist(), counts.tolist(), begins.tolist(), strict=True):
+                if count:
+                    part = flat[begin * size : (begin + count) * size]
+                    requests.append(start([part, count, block], rank, TAG))
+        MPI.Request.Waitall(requests)
 
 
 def _items(raw: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -279,21 +304,31 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> 
 
     shared: if False, no memory is shared; each rank is a node of its own.
     """
+    single = np.arange(comm.size + 1)
     if not shared:
-        return ExchangedStrips(comm, shape, MPI.COMM_SELF, comm)
+        return ExchangedStrips(comm, shape, MPI.COMM_SELF, single)
     node = node_of(comm)
+    told = comm.rank == 0 and comm.size == world().size  # coarser grids have fewer ranks
     try:
         if node.size == comm.size:
             return SharedStrips(comm, shape)
-        if (peers := peers_of(comm, node)) is not None:
-            return ExchangedStrips(comm, shape, node, peers)
-        if comm.rank == 0 and comm.size == world().size:  # the ranks of a coarser grid are often uneven over the nodes
-            _warn("nodes hold different numbers of ranks, or ranks not numbered one after the other")
-        return make_strips(comm, shape, shared=False)
+        if (starts := node_starts(comm, node)) is not None:
+            if told:
+                _say(tuple(np.diff(starts).tolist()))
+            return ExchangedStrips(comm, shape, node, starts)
+        reason = "ranks are not numbered node by node"
     except NoSharedMemory as failure:
-        if comm.rank == 0:
-            _warn(str(failure))
-        return make_strips(comm, shape, shared=False)
+        reason, told = str(failure), comm.rank == 0
+    if told:
+        _warn(reason)
+    return ExchangedStrips(comm, shape, MPI.COMM_SELF, single)
+
+
+@cache
+def _say(sizes: tuple[int, ...]) -> None:
+    """A line in the log, once in a process."""
+    each = f"{sizes[0]} ranks each" if len(set(sizes)) == 1 else " + ".join(map(str, sizes)) + " ranks"
+    log.info("ranks of a node share memory; %d nodes (%s) exchange messages", len(sizes), each)
 
 
 @cache

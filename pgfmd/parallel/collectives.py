@@ -243,16 +243,27 @@ def node_of(comm: MPI.Comm) -> MPI.Comm:
     return node
 
 
-def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm | None:
-    """One rank of each node: those with the same rank in their `node`.  None if nodes have different numbers of ranks,
-    or if the ranks of a node are not consecutive.  Collective on first use.
+def node_starts(comm: MPI.Comm, node: MPI.Comm) -> np.ndarray | None:
+    """First rank of each node and, last, the number of ranks; None if these are not numbered by node.  Collective."""
+    first = np.array(comm.allgather(node.bcast(comm.rank)))
+    return None if np.any(np.diff(first) < 0) else np.append(np.unique(first), comm.size)
+
+
+def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm:
+    """One rank of each node, in the order of nodes that are alike: those with this one's rank in their `node`.
+    Collective on first use.
     """
+    if node.size == 1:
+        return comm
+    peers = _once(comm, "peers", lambda: comm.Split(node.rank))
+    assert peers is not None
+    return peers
 
-    def make() -> MPI.Comm | None:
-        first = node.bcast(comm.rank)
-        regular = comm.rank == first + node.rank and first % node.size == 0
-        sizes = comm.allgather(node.size)
-        regular = regular and min(sizes) == max(sizes)
-        return None if comm.allreduce(not regular, MPI.LOR) else comm.Split(node.rank)
 
-    return _once(comm, "peers", make)
+def by_node(comm: MPI.Intracomm) -> MPI.Intracomm:
+    """The ranks of `comm` numbered node by node; rank 0 stays so.  `comm` itself if they are already.  Collective."""
+    first = comm.allgather(node_of(comm).bcast(comm.rank))
+    order = sorted(range(comm.size), key=lambda rank: (first[rank], rank))
+    if order == list(range(comm.size)):
+        return comm
+    return comm.Split(0, order.index(comm.rank))  # type: ignore[return-value]

@@ -118,7 +118,7 @@ def measure(path: Path, n: int, exchanged: bool) -> None:
     clock.watch(Exchange, ("start",), "halos", lambda exchange: bool(exchange.requests))
     clock.watch(Exchange, ("finish",), "halos")
     clock.watch(Strips, ("meet", "begin"), "all-to-alls")
-    clock.watch(ExchangedStrips, ("_exchange",), "all-to-alls", lambda strips, *_: strips.peers.size > 1)
+    clock.watch(ExchangedStrips, ("_exchange",), "all-to-alls", lambda strips, *_: len(strips.node_starts) > 2)
     sent = Clock()  # of bytes
     sent.watch(
         ExchangedStrips, ("_exchange",), "all-to-alls",
