@@ -540,3 +540,49 @@ def test_reading_needs_no_mpi():
     """The reader runs on a laptop without mpi4py."""
     code = "import sys, pgfmd.application.results; sys.exit('mpi4py' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_large_groups_have_files_of_their_own(comm, shared_tmp_path, monkeypatch):
+    """They read as before; observables.h5 does not grow by them; a load whose file is damaged is solved again, results
+    that replace others remove theirs, and without its file a group is refused in one line.
+    """
+    monkeypatch.setattr(files, "LARGE_TABLE", 40)
+    large = {"pressure_histogram": {"edges": np.arange(1e4), "center": np.arange(9999) + 0.5, "density": np.ones(9999)}}
+    folder = shared_tmp_path / "out"
+
+    def write(result, index):
+        result.write_load(index, {"mean_pressure": 0.1, "contact_area": 0.25}, large)
+
+    with writer(comm, folder) as result:
+        for index in range(2):
+            write(result, index)
+        result.finish()
+    path = folder / "fields" / "load_0001_pressure_histogram.h5"
+    assert (folder / "observables.h5").stat().st_size < 1e5 < path.stat().st_size
+    table = Results(folder)[1]["pressure_histogram"]
+    assert list(table) == sorted(large["pressure_histogram"])
+    np.testing.assert_array_equal(table["edges"], np.arange(1e4))
+    with h5py.File(folder / "observables.h5", "r") as file:
+        axis = file["load_0001/pressure_histogram/density"].dims[0][0]
+        assert axis.name == "/center" and axis.attrs["units"] == "pressure"
+    assert files.read_sums(folder)["fields/load_0001_pressure_histogram.h5"] == files.sha256(path)
+    comm.Barrier()
+    if comm.rank == 0:
+        path.write_bytes(path.read_bytes()[:1000])
+    comm.Barrier()
+    with writer(comm, folder, mode="restart") as result:
+        assert result.pending == [1, 2]
+        write(result, 1)
+    np.testing.assert_array_equal(Results(folder)[1]["pressure_histogram"]["edges"], np.arange(1e4))
+    comm.Barrier()
+    if comm.rank == 0:
+        path.unlink()
+    comm.Barrier()
+    assert list(Results(folder)[1]) == ["pressure_histogram"]
+    with pytest.raises(InputError, match="load_0001_pressure_histogram.h5: is missing or damaged"):
+        Results(folder)[1]["pressure_histogram"]
+    comm.Barrier()
+    with writer(comm, folder, mode="overwrite") as result:
+        write(result, 0)
+    assert [path.name for path in (folder / "fields-2").iterdir()] == ["load_0000_pressure_histogram.h5"]
+    assert not (folder / "fields").exists()

@@ -199,9 +199,9 @@ def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Colu
         with h5py.File(run.directory / OBSERVABLES_FILE, "r", locking=False) as file:
             here: Mapping = file.get(load_name(index), {})
             if groups is None:
-                groups = {title: {key: _column(group[key]) for key in group} for title, group in here.items()}
+                groups = {title: {key: _column(group[key]) for key in group} for title, group in here.items() if group}
             for title, columns in list(groups.items()):
-                values = {key: dataset[()] for key, dataset in here[title].items()} if title in here else {}
+                values = {key: dataset[()] for key, dataset in (here.get(title) or {}).items()}
                 if columns.keys() == values.keys() and all(columns[key].fits(values[key]) for key in columns):
                     for key, column in columns.items():
                         column.add(values[key])

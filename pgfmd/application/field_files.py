@@ -1,6 +1,7 @@
 """The fields of a run: a file for the heights and one for each load, and small files that show them together.
 
     fields/height.h5, fields/load_0000.h5, …    written by all ranks, each in one piece on the disk
+    fields/load_0000_patches.h5, …              large groups of a load, to which observables.h5 links
     fields.h5       height (x, y); pressure, gap, … of all loads (load, x, y); load_0000/pressure, … (x, y) of each
     fields.vtkhdf   the same for ParaView and VTK: one image, the loads as its time steps
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from pgfmd.application import files, hdf5_slabs, restart
 from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, load_name
-from pgfmd.application.tables import add_grid_axes, annotate, name_axes
+from pgfmd.application.tables import add_grid_axes, annotate, fill_group, name_axes
 from pgfmd.observables.schema import FIELDS, Dataset
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
 from pgfmd.parallel.mpi import MPI
@@ -29,6 +30,8 @@ from pgfmd.parallel.mpi import MPI
 log = logging.getLogger("pgfmd")
 
 VTK_VERSION = (2, 0)  # of the format VTKHDF: images with steps in time
+
+UNDATED = ("software", "softwareVersion", "commit", "format_version")  # so the same numbers make the same bytes
 
 Links = dict[str, tuple[str, str]]
 """Name of a field ("height", "load_0000/pressure") → its file, and its dataset there."""
@@ -65,9 +68,7 @@ class FieldFiles:
             slabs |= {key + files.ROW_SUMS: slab.sums() for key, slab in slabs.items()}
 
         def create(file: h5py.File, key: str) -> h5py.Dataset:
-            # No date: the same numbers make the same bytes.
-            undated = ("software", "softwareVersion", "commit", "format_version")
-            file.attrs.update({attribute: self._provenance()[attribute] for attribute in undated})
+            file.attrs.update({attribute: self._provenance()[attribute] for attribute in UNDATED})
             width, dtype = slabs[key].local.shape[1], slabs[key].dtype
             dataset = hdf5_slabs.create_dataset(file, key, (form.shape[0], width), dtype)
             if key not in fields:
@@ -102,13 +103,20 @@ class FieldFiles:
 
     # Rank 0.
 
-    def begin(self) -> None:
-        """Make the folder; remove the drafts of interrupted runs, and all fields if no results link to any."""
+    def begin(self, used: bool) -> None:
+        """Make the folder; remove the drafts of interrupted runs and, unless results use them, all its files."""
         for draft in (self.directory / self.folder).glob(".*.h5.tmp"):
             draft.unlink(missing_ok=True)
-        if not self.links:
+        if not used:
             self.remove(and_checkpoint=False)
         (self.directory / self.folder).mkdir(exist_ok=True)
+
+    def write_table(self, file: str, title: str, table: Mapping[str, np.ndarray]) -> None:
+        """Write a group of a load as a file (a path from the result folder) of its own."""
+        about = {name: self._provenance()[name] for name in UNDATED}
+        layout, units = self.form.groups[title], self.form.units
+        fill = partial(fill_group, table=table, layout=layout, units=units)
+        files.create(self.directory / file, partial(_describe_and_fill, about, fill))
 
     def write_views(self) -> None:
         """Write fields.h5 and fields.vtkhdf anew, if there are fields."""

@@ -36,6 +36,7 @@ SMALL = (OBSERVABLES_FILE, FIELDS_FILE, VTK_FILE)
 CHECKPOINT_FILE = "checkpoint.h5"  # of an unfinished load, in the folder of fields; see `loads`
 ENSEMBLE_FILE = "ensemble.h5"  # of a folder that holds a result folder for each of several seeds; see `ensemble`
 SUMS_FILE = "SHA256SUMS"
+LARGE_TABLE = 2**20  # bytes from which a group of a load is a file: observables.h5 is rewritten for each load
 LARGEST_LISTED = 2**26  # bytes of a file of fields up to which rank 0 reads and hashes it alone: 30 ms at 2 GB/s
 ROW_SUMS = "_sha256"  # NAME_sha256, (nx, 32) bytes, holds the checksums of the rows of the field NAME
 BLOCK_BYTES = 2**24  # written, or read to be checked, at once

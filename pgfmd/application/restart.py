@@ -12,7 +12,7 @@ from pathlib import Path
 import h5py
 
 from pgfmd import __version__
-from pgfmd.application import files
+from pgfmd.application import files, tables
 from pgfmd.application.job import Job, differences, parse
 from pgfmd.application.machine import Origin
 from pgfmd.errors import InputError
@@ -22,7 +22,7 @@ log = logging.getLogger("pgfmd")
 
 FIELDS_FOLDERS = (files.FIELDS_FOLDER, f"{files.FIELDS_FOLDER}-2")  # of results, and of those that replace them
 THIS_VERSION = f"{__version__}, format {files.FORMAT_VERSION}"
-_FIELD_FILE = re.compile(r"(height|load_\d{4,}|checkpoint)\.h5")
+_FIELD_FILE = re.compile(r"(height|load_\d{4,}(_\w+)?|checkpoint)\.h5")
 
 
 @dataclass
@@ -31,8 +31,8 @@ class EarlierResults:
 
     completed: number of loads up to the last one that is written; job: the effective job (None: there is nothing to
     continue); inputs: path → digest of each file that the job names; version: of the program and of the file format;
-    fields: load → names of its fields; folder: of the files of fields; damaged: names (`load_0002`, `height`) of files
-    that are missing or damaged.
+    fields: load → names of its fields; tables: load → paths of its groups that have a file; folder: of all these files;
+    damaged: the loads (`load_0002`) of which one is missing or damaged, and `height`.
     """
 
     completed: int = 0
@@ -40,6 +40,7 @@ class EarlierResults:
     inputs: dict[str, str] = field(default_factory=dict)
     version: str = ""
     fields: dict[str, list[str]] = field(default_factory=dict)
+    tables: dict[str, list[str]] = field(default_factory=dict)
     folder: str = files.FIELDS_FOLDER
     damaged: set[str] = field(default_factory=set)
 
@@ -58,11 +59,14 @@ class EarlierResults:
 
     def find_damage(self, directory: Path) -> None:
         """Find files of fields that are missing, truncated, or whose metadata is damaged; the numbers are not read."""
-        for name, keys in ({"height": ["height"]} | self.fields).items():
-            path = directory / self.folder / f"{name}.h5"
+        fields = [(name, directory / self.folder / f"{name}.h5", keys) for name, keys in self.fields.items() if keys]
+        groups: list[tuple[str, Path, list[str]]] = [
+            (name, directory / path, []) for name, paths in self.tables.items() for path in paths
+        ]
+        for name, path, keys in (("height", directory / self.folder / "height.h5", ["height"]), *fields, *groups):
             there = path.exists()
             fault = _fault(path, keys) if there else "it is missing"
-            if keys and fault is not None:
+            if fault is not None:
                 self.damaged.add(name)
                 if there or name != "height":
                     log.warning("%s: %s; it will be made again", path, fault)
@@ -93,6 +97,7 @@ def read(directory: Path) -> EarlierResults:
                 inputs=json.loads(file.attrs.get("inputs", "{}")),
                 version=f"{file.attrs['softwareVersion']}, format {file.attrs['format_version']}",
                 fields={name: list(file[name].attrs["fields"]) for name in names if name in file},
+                tables={name: list(tables.linked(file[name]).values()) for name in names if name in file},
                 folder=str(file.attrs.get("fields_folder", files.FIELDS_FOLDER)),
             )
     except (OSError, KeyError, RuntimeError, ValueError) as error:

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application.files import ENSEMBLE_FILE, FIELDS_FOLDER, FORMAT_VERSION, OBSERVABLES_FILE, holder, load_name
-from pgfmd.application.tables import read_columns
+from pgfmd.application.tables import linked, read_columns
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import FIELDS, TABLE, Dataset, is_error
 from pgfmd.options.text import aligned
@@ -197,7 +197,10 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
 
     def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
         with self.results._open(OBSERVABLES_FILE) as file:
-            table = {key: dataset[()] for key, dataset in file[self._name][title].items()}
+            load = file[self._name]
+            if load.get(title) is None and title in (links := linked(load)):
+                raise InputError(f"{self.results.directory / links[title]}: is missing or damaged")
+            table = {key: dataset[()] for key, dataset in load[title].items()}
         results = self.results
         return modern(title, table, results.provenance["format_version"], results.shape, results._overlaps)
 

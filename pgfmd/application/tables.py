@@ -1,5 +1,7 @@
 """observables.h5: one row per load, and a group of curves and tables for each; names of axes, for xarray.  No MPI.
 
+Of groups of `LARGE_TABLE` bytes or more it holds a link to a file beside the fields.
+
 Columns are read and written by h5py's low-level API: selections take three times as long, which counts in small runs.
 """
 
@@ -12,6 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from pgfmd.application import files
 from pgfmd.application.files import LIBVER, MISSING, OBSERVABLES_FILE, Change, Form, create, load_name, revise
 from pgfmd.observables.schema import LOADS, TABLE, Dataset, Groups
 
@@ -78,18 +81,43 @@ def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form)
             column.write(one, place, np.array([value]))
 
 
-def add_groups(file: h5py.File, index: int, groups: Groups, form: Form) -> h5py.Group:
-    """Write, or replace, the group of a load with what was measured on it; returns it."""
+def add_groups(
+    file: h5py.File, index: int, groups: Groups, form: Form, links: Mapping[str, str] | None = None
+) -> h5py.Group:
+    """Write, or replace, the group of a load with what was measured on it; returns it.  links: titles of groups that
+    have a file of their own, and its path from that of `file`.
+    """
     name = load_name(index)
     if name in file:
         del file[name]
     load = file.create_group(name)
     for title, table in groups.items():
-        for key, values in table.items():
-            annotate(load.create_dataset(f"{title}/{key}", data=values), form.groups[title][key], form.units)
-        for key in table:
-            name_axes(load[title], key, form.groups[title][key].axes)
+        if links and title in links:
+            load[title] = h5py.ExternalLink(links[title], "/")
+        else:
+            fill_group(load.create_group(title), table, form.groups[title], form.units)
     return load
+
+
+def fill_group(
+    group: h5py.Group, table: Mapping[str, np.ndarray], layout: Mapping[str, Dataset], units: Mapping[str, str]
+) -> None:
+    """Write the datasets of a group, with what they are and their axes."""
+    for key, values in table.items():
+        annotate(group.create_dataset(key, data=values), layout[key], units)
+    for key in table:
+        name_axes(group, key, layout[key].axes)
+
+
+def is_large(table: Mapping[str, np.ndarray]) -> bool:
+    """Whether a group is to have a file of its own."""
+    return sum(np.asarray(values).nbytes for values in table.values()) >= files.LARGE_TABLE
+
+
+def linked(load: h5py.Group) -> dict[str, str]:
+    """The groups of a load that have a file of their own, and its path from that of observables.h5."""
+    links = {title: load.get(title, getlink=True) for title in load}
+    return {title: link.filename for title, link in links.items() if isinstance(link, h5py.ExternalLink)}
 
 
 def annotate(dataset: h5py.Dataset, about: Dataset, units: Mapping[str, str]) -> None:

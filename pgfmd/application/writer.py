@@ -4,6 +4,7 @@
     fields.h5               view of all fields: height, load_0000/pressure, …; open this one to read them
     fields.vtkhdf           view of all fields for ParaView
     fields/height.h5, fields/load_0000.h5, …        the fields (`field_files`)
+    fields/load_0000_patches.h5, …      groups of a load that are large, to which observables.h5 links
     fields/checkpoint.h5    of an unfinished load (`loads`)
     SHA256SUMS              checksums of all but the checkpoint and large fields, which hold checksums of their rows
 
@@ -154,21 +155,30 @@ class ResultWriter:
         groups: Groups | None = None,
         fields: dict[str, np.ndarray] | None = None,
     ) -> None:
-        """Write one completed load: first its fields, then its row and groups in one step.  Collective.
+        """Write one completed load: first its fields and large groups, then its row and the others in one step.
+        Collective.
 
         row : values of `form.columns` (missing: NaN); groups : arrays that `form.groups` describes, those of rank 0
         fields : this rank's slabs (nx_local, ny), same names on all ranks
         Raises OSError on all ranks if it cannot be written.
         """
         self.begin()
-        name = load_name(index)
+        name, groups = load_name(index), groups or {}
+        links = {
+            title: f"{self._fields.folder}/{name}_{title}.h5" for title, each in groups.items() if tables.is_large(each)
+        }
+
+        def write_large() -> None:
+            for title, path in links.items():
+                self._fields.write_table(path, title, groups[title])
 
         def add(file: h5py.File) -> None:
             tables.add_row(file[TABLE], index, row, self.form)
-            group = tables.add_groups(file, index, groups or {}, self.form)
+            group = tables.add_groups(file, index, groups, self.form, links)
             group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
-        with self._changing(f"{self._fields.folder}/{name}.h5", *SMALL):
+        with self._changing(f"{self._fields.folder}/{name}.h5", *links.values(), *SMALL):
+            from_root(self.comm, write_large)
             if fields:
                 self._fields.write(name, fields, show=not self.replacing)
             from_root(self.comm, self._replace if self.replacing else self._observables.change, add)
@@ -218,7 +228,7 @@ class ResultWriter:
         """Remove what interrupted runs left behind, and fields that belong to no results in observables.h5."""
         for name in (*SMALL, files.SUMS_FILE):
             files.temporary(self.directory / name).unlink(missing_ok=True)
-        self._fields.begin()
+        self._fields.begin(bool(self.earlier.fields) or bool(self._fields.links))
         if not self.replacing:
             self._fields.remove_replaced()
             self._fields.write_views()
