@@ -1,7 +1,7 @@
-"""Points joined by faces of conductance T: aggregates of points, the graph of these, elimination, fluxes.
+"""Points joined by faces of conductance T: aggregates of points, the graph of these, fluxes.
 
-Aggregates are matched twice (Notay 2010, ETNA 37, 123).  Diagonals are row sums, and the coarsest graph is eliminated
-without subtraction (Grassmann, Taksar and Heyman 1985, doi:10.1287/opre.33.5.1107): a contrast of 1e20 does no harm.
+Aggregates are matched twice (Notay 2010, ETNA 37, 123).  Diagonals are row sums, and the points of an aggregate are
+eliminated without subtraction, as those of the coarsest graph are (`elimination`).
 """
 
 from typing import NamedTuple
@@ -246,19 +246,6 @@ def back_substitute(table: np.ndarray, n: int, x: np.ndarray) -> np.ndarray:
             x[k] += table[k, j] * x[j]
         x[k] = x[k] / table[k, k] if table[k, k] > 0 else 0.0
     return x
-
-
-@compiled()
-def eliminated(graph: Graph) -> np.ndarray:
-    """The elimination of a graph's points (n, n)."""
-    n = len(graph.first) - 1
-    table = np.zeros((n, n))
-    for i in range(n):
-        for k in range(graph.first[i], graph.first[i + 1]):
-            if graph.other[k] != i:
-                table[i, graph.other[k]] += graph.weight[k]
-    eliminate(table, n)
-    return table
 
 
 @compiled()

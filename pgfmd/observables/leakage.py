@@ -73,11 +73,11 @@ class Leakage(Observable):
         """Setting up and four (to 1e-3) or seven (to 1e-6) iterations of the multigrid in each direction; the faces and
         vectors of all levels.  Measured at 1024² to 4096².
         """
-        from pgfmd.observables.network import KEPT, SINGLE
+        from pgfmd.observables.network import SINGLE
 
         each = 55.0 - 10.0 * math.log10(self.width)
         directions = (2 if self.direction == "both" else 1) * (1 + 0.25 * self.half_grid)
-        memory = 66.0 if self.width >= SINGLE else 70.0 + 4.0 * KEPT
+        memory = 66.0 if self.width >= SINGLE else 74.0
         return Cost(each * directions + 5.0 * self.half_grid, memory)
 
     def axes(self) -> tuple[int, ...]:

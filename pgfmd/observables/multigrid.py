@@ -3,7 +3,8 @@ doi:10.1002/nla.542), on slabs.
 
 The finest level is a slab of the grid, the others have compressed rows.  Three levels lie in slabs, with copies of the
 points of neighbouring ranks; aggregates stay within a slab.  The next one, about .01 of the points, is gathered on rank
-0.  Preconditioned residuals and directions in slabs are in single precision, which takes as many iterations as double.
+0, and solved exactly if that is fast, or else a coarser one is.  Preconditioned residuals and directions in slabs are
+in single precision, which takes as many iterations as double.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from pgfmd.observables import flow_graph
-from pgfmd.observables.flow_graph import Flux, Graph, back_substitute, match
+from pgfmd.observables.elimination import Elimination, eliminated, solve_eliminated
+from pgfmd.observables.flow_graph import Flux, Graph, match
 from pgfmd.observables.flow_loops import (
     add_scaled,
     form_in_slab,
@@ -30,12 +32,13 @@ from pgfmd.observables.flow_loops import (
 )
 from pgfmd.parallel.mpi import MPI
 
-COARSEST = 400  # points that are eliminated
 IN_SLABS = 3  # levels
+MANY = 70_000  # points with many faces that are still eliminated: .01 s for 3e3, .2 s for 3e4, .6 s for 6e4; 1.3e5
+# take 2 s, more than that saves
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
-SLOW = 0.6  # points left by a coarsening from which aggregates may have any size
 FIRST = 4  # steps on rank 0 for the start
-INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall
+INNER, INNER_CUT = 8, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall.  Mostly 2
+# or 3 do it; where pools lie behind narrow constrictions 6, and with at most 4 the finest level takes 24 steps for 11
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 PART = 1 << 16  # entries of a sum at a time
@@ -93,20 +96,22 @@ class Level:
         self.graph, self.halo, self.depth = graph, halo, depth
         self.copies = sum(halo.copies) if halo else 0
         self.coarse: Level | None = None
-        self.factor, self.aggregate, self.inverse = np.empty((0, 0)), NOWHERE, inverse_diagonal(graph)
+        self.elimination: Elimination | None = None
+        self.aggregate, self.inverse = NOWHERE, inverse_diagonal(graph)
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
-        elif graph.points <= COARSEST and halo is None:
-            self.factor = flow_graph.eliminated(graph)
-        else:
+        elif halo is not None:
             self._aggregate(halo)
+        else:
+            self.elimination = eliminated(graph, MANY)
+            if len(self.elimination.order) < graph.points:
+                self.elimination = None
+                self._aggregate(halo)
 
     def _aggregate(self, halo: Halo | None) -> None:
         graph, sizes = self.graph, np.ones(self.graph.points, np.int32)
         for most in SIZES:
             found, count = match(graph, sizes, most, halo is None)
-            if halo is None and count > SLOW * graph.points:
-                found, count = match(graph, sizes, 2 * graph.points, True)
             wholes = np.zeros(count, np.int32)
             restrict(sizes, found, graph.points, wholes)
             sizes = wholes
@@ -192,7 +197,7 @@ class Level:
     def cycle(self, target: np.ndarray) -> np.ndarray:
         """z ≈ A⁻¹ target: a symmetric preconditioner, but for inner steps.  Collective."""
         if self.coarse is None:  # where no point has a neighbour, nothing is left there
-            return self.eliminated(target) if self.halo is None else self.gathered_solution(target)
+            return self.gathered_solution(target) if self.elimination is None else self.exact(target)
         z = self.new(dtype=np.float32 if self.halo else float)
         self.sweep(target, z, False)
         coarse = self.rest(target, z, self.coarse.new(), self.aggregate)
@@ -209,9 +214,10 @@ class Level:
         else:
             relax_in_slab(self.graph, target, x, backward)
 
-    def eliminated(self, target: np.ndarray) -> np.ndarray:
+    def exact(self, target: np.ndarray) -> np.ndarray:
         """A⁻¹ target on the coarsest level."""
-        return back_substitute(self.factor, len(self.factor), target.copy())
+        assert self.elimination is not None
+        return solve_eliminated(self.elimination, target.copy())
 
     def gathered_solution(self, target: np.ndarray) -> np.ndarray:
         """The solution of rank 0 for the target of all ranks, which lies on one of its levels.  Collective."""
@@ -226,14 +232,15 @@ class Level:
         """
         if self.coarse is None:
             return self.cycle(target)
-        x, r, last = self.new(), target, list[Step]()
+        x, r, last = self.new(), target, None
         goal = 0.0
         for k in range(INNER):
             square = self.sum(scaled_square(self.inverse, r))
             goal = goal or INNER_CUT**2 * square
             if square <= goal and k or square == 0:
                 break
-            if not self.advance(x, r, self.cycle(r), last):
+            last = self.advance(x, r, self.cycle(r), last)
+            if last is None:
                 break
         return x
 
@@ -253,26 +260,24 @@ class Level:
             largest, last = last.aggregate[largest], last.coarse
         x = flow_graph.unrolled(self.graph, largest, kind)
         x += last.cycle(self.rest(b, x, last.new(), largest))[largest]
-        r, steps = self.rest(b, x, self.new()), list[Step]()
-        for _ in range(FIRST):
-            self.advance(x, r, self.cycle(r), steps)
+        r, step = self.rest(b, x, self.new()), None
+        for _ in range(0 if last is self else FIRST):
+            step = self.advance(x, r, self.cycle(r), step)
         return x
 
-    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, last: list[Step], kept: int = 1) -> bool:
-        """One step along z, which is made conjugate to the last ones, of which it becomes one; `kept` are kept.  False
-        if r is but rounding.  Collective.
+    def advance(self, x: np.ndarray, r: np.ndarray, z: np.ndarray, last: Step | None) -> Step | None:
+        """One step along z, which is made conjugate to the last one; returns that step, or None if r is but rounding.
+        Collective.
         """
         lean = len(self.graph.first) == 0
-        for step in last:
-            both = self.form(z, step.direction) if lean else -self.dot(z, step.product)
-            add_scaled(z, -both / step.energy, step.direction, z)
-            del step  # or its memory would be there when the next product is made
-        del last[: len(last) - kept + 1]
+        if last is not None:
+            both = self.form(z, last.direction) if lean else -self.dot(z, last.product)
+            add_scaled(z, -both / last.energy, last.direction, z)
         product = NOTHING if lean else self.rest(NOTHING, z, self.new())
         energy = self.form(z, z) if lean else -self.dot(z, product)
         length = self.dot(z, r) / energy if energy > 0 else 0.0
         if not abs(length) <= LONGEST:
-            return False
+            return None
         if lean:  # r remains b − Ax: x changes by the rounded direction
             z *= np.float32(length)
             energy, length = energy * length**2, 1.0
@@ -280,8 +285,7 @@ class Level:
         else:
             add_scaled(r, length, product, r)
         add_scaled(x, length, z, x)
-        last.append(Step(z, product, energy or math.inf))
-        return True
+        return Step(z, product, energy or math.inf)
 
     def form(self, a: np.ndarray, b: np.ndarray, kind: int = 0) -> float:
         """Σ T (a_j − a_i + w)(b_j − b_i + w) over the faces of a slab's graph; kind 0: without w.  Collective."""
@@ -297,8 +301,8 @@ class Level:
         stored.  Collective.
         """
         graph, values, potential, aggregates, total = self.graph, NOTHING, NOTHING, self.graph, 0.0
-        if len(self.factor):
-            values = flow_graph.potential_flux(graph, self.eliminated(r))
+        if self.elimination is not None:
+            values = flow_graph.potential_flux(graph, self.exact(r))
         elif self.coarse is None and self.halo is not None:
             whole = self.to_root(r[: graph.points], self.counts)
             if self.root is not None:

@@ -20,13 +20,11 @@ from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import flow_graph
 from pgfmd.observables.flow_graph import Graph, crossing, face
-from pgfmd.observables.multigrid import Halo, Level, Step
+from pgfmd.observables.multigrid import Halo, Level
 from pgfmd.observables.patch_table import label_patches
 from pgfmd.parallel.compiled import compiled
 
 MOST, PATIENCE = 300, 12  # iterations; those without halving the error, after which the bounds stay as they are
-KEPT = 3  # directions to which a step is conjugate, for widths below `SINGLE`, 4 bytes per point each; 1 above.  Near
-# closure, pools behind narrow constrictions take 36 and 47 steps to 1e-8 with one direction, 20 and 23 with three
 SURE = 0.2  # of the width: error, as the multigrid estimates it, at which bounds are computed first
 SINGLE = 1e-5  # for widths from here on conductances are in single precision, 8 bytes less; the bounds allow for it
 NEGLIGIBLE = 1e-6  # of the largest gap: smaller ones count as closed if paths are left.  What rounding leaves in pools
@@ -78,7 +76,7 @@ class Network:
         if the iteration does not end.  Collective.
         """
         level, kind = self.level, (flow_graph.ACROSS_X, flow_graph.ACROSS_Y)[axis]
-        r, steps, moved = level.new(), list[Step](), True
+        r, step, moved = level.new(), None, True
         sources(level.graph, kind, r)
         u = level.start(r, kind)
         level.rest(r, u, r)
@@ -92,7 +90,7 @@ class Network:
             stuck = iteration - since >= PATIENCE or not estimate > 0 or not moved
             if estimate <= ready * upper or stuck:
                 del z  # it and the direction would be there at the peak of memory
-                steps.clear()
+                step = None
                 r[:] = 0  # the updated residual drifts from that of u, to which the bounds belong
                 sources(level.graph, kind, r)
                 flux, square = level.fluxes(level.rest(r, u, r), with_flux)
@@ -102,7 +100,8 @@ class Network:
                     return Flow(max(upper - square, 0.0), upper, fluxes, iteration)
                 z = level.cycle(r)
                 ready = 0.7 * width * estimate / square
-            moved = level.advance(u, r, z, steps, KEPT if width < SINGLE else 1)
+            step = level.advance(u, r, z, step)
+            moved = step is not None
             del z
         raise SolverError(f"leakage: no bounds after {MOST} iterations")
 
