@@ -460,6 +460,15 @@ def test_a_restart_within_a_cycle_gives_the_same_cycle(tmp_path):
     assert np.isin(whole.loads["bound"], (1, 3)).all() and (whole.loads["certified_error"] < 1e-10).all()
 
 
+def test_a_coarse_process_zone_is_warned_of(caplog):
+    """At 1.5 pixels one line says so; at 3 none."""
+    heights = 0.1 * np.cos(2 * np.pi * np.arange(32) / 32)[:, None] * np.ones(32)
+    for zone, warned in ((1.5, True), (3.0, False)):
+        caplog.clear()
+        pgfmd.solve(heights, mean_gap=3.0, contact_modulus=1.0, wall=AdhesiveWall(work=1 / zone, range=1.0))
+        assert ("process zone" in caplog.text) is warned
+
+
 WRONG = {
     "contact_area": ({"load": {"contact_area": 0.1}}, "contact_area .* not monotonic"),
     "pixel": ({"wall": {"kind": "adhesive", "work": 9.0, "range": 1.0}}, r"process zone .* grid.n = \d+"),

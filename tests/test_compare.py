@@ -7,6 +7,7 @@ import pytest
 
 import pgfmd
 from pgfmd.application.cli import main
+from pgfmd.application.compare import Row
 
 JOB = {
     "grid": {"n": 32},
@@ -42,6 +43,13 @@ def test_loads_are_paired_by_their_target(folders, capsys):
     assert gap["error"] == math.hypot(one["mean_gap_error"], two["mean_gap_error"])
     assert any("grid.refine: 1 → 2" in line for line in found["differs"])
     assert any("2 loads of one run have no partner" in line for line in found["differs"])
+
+
+def test_a_ratio_needs_an_error():
+    """Difference over the joint error; NaN where no error is known."""
+    row = {"run": "a", "load": 0, "target": 0.01, "name": "kappa", "first": 2.0, "other": 2.5}
+    assert Row(**row, first_error=0.3, other_error=0.4).ratio == pytest.approx(1.0)
+    assert math.isnan(Row(**row, first_error=math.nan, other_error=math.nan).ratio)
 
 
 def test_an_ensemble_is_compared_by_its_mean(folders, capsys):

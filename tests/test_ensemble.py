@@ -194,6 +194,22 @@ def test_more_seeds_are_added_by_restart(comm, shared_tmp_path):
     assert pgfmd.Ensemble(shared_tmp_path / "out").status == "complete"
 
 
+def test_a_restart_mends_a_complete_seed(comm, shared_tmp_path):
+    """Of a complete ensemble a restart solves what is damaged, and leaves the other seeds alone."""
+    job = with_seeds([3, 4], output={"fields": ["pressure"]})
+    folder = shared_tmp_path / "out"
+    before = pgfmd.run(job, folder, comm=comm).runs[1].field("pressure", 0)
+    whole, damaged = folder / "seed_0003", folder / "seed_0004" / "fields" / "load_0000.h5"
+    stamp = (whole / "observables.h5").stat().st_mtime_ns
+    comm.Barrier()
+    if comm.rank == 0:
+        damaged.write_bytes(damaged.read_bytes()[:3000])
+    comm.Barrier()
+    found = pgfmd.run(job, folder, comm=comm, restart=True)
+    assert np.allclose(found.runs[1].field("pressure", 0), before, atol=1e-5 * before.max())
+    assert (whole / "observables.h5").stat().st_mtime_ns == stamp
+
+
 def test_an_overwriting_that_was_stopped_is_continued(comm, shared_tmp_path, monkeypatch):
     """--overwrite by another job is stopped after its first seeds: the others, whose folders hold complete results of
     the old job, are not in the means, and --restart does them anew.

@@ -190,6 +190,16 @@ def test_a_search_costs_what_its_contact_costs(pressure):
     assert 1 / 1.5 < estimate.Plan(job.parse(text)).solving_costs()[0].transforms / expected < 1.5
 
 
+def test_a_search_costs_more_than_a_load():
+    """Three areas, which no pressure is known for, take three times as long as one, and longer than pressures."""
+    seconds = [
+        estimate.Plan(job.parse(text_of(1024, 0.01, {}).replace("pressure = [0.01]", load))).estimate(1).seconds
+        for load in ("contact_area = [0.1]", "contact_area = [0.1, 0.2, 0.3]", "pressure = [0.01]")
+    ]
+    one, three, pressed = (value - estimate.START for value in seconds)
+    assert 2 < three / one < 4 and one > pressed
+
+
 def test_thin_free_slabs_take_more_time():
     """A contact on a free slab of .2 of the cell takes many times as long as one on a slab of .3."""
     slabs = (["solid.base=free", f"solid.thickness={thickness}"] for thickness in (200, 300))

@@ -230,6 +230,18 @@ def test_what_no_load_gives_is_refused(rough, control, target):
         Counted(control, *rough).solution(target)
 
 
+def test_a_guess_has_no_unit_of_length(comm):
+    """The pressure guessed for a mean gap is the same if all lengths are ten times as long."""
+
+    def guess(scale: float) -> float:
+        grid = SlabGrid(comm, (32, 32), (32.0 * scale, 32.0 * scale))
+        problem = ContactProblem(grid, self_affine(grid, 0.8, 8.0 * scale, 0.1, 1), SOLID, HardWall(), 0.01)
+        control = CONTROLS["mean_gap"](problem, Load(mean_gap=[1.0]))
+        return control.guess(control.rms_height)
+
+    assert guess(10.0) == pytest.approx(guess(1.0), rel=1e-9)
+
+
 def test_controls_that_make_no_sense_are_refused(rough):
     """Areas under an exponential wall, and a flat surface."""
     grid, heights = rough

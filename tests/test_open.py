@@ -267,6 +267,7 @@ def test_a_cropped_contact_is_that_of_the_patch(monkeypatch):
     assert np.abs(cropped.gap - whole.gap).max() < 1e-7 * whole.gap.max()
     for name in ("displacement", "mean_gap", "elastic_energy"):
         assert abs(getattr(cropped, name) / getattr(whole, name) - 1) < 1e-6
+    assert cropped.mean_pressure == pytest.approx(np.mean(cropped.pressure), rel=1e-12)
     again = pgfmd.certify(heights, cropped.pressure, contact_modulus=MODULUS, boundary="open")
     assert abs(again.certified_error / cropped.certified_error - 1) < 0.3 and cropped.certified_error < 1e-12
 

@@ -38,7 +38,8 @@ def sites(tree: ast.Module) -> list[ast.AST]:
     """Nodes that can be changed, but not those of annotations."""
     hidden = {id(node) for each in ast.walk(tree) for name in ("annotation", "returns")
               if getattr(each, name, None) is not None for node in ast.walk(getattr(each, name))}  # fmt: skip
-    return [node for node in ast.walk(tree) if id(node) not in hidden and hasattr(node, "lineno") and _change(node)]
+    nodes = (node for node in ast.walk(tree) if id(node) not in hidden and hasattr(node, "lineno") and _change(node))
+    return [node for node in nodes if ast.unparse(getattr(node, "test", node)) != "TYPE_CHECKING"]  # False in runs
 
 
 def _change(node: ast.AST) -> str | None:
