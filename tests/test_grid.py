@@ -80,26 +80,31 @@ def test_one_node_without_shared_memory(comm, monkeypatch, caplog):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("shape", [(9, 8), (300, 290), (11, 600)])
 def test_nodes_that_are_not_alike(comm, monkeypatch, caplog, shape, dtype):
-    """A node of all ranks but one and a node of one, either way round: spectra are right, a rank sends one message to
-    the other node, or, where it is alone there, gets one from each of its ranks, and one line says so.
+    """Nodes of all ranks but one and of one, either way round, and of 1, n − 2 and 1: spectra are right, each rank
+    sends one message to every other node, and one line says so.
     """
     if comm.size < 3:
         pytest.skip("two nodes that differ have three ranks")
     caplog.set_level("INFO", "pgfmd")
-    for lonely, said in ((comm.size - 1, f"{comm.size - 1} + 1 ranks"), (0, f"1 + {comm.size - 1} ranks")):
-        transpose._say.cache_clear()
+    last = comm.size - 1
+    for ends in ((1,), (last,), (1, last)):
+        transpose._log_nodes.cache_clear()
         caplog.clear()
-        node, separate = comm.Split(comm.rank == lonely), comm.Dup()
+        number = int(np.searchsorted(ends, comm.rank, side="right"))
+        node, separate = comm.Split(number), comm.Dup()
+        sizes = np.diff([0, *ends, comm.size])
         monkeypatch.setattr(transpose, "node_of", lambda _, node=node: node)
         whole, grid = field(shape).astype(dtype), SlabGrid(separate, shape)
         spectrum = grid.forward(whole[grid.rows])
         expected = np.fft.rfft2(whole).T[grid.columns]
         assert np.abs(spectrum - expected).max(initial=0) <= EXACT[dtype] * np.abs(whole).sum()
         assert np.allclose(grid.backward(spectrum), whole[grid.rows], rtol=0, atol=100 * EXACT[dtype])
-        senders = set(grid._strips._senders.tolist()) - {comm.rank}
-        others = set(range(comm.size)) - {lonely}
-        assert senders == (others if comm.rank == lonely else {lonely} if node.rank == 0 else set())
-        assert caplog.text.count(said) == (comm.rank == 0)
+        targets, senders = (set(ranks.tolist()) for ranks in (grid._strips._targets, grid._strips._senders))
+        assert len(targets) == len(sizes) and comm.rank in targets & senders
+        known = comm.allgather((targets, senders))
+        assert all((comm.rank in known[rank][0]) == (rank in senders) for rank in range(comm.size))
+        said = f"{sizes.min()} to {sizes.max()} ranks" if sizes.min() < sizes.max() else "of 1 rank exchange"
+        assert caplog.text.count(f"{len(sizes)} nodes of") == caplog.text.count(said) == (comm.rank == 0)
         grid.free()
         separate.Free()
         node.Free()
@@ -145,7 +150,7 @@ def test_messages_between_nodes_have_32_bit_counts(tmp_path, monkeypatch, n, nod
     """
     ranks, path, pieces = 64 * nodes, tmp_path / "memory", []
 
-    def allocate(self, node, count, shares):
+    def allocate(self, node, count, any_shared):
         path.touch()
         os.truncate(path, count)  # a sparse file: no byte is touched
         pieces.append(np.memmap(path, np.uint8, "r+"))

@@ -164,6 +164,29 @@ def test_elimination_keeps_all_digits(contrast):
         assert solve_eliminated(found, x) == pytest.approx(exact, rel=1e-14, abs=0)
 
 
+def test_elimination_of_a_plane():
+    """Of 2500 points in a plane, where over 8 faces per point are kept, the flow of the potentials is that of sparse
+    LU; the elimination is not begun if more points have many faces than are allowed.
+    """
+    points = np.arange(2500).reshape(50, 50)
+    ends = np.concatenate([[points.ravel(), np.roll(points, -1, axis).ravel()] for axis in (0, 1)], axis=1)
+    both = np.concatenate([ends, ends[::-1]], axis=1)
+    order = np.argsort(both[0], kind="stable")
+    first = np.arange(0, 4 * points.size + 1, 4)
+    t = np.tile(np.random.default_rng(2).random(len(ends[0])), 2)[order]
+    graph = Graph(first, both[1][order].astype(np.int32), t, np.zeros(len(t), np.int8))
+    assert len(eliminated(graph, 10).order) == 0
+    found = eliminated(graph, 2500)
+    assert len(found.other) > 8 * points.size
+    x = np.zeros(points.size)
+    x[[3, found.order[-1]]] = 1, -1
+    matrix = sparse.csr_matrix((-t, graph.other, first))
+    matrix = (matrix - sparse.diags(np.asarray(matrix.sum(axis=1)).ravel())).tocsc()
+    kept = np.delete(np.arange(points.size), found.order[-1])
+    exact = sparse.linalg.spsolve(matrix[kept][:, kept], x[kept])
+    assert solve_eliminated(found, x)[kept] == pytest.approx(exact, rel=1e-10)
+
+
 def test_contrast(comm):
     """A channel of g³ = 1e-24 through plates of 1 in series carries what its narrowest face lets through."""
     gap = np.ones((16, 8))
@@ -258,7 +281,7 @@ def test_one_direction():
 
 
 def test_extrapolated_factors_and_their_error_bars(comm):
-    """From 8 points per shortest wave, nine in ten factors are within their error bars of those from 32.  Where no path
+    """From 8 points per shortest wave, factors are within their error bars of those from 32.  Where no path
     percolates but on the half grid, the factor is 0.
     """
     if comm.size > 1:
@@ -273,4 +296,4 @@ def test_extrapolated_factors_and_their_error_bars(comm):
             (value, error), (fine, its_error) = ((f[f"leakage_{axis}"], f[f"leakage_{axis}_error"]) for f in found)
             held.append(abs(value - fine) <= error + its_error)
             assert value >= 0 and fine >= 0
-    assert np.mean(held) >= 0.9
+    assert all(held)

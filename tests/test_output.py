@@ -20,7 +20,7 @@ from job_texts import SOLID
 from pgfmd.application import files, hdf5_slabs, job
 from pgfmd.application import writer as output
 from pgfmd.application.field_files import FieldFiles
-from pgfmd.application.info import summary
+from pgfmd.application.info import damage, summary
 from pgfmd.application.machine import Origin
 from pgfmd.application.results import Results
 from pgfmd.application.tables import ObservablesFile
@@ -566,9 +566,14 @@ def test_large_groups_have_files_of_their_own(comm, shared_tmp_path, monkeypatch
         axis = file["load_0001/pressure_histogram/density"].dims[0][0]
         assert axis.name == "/center" and axis.attrs["units"] == "pressure"
     assert files.read_sums(folder)["fields/load_0001_pressure_histogram.h5"] == files.sha256(path)
+    with open(path, "rb") as held:
+        fcntl.flock(held, fcntl.LOCK_SH)  # as another reader, which HDF5's locks would refuse
+        assert len(Results(folder)[1]["pressure_histogram"]["center"]) == 9999 and path not in damage(Results(folder))
     comm.Barrier()
     if comm.rank == 0:
         path.write_bytes(path.read_bytes()[:1000])
+    comm.Barrier()
+    assert path in damage(Results(folder))
     comm.Barrier()
     with writer(comm, folder, mode="restart") as result:
         assert result.pending == [1, 2]
@@ -578,10 +583,17 @@ def test_large_groups_have_files_of_their_own(comm, shared_tmp_path, monkeypatch
     if comm.rank == 0:
         path.unlink()
     comm.Barrier()
-    assert list(Results(folder)[1]) == ["pressure_histogram"]
-    with pytest.raises(InputError, match="load_0001_pressure_histogram.h5: is missing or damaged"):
+    assert list(Results(folder)[1]) == ["pressure_histogram"] and "pressure_histogram" in Results(folder)[1]
+    with pytest.raises(InputError, match="load_0001_pressure_histogram.h5: cannot be read: .*No such file"):
         Results(folder)[1]["pressure_histogram"]
     comm.Barrier()
+    monkeypatch.setattr(files, "LARGE_TABLE", 10**6)
+    with writer(comm, folder, mode="restart") as result:
+        write(result, 1)
+    assert path not in damage(Results(folder))
+    assert [path.name for path in path.parent.iterdir()] == ["load_0000_pressure_histogram.h5"]
+    comm.Barrier()
+    monkeypatch.setattr(files, "LARGE_TABLE", 40)
     with writer(comm, folder, mode="overwrite") as result:
         write(result, 0)
     assert [path.name for path in (folder / "fields-2").iterdir()] == ["load_0000_pressure_histogram.h5"]

@@ -199,9 +199,15 @@ def mean_groups(runs: Iterable[Results], index: int) -> dict[str, dict[str, Colu
         with h5py.File(run.directory / OBSERVABLES_FILE, "r", locking=False) as file:
             here: Mapping = file.get(load_name(index), {})
             if groups is None:
-                groups = {title: {key: _column(group[key]) for key in group} for title, group in here.items() if group}
+                groups = {}
+                for title in here:
+                    with run.group(here, title) as group:
+                        groups[title] = {key: _column(group[key]) for key in group}
             for title, columns in list(groups.items()):
-                values = {key: dataset[()] for key, dataset in (here.get(title) or {}).items()}
+                values = {}
+                if title in here:
+                    with run.group(here, title) as group:
+                        values = {key: dataset[()] for key, dataset in group.items()}
                 if columns.keys() == values.keys() and all(columns[key].fits(values[key]) for key in columns):
                     for key, column in columns.items():
                         column.add(values[key])

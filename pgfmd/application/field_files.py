@@ -10,7 +10,7 @@ must stay where they are.  A missing file reads as NaN, or −1 for integers.
 """
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -103,13 +103,19 @@ class FieldFiles:
 
     # Rank 0.
 
-    def begin(self, used: bool) -> None:
-        """Make the folder; remove the drafts of interrupted runs and, unless results use them, all its files."""
+    def begin(self, has_results: bool) -> None:
+        """Make the folder; remove the drafts of interrupted runs and, without results, all its files."""
         for draft in (self.directory / self.folder).glob(".*.h5.tmp"):
             draft.unlink(missing_ok=True)
-        if not used:
+        if not has_results:
             self.remove(and_checkpoint=False)
         (self.directory / self.folder).mkdir(exist_ok=True)
+
+    def remove_tables(self, name: str, kept: Collection[str]) -> None:
+        """Remove the files of groups of a load, but those that are `kept` (paths from the result folder)."""
+        for path in restart.own_field_files(self.directory / self.folder):
+            if path.name.startswith(f"{name}_") and str(path.relative_to(self.directory)) not in kept:
+                path.unlink(missing_ok=True)
 
     def write_table(self, file: str, title: str, table: Mapping[str, np.ndarray]) -> None:
         """Write a group of a load as a file (a path from the result folder) of its own."""

@@ -26,6 +26,7 @@ def damage(results: Results) -> dict[Path, str]:
     needed = [results.field_file(files.load_name(index)) for index in range(len(results)) if results.fields(index)]
     if "height" in results.job["output"]["fields"] and len(results):
         needed.append(results.field_file("height"))
+    needed += results.table_files()
     sums = files.read_sums(results.directory)
     if not sums:
         return {results.directory / files.SUMS_FILE: "it is missing, so that no file can be checked"}

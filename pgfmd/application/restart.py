@@ -16,13 +16,14 @@ from pgfmd.application import files, tables
 from pgfmd.application.job import Job, differences, parse
 from pgfmd.application.machine import Origin
 from pgfmd.errors import InputError
+from pgfmd.observables.observable_kinds import OBSERVABLES, layout_of
 from pgfmd.options.text import printable
 
 log = logging.getLogger("pgfmd")
 
 FIELDS_FOLDERS = (files.FIELDS_FOLDER, f"{files.FIELDS_FOLDER}-2")  # of results, and of those that replace them
 THIS_VERSION = f"{__version__}, format {files.FORMAT_VERSION}"
-_FIELD_FILE = re.compile(r"(height|load_\d{4,}(_\w+)?|checkpoint)\.h5")
+_FIELD_FILE = re.compile(r"(?:height|load_\d{4,}(?:_(\w+))?|checkpoint)\.h5")
 
 
 @dataclass
@@ -31,8 +32,8 @@ class EarlierResults:
 
     completed: number of loads up to the last one that is written; job: the effective job (None: there is nothing to
     continue); inputs: path → digest of each file that the job names; version: of the program and of the file format;
-    fields: load → names of its fields; tables: load → paths of its groups that have a file; folder: of all these files;
-    damaged: the loads (`load_0002`) of which one is missing or damaged, and `height`.
+    fields: load → names of its fields; table_files: load → paths of its groups that have a file; folder: of all these
+    files; damaged: names of loads with a missing or damaged file (`load_0002`), and `height`.
     """
 
     completed: int = 0
@@ -40,7 +41,7 @@ class EarlierResults:
     inputs: dict[str, str] = field(default_factory=dict)
     version: str = ""
     fields: dict[str, list[str]] = field(default_factory=dict)
-    tables: dict[str, list[str]] = field(default_factory=dict)
+    table_files: dict[str, list[str]] = field(default_factory=dict)
     folder: str = files.FIELDS_FOLDER
     damaged: set[str] = field(default_factory=set)
 
@@ -58,10 +59,12 @@ class EarlierResults:
         return shown
 
     def find_damage(self, directory: Path) -> None:
-        """Find files of fields that are missing, truncated, or whose metadata is damaged; the numbers are not read."""
+        """Find files of fields and large groups that are missing, truncated, or have damaged metadata; numbers are not
+        read.
+        """
         fields = [(name, directory / self.folder / f"{name}.h5", keys) for name, keys in self.fields.items() if keys]
         groups: list[tuple[str, Path, list[str]]] = [
-            (name, directory / path, []) for name, paths in self.tables.items() for path in paths
+            (name, directory / path, []) for name, paths in self.table_files.items() for path in paths
         ]
         for name, path, keys in (("height", directory / self.folder / "height.h5", ["height"]), *fields, *groups):
             there = path.exists()
@@ -73,11 +76,11 @@ class EarlierResults:
 
 
 def _fault(path: Path, keys: list[str]) -> str | None:
-    """The fault of a file with those fields, as HDF5 reports it; None if it has none."""
+    """The fault of a file with those fields, or of all its datasets, as HDF5 reports it; None if it has none."""
     try:
         with h5py.File(path, "r", locking=False) as file:
-            for key in keys:
-                file[key][:0]
+            for dataset in (file[key] for key in keys or file):
+                dataset[: 0 if dataset.shape else None]
     except Exception as error:  # whatever HDF5 makes of a damaged file
         return f"it is damaged ({error})"
     return None
@@ -97,7 +100,7 @@ def read(directory: Path) -> EarlierResults:
                 inputs=json.loads(file.attrs.get("inputs", "{}")),
                 version=f"{file.attrs['softwareVersion']}, format {file.attrs['format_version']}",
                 fields={name: list(file[name].attrs["fields"]) for name in names if name in file},
-                tables={name: list(tables.linked(file[name]).values()) for name in names if name in file},
+                table_files={name: list(tables.linked(file[name]).values()) for name in names if name in file},
                 folder=str(file.attrs.get("fields_folder", files.FIELDS_FOLDER)),
             )
     except (OSError, KeyError, RuntimeError, ValueError) as error:
@@ -134,17 +137,24 @@ def is_own(path: Path) -> bool:
     return start.startswith(b"\x89HDF") and b"software" in start and b"pgfmd" in start
 
 
+def _field_files(folder: Path) -> Iterator[Path]:
+    """Files in the folder of fields with names that runs give."""
+    titles = layout_of(OBSERVABLES.values())
+    for path in folder.glob("*.h5"):
+        if (found := _FIELD_FILE.fullmatch(path.name)) and (found[1] is None or found[1] in titles):
+            yield path
+
+
 def own_field_files(folder: Path) -> Iterator[Path]:
-    """Files of fields and checkpoints, finished or not, that this program wrote into a folder."""
+    """Files of fields, large groups and checkpoints, finished or not, that this program wrote into a folder."""
     yield from folder.glob(".*.h5.tmp")
-    yield from (path for path in folder.glob("*.h5") if _FIELD_FILE.fullmatch(path.name) and is_own(path))
+    yield from filter(is_own, _field_files(folder))
 
 
 def refuse_foreign(directory: Path, folder: str) -> None:
     """Raise InputError if a file that the run would write (fields in `folder`) exists and is not this program's."""
-    fields = (path for path in (directory / folder).glob("*.h5") if _FIELD_FILE.fullmatch(path.name))
     small = (directory / name for name in files.SMALL)
-    for path in (*small, *fields):
+    for path in (*small, *_field_files(directory / folder)):
         if os.path.lexists(path) and not is_own(path):
             raise InputError(f"{path}: was not written by pgfmd, which would replace it; move it away, or choose "
                              "another folder")  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -166,12 +167,28 @@ class Results:
         """The path of the file of "height" or of the fields of a load ("load_0000"); it may not exist."""
         return self.directory / self.provenance.get("fields_folder", FIELDS_FOLDER) / f"{name}.h5"
 
+    def table_files(self) -> list[Path]:
+        """The files of groups that have one, of all loads."""
+        with self._open(OBSERVABLES_FILE) as file:
+            loads = [file[load_name(index)] for index in range(len(self)) if load_name(index) in file]
+            return [self.directory / path for load in loads for path in linked(load).values()]
+
     def blocks(self, name: str, load: int | None = None, size: int = 2**26) -> Iterator[tuple[slice, np.ndarray]]:
         """A field in blocks of rows of about `size` bytes: (rows, values), so that it may be larger than memory."""
         count = max(1, size // (8 * self.shape[1]))
         for start in range(0, self.shape[0], count):
             rows = slice(start, min(start + count, self.shape[0]))
             yield rows, self.field(name, load, rows)
+
+    @contextmanager
+    def group(self, load: h5py.Group, title: str) -> Iterator[h5py.Group]:
+        """A group of an open load; a file of its own is opened without locks, which a link would take."""
+        link = load.get(title, getlink=True)
+        if isinstance(link, h5py.ExternalLink):
+            with self._open(link.filename) as file:
+                yield file
+        else:
+            yield load[title]
 
     def _index(self, index: int) -> int:
         if not -len(self) <= index < len(self):
@@ -197,16 +214,17 @@ class LoadResults(Mapping[str, Mapping[str, np.ndarray]]):
 
     def __getitem__(self, title: str) -> Mapping[str, np.ndarray]:
         with self.results._open(OBSERVABLES_FILE) as file:
-            load = file[self._name]
-            if load.get(title) is None and title in (links := linked(load)):
-                raise InputError(f"{self.results.directory / links[title]}: is missing or damaged")
-            table = {key: dataset[()] for key, dataset in load[title].items()}
+            with self.results.group(file[self._name], title) as group:
+                table = {key: dataset[()] for key, dataset in group.items()}
         results = self.results
         return modern(title, table, results.provenance["format_version"], results.shape, results._overlaps)
 
     def __iter__(self) -> Iterator[str]:
         with self.results._open(OBSERVABLES_FILE) as file:
             return iter(list(file[self._name]) if self._name in file else [])
+
+    def __contains__(self, title: object) -> bool:
+        return any(title == each for each in self)
 
     def __len__(self) -> int:
         return len(list(iter(self)))

@@ -164,24 +164,25 @@ class ResultWriter:
         """
         self.begin()
         name, groups = load_name(index), groups or {}
-        links = {
-            title: f"{self._fields.folder}/{name}_{title}.h5" for title, each in groups.items() if tables.is_large(each)
-        }
+        large = [title for title, each in groups.items() if tables.is_large(each)]
+        own_files = {title: f"{self._fields.folder}/{name}_{title}.h5" for title in large}
 
         def write_large() -> None:
-            for title, path in links.items():
+            for title, path in own_files.items():
                 self._fields.write_table(path, title, groups[title])
 
         def add(file: h5py.File) -> None:
             tables.add_row(file[TABLE], index, row, self.form)
-            group = tables.add_groups(file, index, groups, self.form, links)
+            group = tables.add_groups(file, index, groups, self.form, own_files)
             group.attrs["fields"] = np.array(sorted(fields or {}), h5py.string_dtype())
 
-        with self._changing(f"{self._fields.folder}/{name}.h5", *links.values(), *SMALL):
+        with self._changing(f"{self._fields.folder}/{name}.h5", *own_files.values(), *SMALL):
             from_root(self.comm, write_large)
             if fields:
                 self._fields.write(name, fields, show=not self.replacing)
             from_root(self.comm, self._replace if self.replacing else self._observables.change, add)
+            if index < self.completed:  # solved again: what was large may be small
+                from_root(self.comm, self._fields.remove_tables, name, own_files.values())
         self.replacing = False
         self.completed = max(self.completed, index + 1)
         self._written.add(name)

@@ -29,7 +29,7 @@ from pgfmd.parallel.mpi import MPI, datatype, shared_memory, world
 TILE = 256  # bytes of a row in one tile: more favours the passes along rows, less those along columns
 WIDE = 16 * ALIGNMENT  # bytes of a row from which it is padded: padding is then a small part
 WORD = np.dtype(np.int64)  # type of copies, whatever the numbers are
-TAG = 1  # of messages between nodes that are not alike; rows that go to neighbours have 0
+TAG = 1  # of messages between nodes that are not alike; all other messages from rank to rank have 0
 log = logging.getLogger("pgfmd")
 Counts = tuple[np.ndarray, np.ndarray]
 """Blocks of each rank's part of a buffer, and where the parts begin."""
@@ -71,14 +71,15 @@ class Strips(ABC):
         self.width = int(self.column_starts[comm.rank + 1] - self.column_starts[comm.rank])
         self.window: MPI.Win | None = None
 
-    def _allocate(self, node: MPI.Comm, count: int, shares: bool) -> None:
-        """Allocate `count` bytes, shared with the node.  shares: whether some node has several ranks.  Collective.
+    def _allocate(self, node: MPI.Comm, count: int, any_shared: bool) -> None:
+        """Allocate `count` bytes, shared with the node.  any_shared: whether some node has several ranks; then all take
+        part, as checks are collective.  Collective.
 
         Sets flat: the memory of all its ranks, and begins: where that of each rank begins in it, on a cache line.
         Raises NoSharedMemory on all ranks if those of some node cannot share so much.
         """
         self.node = node
-        if not shares:
+        if not any_shared:
             self.flat, self.begins = aligned_bytes(count), np.zeros(1, np.int64)
             return
         # Asked before: where the memory does not suffice, some libraries fail on one rank, and the others wait for it.
@@ -308,27 +309,28 @@ def make_strips(comm: MPI.Comm, shape: tuple[int, int], shared: bool = True) -> 
     if not shared:
         return ExchangedStrips(comm, shape, MPI.COMM_SELF, single)
     node = node_of(comm)
-    told = comm.rank == 0 and comm.size == world().size  # coarser grids have fewer ranks
+    logs = comm.rank == 0 and comm.size == world().size  # coarser grids have fewer ranks
     try:
         if node.size == comm.size:
             return SharedStrips(comm, shape)
         if (starts := node_starts(comm, node)) is not None:
-            if told:
-                _say(tuple(np.diff(starts).tolist()))
-            return ExchangedStrips(comm, shape, node, starts)
+            strips, sizes = ExchangedStrips(comm, shape, node, starts), np.diff(starts)
+            if logs:
+                _log_nodes(len(sizes), int(sizes.min()), int(sizes.max()))
+            return strips
         reason = "ranks are not numbered node by node"
     except NoSharedMemory as failure:
-        reason, told = str(failure), comm.rank == 0
-    if told:
+        reason, logs = str(failure), comm.rank == 0
+    if logs:
         _warn(reason)
     return ExchangedStrips(comm, shape, MPI.COMM_SELF, single)
 
 
 @cache
-def _say(sizes: tuple[int, ...]) -> None:
+def _log_nodes(count: int, least: int, most: int) -> None:
     """A line in the log, once in a process."""
-    each = f"{sizes[0]} ranks each" if len(set(sizes)) == 1 else " + ".join(map(str, sizes)) + " ranks"
-    log.info("ranks of a node share memory; %d nodes (%s) exchange messages", len(sizes), each)
+    sizes = f"{least} to {most} ranks" if least < most else f"{most} rank{'s' * (most > 1)}"
+    log.info("%d nodes of %s exchange messages; ranks of one node share memory", count, sizes)
 
 
 @cache

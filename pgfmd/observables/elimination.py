@@ -12,8 +12,8 @@ import numpy as np
 from pgfmd.observables.flow_graph import Graph
 from pgfmd.parallel.compiled import compiled
 
-SPARSE = 4  # faces: how many points have more when all others are gone tells how long the rest will take
-FEW = 20  # a pass over the points that eliminates less than one of so many raises the number of faces that is allowed
+SPARSE = 4  # faces: the time is judged when only points with more are left
+FEW = 20  # when a pass eliminates less than one in so many points, those with one face more may go
 
 
 class Elimination(NamedTuple):
@@ -42,8 +42,8 @@ class _Lists(NamedTuple):
 
 @compiled()
 def _packed(lists: _Lists, more: int) -> tuple[_Lists, int]:
-    """The lists one after the other, each with room for two more faces, in arrays with room for as many lists again and
-    `more` faces; and where these lists end.
+    """The lists one after the other, each with room for two more faces, in arrays that are twice as long and have room
+    for `more` faces besides; and where the lists end.
     """
     begin, size, room, other, weight = lists
     at, left = 0, np.flatnonzero(size)
@@ -87,8 +87,8 @@ def _longer(values: np.ndarray, count: int) -> np.ndarray:
 
 @compiled()
 def eliminated(graph: Graph, many: int) -> Elimination:
-    """The elimination of all points of a graph in compressed rows; of none if more than `many` points have more than
-    `SPARSE` faces when all others are gone.
+    """The elimination of all points of a graph in compressed rows; an empty one if more than `many` points are left
+    when those with up to `SPARSE` faces are gone.
     """
     n = len(graph.first) - 1
     lists, used = _lists(graph)
@@ -113,7 +113,7 @@ def eliminated(graph: Graph, many: int) -> Elimination:
             size[k] = 0
             order[count], total[count] = k, weight[at : at + faces].sum()
             for a in range(at, at + faces):
-                i, share = other[a], weight[a] / total[count]
+                i, share = other[a], weight[a] / total[count] if total[count] > 0 else 0.0
                 if size[i] + faces > room[i]:
                     wanted = size[i] + 2 * faces
                     if used + wanted > len(near):
@@ -151,7 +151,7 @@ def eliminated(graph: Graph, many: int) -> Elimination:
 
 @compiled()
 def solve_eliminated(found: Elimination, x: np.ndarray) -> np.ndarray:
-    """Replaces x by A⁻¹ x, and returns it; the last point of a component has 0."""
+    """Replaces x by A⁻¹ x, and returns it; the point of a component that was eliminated last has 0."""
     order, first, other, weight, total = found
     for k in range(len(order)):
         i = order[k]

@@ -237,7 +237,9 @@ def eliminate(table: np.ndarray, n: int) -> None:
 
 @compiled()
 def back_substitute(table: np.ndarray, n: int, x: np.ndarray) -> np.ndarray:
-    """Replaces x by A⁻¹ x, by an elimination of n points, and returns it; a component's first point has 0."""
+    """Replaces x by A⁻¹ x, by an elimination of n points, and returns it; the first point of a component, eliminated
+    last, has 0.
+    """
     for k in range(n - 1, -1, -1):
         for i in range(k if table[k, k] > 0 else 0):
             x[i] += table[k, i] / table[k, k] * x[k]

@@ -34,8 +34,8 @@ class Leakage(Observable):
     plates.  Over the cube of the mean gap it is the pressure flow factor of Patir and Cheng (1978,
     doi:10.1115/1.3453103).  Faces between points have the harmonic mean of g³.  The bounds hold for this grid.
     With a half grid the value is extrapolated to spacing 0 as if its error were of second order; the error bar reaches
-    to what first order would give, since near closure the order is between both.  The change may be small by chance, so
-    that it is taken, relative to the value, from the axis where it is larger.
+    to what an order of .7 would give, since near closure the order falls below 1.  The change may be small by chance,
+    so that it is taken, relative to the value, from the axis where it is larger.
     """
 
     name = "leakage"
@@ -66,7 +66,7 @@ class Leakage(Observable):
     width: float = key(number(above=0, below=1), 1e-3, "relative, asked of the bounds; rounding may widen it", unit="1")
     half_grid: bool = key(
         flag(), False,
-        "extrapolate to spacing 0 by a grid with half the points each way, beyond the bounds; error: twice the change",
+        "extrapolate to spacing 0 by a grid with half the points each way, beyond the bounds; error: 4 × the change",
     )  # fmt: skip
 
     def cost(self, cell: Cell, cutoff: float | None) -> Cost:
@@ -114,7 +114,7 @@ class Leakage(Observable):
         changes = (values - (halves or math.nan)) / 3 if self.half_grid else np.zeros(len(values))
         largest = np.max(abs(changes[values > 0]) / values[values > 0], initial=0)
         for axis, found, value, change in zip(self.axes(), flows, values, changes, strict=True):
-            error = (found.upper - found.lower) / 2 + 2 * max(abs(change), value * largest)
+            error = (found.upper - found.lower) / 2 + 4 * max(abs(change), value * largest)
             value = max(value + change, 0.0)
             if found.upper == 0 and contact.grid.comm.rank == 0:
                 log.info("leakage: no path through the gap percolates along %s: the flow factor is 0", "xy"[axis])

@@ -3,8 +3,8 @@ doi:10.1002/nla.542), on slabs.
 
 The finest level is a slab of the grid, the others have compressed rows.  Three levels lie in slabs, with copies of the
 points of neighbouring ranks; aggregates stay within a slab.  The next one, about .01 of the points, is gathered on rank
-0, and solved exactly if that is fast, or else a coarser one is.  Preconditioned residuals and directions in slabs are
-in single precision, which takes as many iterations as double.
+0, and solved exactly if few of its points have many faces; otherwise it is coarsened until that holds.  Preconditioned
+residuals and directions in slabs are in single precision, which takes as many iterations as double.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from pgfmd.parallel.mpi import MPI
 
 IN_SLABS = 3  # levels
 MANY = 70_000  # points with many faces that are still eliminated: .01 s for 3e3, .2 s for 3e4, .6 s for 6e4; 1.3e5
-# take 2 s, more than that saves
+# take 2 s, longer than the iterations that they save
+SLOW = 0.6  # points left by a coarsening on rank 0 from which aggregates may have any size: hubs with many neighbours
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 FIRST = 4  # steps on rank 0 for the start
 INNER, INNER_CUT = 8, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall.  Mostly 2
-# or 3 do it; where pools lie behind narrow constrictions 6, and with at most 4 the finest level takes 24 steps for 11
+# or 3 do it; where pools lie behind narrow constrictions 6, and with at most 4 the finest level takes 24 steps, not 11
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 PART = 1 << 16  # entries of a sum at a time
@@ -112,6 +113,8 @@ class Level:
         graph, sizes = self.graph, np.ones(self.graph.points, np.int32)
         for most in SIZES:
             found, count = match(graph, sizes, most, halo is None)
+            if halo is None and count > SLOW * graph.points:
+                found, count = match(graph, sizes, 2 * graph.points, True)
             wholes = np.zeros(count, np.int32)
             restrict(sizes, found, graph.points, wholes)
             sizes = wholes

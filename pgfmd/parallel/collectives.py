@@ -244,14 +244,14 @@ def node_of(comm: MPI.Comm) -> MPI.Comm:
 
 
 def node_starts(comm: MPI.Comm, node: MPI.Comm) -> np.ndarray | None:
-    """First rank of each node and, last, the number of ranks; None if these are not numbered by node.  Collective."""
+    """First rank of each node and, last, the number of ranks; None if those of a node do not follow each other."""
     first = np.array(comm.allgather(node.bcast(comm.rank)))
     return None if np.any(np.diff(first) < 0) else np.append(np.unique(first), comm.size)
 
 
 def peers_of(comm: MPI.Comm, node: MPI.Comm) -> MPI.Comm:
-    """One rank of each node, in the order of nodes that are alike: those with this one's rank in their `node`.
-    Collective on first use.
+    """One rank of each node, in the order of nodes, which must all hold equally many: those with this one's rank in
+    their `node`.  Collective on first use.
     """
     if node.size == 1:
         return comm
