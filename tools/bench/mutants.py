@@ -86,7 +86,7 @@ def _files(contexts: Iterable[str]) -> set[str]:
 
 def run(folder: Path, ranks: int, words: list[str]) -> str | None:
     """The first test that fails in a folder, on one rank or several; None if all pass."""
-    environment = os.environ | {"PYTHONPATH": str(folder), "MPLBACKEND": "Agg", "PGFMD_CACHE": str(folder / "cache")}
+    environment = os.environ | {"PYTHONPATH": str(folder), "MPLBACKEND": "Agg"}
     pytest = ["-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *words]
     command = [str(folder / "tests" / "mpirun.sh"), str(ranks), sys.executable, *pytest, "-m", "mpi"]
     if ranks == 1:
@@ -132,6 +132,7 @@ def main() -> int:
         files = tests_of(data, path, node.lineno)
         source = mutated(path.read_text(), node)
         with tempfile.TemporaryDirectory() as folder:
+            os.environ["PGFMD_CACHE"] = str(Path(folder) / "cache")
             copy = Path(folder) / "checkout"
             shutil.copytree(options.root, copy, ignore=shutil.ignore_patterns(".git", ".venv", "results", ".coverage*"))
             where = path.relative_to(options.root)
