@@ -317,6 +317,9 @@ class Level:
                 values, potential, aggregates = above.values, np.zeros(graph.points), above.graph
             elif len(graph.first) or keep:
                 values = np.zeros(len(graph.weight) if len(graph.first) else 2 * graph.points)
-            stored = NOTHING if len(potential) else values
-            total = flow_graph.shared_flux(graph, above, self.aggregate, r[: graph.points], stored, potential)
+            stored, r = NOTHING if len(potential) else values, r[: graph.points]
+            if len(graph.first):
+                flow_graph.shared_flux(graph, above, self.aggregate, r, stored, potential)
+            else:
+                total = flow_graph.shared_flux_in_slab(graph, above, self.aggregate, r, stored)
         return Flux(graph, values, self.aggregate, potential, aggregates), total
