@@ -272,13 +272,14 @@ def place(order: np.ndarray, before: int, i: int) -> int:
 @compiled()
 def shared_flux(
     graph: Graph, above: Flux, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray, potential: np.ndarray
-) -> float:
-    """Σ f²/T of a flux with Σ_j f_ij = r_i: `above`, that of the graph of aggregates, in proportion to T between these,
-    and the least that balances the rest within each.  flux, and potential as in `Flux`: filled unless empty.
+) -> None:
+    """A flux with Σ_j f_ij = r_i on a graph in compressed rows: `above`, that of the graph of aggregates, in proportion
+    to T between these, and the least that balances the rest within each.  flux: filled unless empty; else potential is,
+    as in `Flux`.
     """
     coarse, (first, other, weight, _) = above.graph, graph
     order, begin = grouped(aggregate, len(r), len(coarse.first) - 1)
-    largest, total = np.diff(begin).max() if len(begin) > 1 else 0, 0.0
+    largest = np.diff(begin).max() if len(begin) > 1 else 0
     table, target = np.empty((largest, largest)), np.empty(largest)
     for a in range(len(begin) - 1):
         n, before = begin[a + 1] - begin[a], begin[a]
@@ -295,7 +296,6 @@ def shared_flux(
                 c = face_to(coarse, a, b)
                 f = through(above, a, c) * (t / coarse.weight[c])
                 target[m] -= f
-                total += f * f / t
                 if len(flux):
                     flux[k] = f
         eliminate(table, n)
@@ -304,20 +304,16 @@ def shared_flux(
             i = order[before + m]
             if len(potential):
                 potential[i] = target[m]
-            for k in range(first[i], first[i + 1]):
-                j, t = other[k], weight[k]
-                if aggregate[j] == a and t > 0:
-                    difference = target[m] - target[place(order, before, j)] if j != i else 0.0
-                    total += t * difference * difference
-                    if len(flux):
-                        flux[k] = t * difference
-    return total
+            for k in range(first[i], first[i + 1] if len(flux) else first[i]):
+                if aggregate[other[k]] == a:
+                    flux[k] = weight[k] * (target[m] - target[place(order, before, other[k])])
 
 
 @compiled()
 def shared_flux_in_slab(graph: Graph, above: Flux, aggregate: np.ndarray, r: np.ndarray, flux: np.ndarray) -> float:
-    """The same of a graph of a slab; flux: with the faces down and right of each point in turn.  Without the function
-    `face`, which serves both kinds of graphs, this takes a quarter of the time.
+    """The same on a graph of a slab; returns Σ f²/T over the faces of all points, each counted for both.  flux: filled
+    unless empty, with the faces down and right of each point in turn.  Without the function `face`, which serves both
+    kinds of graphs, this takes a quarter of the time.
     """
     coarse, (_, other, weight, border) = above.graph, graph
     points, ny = int(other[0]), int(other[1])
