@@ -224,15 +224,16 @@ def test_long_pixels_are_not_rounded_away(lengths):
     assert 0 < found.lower <= 6 * face / 2 * (1 + 1e-6) and 6 * face / 2 * (1 - 1e-6) <= found.upper < 7 * face
 
 
-def test_pools_near_closure():
-    """Near closure, with pools behind narrow constrictions, steps are as few as elsewhere."""
+@pytest.mark.parametrize("shortest, pressure", [(8, 0.17), (2, 0.1), (2, 0.14)])
+def test_pools_near_closure(shortest, pressure):
+    """With pools behind narrow constrictions steps are as few as elsewhere, also where roughness reaches the pixel."""
     n = 512
     q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
-    size = np.where((q >= 2 / n) & (q <= 1 / 8), np.maximum(q, 1 / n) ** -1.3, 0)
+    size = np.where((q >= 2 / n) & (q <= 1 / shortest), np.maximum(q, 1 / n) ** -1.3, 0)
     heights = np.fft.irfft2(size * np.exp(2j * np.pi * np.random.default_rng(7).random(q.shape)), s=(n, n))
-    contact = pgfmd.solve(heights / np.std(np.diff(heights, axis=0)), 0.17, tolerance=1e-10)
+    contact = pgfmd.solve(heights / np.std(np.diff(heights, axis=0)), pressure, tolerance=1e-10)
     found = flow_through(SlabGrid(ALONE, (n, n)), contact.gap, contact.pressure <= 0, (0, 1e-8, False))
-    assert found.iterations <= 11  # 9; 19 if coarse levels take at most 4 steps and none is eliminated
+    assert found.upper > 0 and found.iterations <= 12  # 9 to 10; with aggregates over weak faces up to 56
 
 
 def test_closed_gap(comm):

@@ -33,13 +33,11 @@ from pgfmd.observables.flow_loops import (
 from pgfmd.parallel.mpi import MPI
 
 IN_SLABS = 3  # levels
-MANY = 70_000  # points with many faces that are still eliminated: .01 s for 3e3, .2 s for 3e4, .6 s for 6e4; 1.3e5
-# take 2 s, longer than the iterations that they save
+MANY = 3_000  # points with many faces that are still eliminated: .01 s.  With 7e4, .6 s, iterations are as many
 SLOW = 0.6  # points left by a coarsening on rank 0 from which aggregates may have any size: hubs with many neighbours
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 FIRST = 4  # steps on rank 0 for the start
-INNER, INNER_CUT = 8, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall.  Mostly 2
-# or 3 do it; where pools lie behind narrow constrictions 6, and with at most 4 the finest level takes 24 steps, not 11
+INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall
 LONGEST = 1e6  # step along a direction: 3e2 where conductances are 1e8 apart.  Rounding in r does not sum up to 0, and
 # along the constant in it, which has no energy but rounding, steps were 1e14 to 1e28
 PART = 1 << 16  # entries of a sum at a time
@@ -110,11 +108,13 @@ class Level:
                 self._aggregate(halo)
 
     def _aggregate(self, halo: Halo | None) -> None:
-        graph, sizes = self.graph, np.ones(self.graph.points, np.int32)
+        graph, sizes, diagonals = self.graph, np.ones(self.graph.points, np.int32), NOTHING
+        if len(graph.first):  # with 4 faces at most, all matches are good
+            diagonals = flow_graph.summed_diagonals(graph, NOWHERE, graph.points)
         for most in SIZES:
-            found, count = match(graph, sizes, most, halo is None)
+            found, count = match(graph, sizes, diagonals, most, halo is None)
             if halo is None and count > SLOW * graph.points:
-                found, count = match(graph, sizes, 2 * graph.points, True)
+                found, count = match(graph, sizes, NOTHING, 2 * graph.points, True)
             wholes = np.zeros(count, np.int32)
             restrict(sizes, found, graph.points, wholes)
             sizes = wholes
@@ -124,6 +124,7 @@ class Level:
             graph = flow_graph.coarsened(graph, found, count)
             if most == SIZES[0]:
                 self.aggregate = found
+                diagonals = flow_graph.summed_diagonals(self.graph, found, count)
             else:
                 flow_graph.composed(self.aggregate, found)
         self.coarse = Level(graph, halo, self.depth + 1)
