@@ -153,19 +153,26 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
 def conductances(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, unit: float, dtype: DTypeLike = float) -> Graph:
     """The graph of the points of a mask whose faces have the harmonic mean of (gap/unit)³.  Collective."""
     k = np.where(mask, gap / unit, 0.0)
-    k **= 3
+    for row in k:
+        row *= row * row
     after, (ax, ay) = grid.neighbours([k])[0][1:], grid.spacing
     down, right = np.empty(k.shape, dtype), np.empty(k.shape, dtype)
-    for i in range(len(k)):
-        down[i] = _harmonic(k[i], k[i + 1] if i + 1 < len(k) else after[0]) * (ay / ax)
-        right[i] = _harmonic(k[i], np.roll(k[i], -1)) * (ax / ay)
+    harmonic_means(k, after, (ay / ax, ax / ay), (down, right))
     return slab_graph(grid, mask, down, right)
 
 
-def _harmonic(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Harmonic mean; 0 where one of both is."""
-    total = a + b
-    return np.divide(2 * a * b, total, out=np.zeros_like(a), where=total > 0)
+@compiled()
+def harmonic_means(
+    k: np.ndarray, after: np.ndarray, ratios: tuple[float, float], faces: tuple[np.ndarray, np.ndarray]
+) -> None:
+    """Ratios times the harmonic means of k (nx_local, ny) and the next row's and column's, 0 where either is 0."""
+    nx, ny = k.shape
+    for i in range(nx):
+        below = k[i + 1] if i + 1 < nx else after[0]
+        for j in range(ny):
+            a, down, right = k[i, j], below[j], k[i, j + 1 if j + 1 < ny else 0]
+            faces[0][i, j] = 2 * a * down / (a + down) * ratios[0] if a * down > 0 else 0.0
+            faces[1][i, j] = 2 * a * right / (a + right) * ratios[1] if a * right > 0 else 0.0
 
 
 @compiled()
