@@ -100,14 +100,20 @@ class Level:
         if halo is not None and depth == IN_SLABS:
             self._gather(halo)
         elif halo is not None:
-            self._aggregate(halo)
+            self._coarsen(halo)
         else:
             self.elimination = eliminated(graph, MANY)
             if len(self.elimination.order) < graph.points:
                 self.elimination = None
-                self._aggregate(halo)
+                self._coarsen(halo)
 
-    def _aggregate(self, halo: Halo | None) -> None:
+    def _coarsen(self, halo: Halo | None) -> None:
+        self.coarse = Level(*self._aggregated(halo), self.depth + 1)
+        if halo is not None and len(self.graph.first):  # only levels of rank 0, which make the start, need it later
+            self.graph = self.graph._replace(border=np.empty(0, np.int8))
+
+    def _aggregated(self, halo: Halo | None) -> tuple[Graph, Halo | None]:
+        """Joins points, and returns the graph and the halo of aggregates."""
         graph, sizes, diagonals = self.graph, np.ones(self.graph.points, np.int32), NOTHING
         if len(graph.first):  # with 4 faces at most, all matches are good
             diagonals = flow_graph.summed_diagonals(graph, NOWHERE, graph.points)
@@ -127,9 +133,7 @@ class Level:
                 diagonals = flow_graph.summed_diagonals(self.graph, found, count)
             else:
                 flow_graph.composed(self.aggregate, found)
-        self.coarse = Level(graph, halo, self.depth + 1)
-        if halo is not None and len(self.graph.first):  # only levels of rank 0, which make the start, need it later
-            self.graph = self.graph._replace(border=np.empty(0, np.int8))
+        return graph, halo
 
     def _gather(self, halo: Halo) -> None:
         """Makes the level of rank 0, whose points are those of all ranks in turn."""
