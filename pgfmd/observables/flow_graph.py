@@ -16,7 +16,7 @@ LEFTMOST, RIGHTMOST, BORDER_ABOVE, BORDER_BELOW = 1, 2, 4, 8  # of a point: its 
 ACROSS_X, ACROSS_Y = 1, 2  # kinds of faces that cross the border of the cell; negative: backwards
 QUALITY = 5.0  # a and b are joined if T_ab is at least d_a d_b / (QUALITY (d_a + d_b)), where d sums the diagonals of
 # their points.  Where roughness reaches the pixel it takes 9 to 12 iterations to 1e-8 (9 to 14 at 8, 12 to 17 at 16, 31
-# to 67 without this rule); at 4, less than the 4.8 of a pair and three points with unit T's, there are 7 % more aggregates
+# to 67 without this rule).  A pair and three points with unit T's have 4.8: at 4 there are 7 % more aggregates
 STRONG = 0.9  # a point is matched if its free neighbour's T is at least this part of its largest
 
 
