@@ -141,7 +141,7 @@ def test_elimination_keeps_all_digits(contrast):
         order = np.argsort(both[0], kind="stable")
         first = np.concatenate([[0], np.cumsum(np.bincount(both[0], minlength=points))])
         other, t = both[1][order].astype(np.int32), np.concatenate([weight, weight])[order]
-        found = eliminated(Graph(first, other, t, np.zeros(len(t), np.int8)), 70_000)
+        found = eliminated(Graph(first, other, t, np.zeros(len(t), np.int8)), 3_000)
         assert sorted(found.order) == list(range(points))
         component = connected_components(sparse.coo_matrix((np.ones(len(both[0])), both), (points, points)))[1]
         sinks = {component[point]: point for point, total in zip(found.order, found.total, strict=True) if total == 0}
@@ -224,16 +224,20 @@ def test_long_pixels_are_not_rounded_away(lengths):
     assert 0 < found.lower <= 6 * face / 2 * (1 + 1e-6) and 6 * face / 2 * (1 - 1e-6) <= found.upper < 7 * face
 
 
-@pytest.mark.parametrize("shortest, pressure", [(8, 0.17), (2, 0.1), (2, 0.14)])
-def test_pools_near_closure(shortest, pressure):
-    """With pools behind narrow constrictions steps are as few as elsewhere, also where roughness reaches the pixel."""
+@pytest.mark.parametrize(
+    "shortest, pressure, many", [(8, 0.17, 3000), (2, 0.1, 3000), (2, 0.14, 3000), (2, 0.1, 100)]
+)
+def test_pools_near_closure(monkeypatch, shortest, pressure, many):
+    """With pools behind narrow constrictions steps are as few as elsewhere, also where roughness reaches the pixel, and
+    if few of the points on rank 0 are eliminated."""
+    monkeypatch.setattr(multigrid, "MANY", many)
     n = 512
     q = np.hypot(np.fft.fftfreq(n)[:, None], np.fft.rfftfreq(n))
     size = np.where((q >= 2 / n) & (q <= 1 / shortest), np.maximum(q, 1 / n) ** -1.3, 0)
     heights = np.fft.irfft2(size * np.exp(2j * np.pi * np.random.default_rng(7).random(q.shape)), s=(n, n))
     contact = pgfmd.solve(heights / np.std(np.diff(heights, axis=0)), pressure, tolerance=1e-10)
     found = flow_through(SlabGrid(ALONE, (n, n)), contact.gap, contact.pressure <= 0, (0, 1e-8, False))
-    assert found.upper > 0 and found.iterations <= 12  # 9 to 10; with aggregates over weak faces up to 56
+    assert found.upper > 0 and found.iterations <= 12  # 9 to 11; with aggregates over weak faces up to 56
 
 
 def test_closed_gap(comm):

@@ -1,8 +1,7 @@
 """Exact potentials of a graph: its points are eliminated one after the other, those with few faces first.
 
 Star–mesh elimination adds T's and subtracts nothing (Grassmann, Taksar and Heyman 1985, doi:10.1287/opre.33.5.1107): a
-contrast of 1e20 does no harm.  Near closure the graph is almost a tree, and 2 to 8 faces per point are kept; where most
-of the plane is open 15 (5e4 points) to 20 (2e5).
+contrast of 1e20 does no harm.  Near closure the graph is almost a tree, and 2 to 8 faces per point are kept.
 """
 
 from typing import NamedTuple

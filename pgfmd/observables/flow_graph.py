@@ -1,9 +1,9 @@
 """Points joined by faces of conductance T: aggregates of points, the graph of these, fluxes.
 
 Aggregates are matched twice (Notay 2010, ETNA 37, 123).  A group of points that hold together strongly must not be
-joined to others over weak faces: neither sweeps of Gauss–Seidel nor the aggregate can then move it as a whole (Napov,
-Notay 2012, doi:10.1137/100818509).  Diagonals are row sums, and the points of an aggregate are eliminated without
-subtraction, as those of the coarsest graph are (`elimination`).
+joined to others over weak faces: else its mean is corrected neither by sweeps of Gauss–Seidel nor by the value of its
+aggregate (Napov, Notay 2012, doi:10.1137/100818509).  Diagonals are row sums, and the points of an aggregate are
+eliminated without subtraction, as those of the coarsest graph are (`elimination`).
 """
 
 from typing import NamedTuple
@@ -14,9 +14,9 @@ from pgfmd.parallel.compiled import compiled
 
 LEFTMOST, RIGHTMOST, BORDER_ABOVE, BORDER_BELOW = 1, 2, 4, 8  # of a point: its column; the cell's border
 ACROSS_X, ACROSS_Y = 1, 2  # kinds of faces that cross the border of the cell; negative: backwards
-QUALITY = 5.0  # a and b are joined if T_ab is at least d_a d_b / (QUALITY (d_a + d_b)), where d sums the diagonals of
-# their points.  Where roughness reaches the pixel it takes 9 to 12 iterations to 1e-8 (9 to 14 at 8, 12 to 17 at 16, 31
-# to 67 without this rule).  A pair and three points with unit T's have 4.8: at 4 there are 7 % more aggregates
+QUALITY = 5.0  # points a and b are joined if T_ab is at least d_a d_b / (QUALITY (d_a + d_b)), where d sums the
+# diagonals of the points that each stands for.  Iterations to 1e-8 on rough surfaces of λ_s = 1 and 2 spacings: 5 to
+# 12; QUALITY 8: 9 to 14; 16: 12 to 17; no rule: 31 to 67.  Below 4.8 a pair and three points with equal T's stay apart
 STRONG = 0.9  # a point is matched if its free neighbour's T is at least this part of its largest
 
 
@@ -108,7 +108,7 @@ def crossing(border: int, kind: int) -> int:
 
 
 @compiled(inline="always")
-def good(diagonals: np.ndarray, i: int, j: int, t: float) -> bool:
+def may_join(diagonals: np.ndarray, i: int, j: int, t: float) -> bool:
     """Whether points i and j may be joined: see `QUALITY`."""
     return len(diagonals) == 0 or QUALITY * t * (diagonals[i] + diagonals[j]) >= diagonals[i] * diagonals[j]
 
@@ -118,7 +118,7 @@ def match(
     graph: Graph, sizes: np.ndarray, diagonals: np.ndarray, most: int, over_border: bool
 ) -> tuple[np.ndarray, int]:
     """The aggregate (n,) of each point, and how many there are: pairs of strong neighbours, joined by points that were
-    left, up to `most` in the `sizes` of points.  diagonals: as for `QUALITY`; empty: all matches are good.
+    left, up to `most` in the `sizes` of points.  diagonals: sums of diagonals, see `QUALITY`; empty: without that rule.
     over_border: whether an aggregate may lie on both sides of the cell's border.
     Faces over which points cannot join count too: a point of a pool on both sides must not join what is around it.
     Points of a slab without faces have none, −1.
@@ -133,7 +133,7 @@ def match(
             j, t, crossed = face(first, other, weight, border, i, k)
             if j != i:
                 largest = max(largest, t)
-                joins = j < n and (over_border or crossed == 0) and good(diagonals, i, j, t)
+                joins = j < n and (over_border or crossed == 0) and may_join(diagonals, i, j, t)
                 if joins and found[j] < 0 and t > best and sizes[i] + sizes[j] <= most:
                     best, partner = t, j
         if partner >= 0 and best >= STRONG * largest:
@@ -146,7 +146,7 @@ def match(
         for k in range(low, stop if found[i] < 0 else low):
             j, t, crossed = face(first, other, weight, border, i, k)
             if j != i and t > best:
-                joins = j < n and (over_border or crossed == 0) and good(diagonals, i, j, t)
+                joins = j < n and (over_border or crossed == 0) and may_join(diagonals, i, j, t)
                 best, target = t, j if joins else -1
         if found[i] >= 0 or in_slab and best == 0:
             continue

@@ -2,9 +2,9 @@
 doi:10.1002/nla.542), on slabs.
 
 The finest level is a slab of the grid, the others have compressed rows.  Three levels lie in slabs, with copies of the
-points of neighbouring ranks; aggregates stay within a slab.  The next one, about .01 of the points, is gathered on rank
-0, and solved exactly if few of its points have many faces; otherwise it is coarsened until that holds.  Preconditioned
-residuals and directions in slabs are in single precision, which takes as many iterations as double.
+points of neighbouring ranks; aggregates stay within a slab.  The next one, .01 to .03 of the points, is gathered on
+rank 0, and solved exactly if few of its points have many faces; otherwise it is coarsened until that holds.
+Preconditioned residuals and directions in slabs are in single precision, which takes as many iterations as double.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from pgfmd.observables.flow_loops import (
 from pgfmd.parallel.mpi import MPI
 
 IN_SLABS = 3  # levels
-MANY = 3_000  # points with many faces that are still eliminated: .01 s.  With 7e4, .6 s, iterations are as many
-SLOW = 0.6  # points left by a coarsening on rank 0 from which aggregates may have any size: hubs with many neighbours
+MANY = 3_000  # points with many faces that are still eliminated, in .01 s.  Eliminating 7e4, .6 s, saves no iterations
+SLOW = 0.8  # points left by a matching on rank 0 from which aggregates may have any size (hubs with many neighbours);
+# if that does not help, any match is good (many equal faces per point).  Usually .5 to .7 are left
 SIZES = 3, 6  # most points of an aggregate after the first and the second matching
 FIRST = 4  # steps on rank 0 for the start
 INNER, INNER_CUT = 4, 0.25  # most steps on a coarse level, and the factor by which the residual shall fall
@@ -115,12 +116,13 @@ class Level:
     def _aggregated(self, halo: Halo | None) -> tuple[Graph, Halo | None]:
         """Joins points, and returns the graph and the halo of aggregates."""
         graph, sizes, diagonals = self.graph, np.ones(self.graph.points, np.int32), NOTHING
-        if len(graph.first):  # with 4 faces at most, all matches are good
+        if len(graph.first):  # on the grid 4 faces and `STRONG` imply the rule
             diagonals = flow_graph.summed_diagonals(graph, NOWHERE, graph.points)
         for most in SIZES:
             found, count = match(graph, sizes, diagonals, most, halo is None)
-            if halo is None and count > SLOW * graph.points:
-                found, count = match(graph, sizes, NOTHING, 2 * graph.points, True)
+            for rule in (diagonals, NOTHING):
+                if halo is None and count > SLOW * graph.points:
+                    found, count = match(graph, sizes, rule, self.graph.points, True)
             wholes = np.zeros(count, np.int32)
             restrict(sizes, found, graph.points, wholes)
             sizes = wholes
