@@ -41,19 +41,18 @@ TABLES = Path(__file__).resolve().parents[2] / "jobs" / "benchmark"
 SURFACE = {"kind": "self-affine", "hurst": 0.8, "lambda_s": 16.0, "rms_slope": 1.0, "seed": 1}
 WORKS = {"hard": 1e-9, "weak": 0.15, "threshold": 1.2, "sticky": 3.0}
 COLUMNS = "n case tolerance full inner pairs seconds area pressure energy_error jumps".split()
-
-
+TOLERANCE = 1e-8
 Row = dict[str, float | str]
 
 
-def measured(n: int, case: str, tolerance: float) -> Row:
+def measured(n: int, case: str) -> Row:
     """Means over the loads."""
     heights = pgfmd.surface({"grid": {"n": n}, "surface": SURFACE})
     grid = SlabGrid(ALONE, heights.shape)
     gaps = 0.9 * (heights.max() - heights.mean()) - 0.05 * heights.std() * np.arange(15)
     law = AdhesiveWall(work=WORKS[case], range=2.0)
     problem = ContactProblem(grid, heights, Homogeneous(contact_modulus=1.0), law)
-    branch = Branch(Load(mean_gap=tuple(gaps), jump_accuracy=0.0), problem, tolerance)
+    branch = Branch(Load(mean_gap=tuple(gaps), jump_accuracy=0.0), problem, TOLERANCE)
     rows = []
     for gap in gaps:
         began = time.process_time()
@@ -64,14 +63,14 @@ def measured(n: int, case: str, tolerance: float) -> Row:
         rows.append((full, inner, full + inner / 2, time.process_time() - began, last[1].contact / grid.size,
                      found.mean_pressure, found.certified_error, np.isfinite(known["jump_to"])))  # fmt: skip
     means = np.mean(rows[1:], axis=0)
-    return dict(zip(COLUMNS, (n, case, tolerance, *means), strict=True))
+    return dict(zip(COLUMNS, (n, case, TOLERANCE, *means), strict=True))
 
 
 def counts(n: list[str]) -> Iterator[Row]:
     """Means over the loads of each work."""
     for points in n or ["128", "256", "512"]:
         for case in WORKS:
-            yield measured(int(points), case, 1e-8)
+            yield measured(int(points), case)
 
 
 def peer(n: list[str]) -> Iterator[Row]:
@@ -117,6 +116,8 @@ def challenge(folders: list[str]) -> Iterator[Row]:
     runs = sorted((pgfmd.Results(folder) for folder in folders), key=lambda run: run.shape[0])
     tables = [run.to_dataframe() for run in runs]
     sizes = [run.shape[0] for run in runs]
+    if len(set(sizes)) < max(2, len(runs)) or any(list(each["target"]) != list(tables[0]["target"]) for each in tables):
+        raise SystemExit("challenge: folders of two or more grids with the same loads are needed")
     turn = int(np.argmax(tables[0]["target"]))
     for place in range(len(tables[0])):
         areas = [float(table["contact_area"][place]) for table in tables]
@@ -137,17 +138,15 @@ def main() -> None:
     parser.add_argument("part", choices=PARTS)
     parser.add_argument("of", nargs="*", help="points of a side, or folders")
     asked = parser.parse_args()
-    name, part = PARTS[asked.part]
-    with open(TABLES / f"{name}.csv", "w", newline="") as file:
-        writer = None
-        for row in part(asked.of):
-            row = {name: f"{value:.5g}" if isinstance(value, float) else value for name, value in row.items()}
-            if writer is None:
-                writer = csv.DictWriter(file, list(row), lineterminator="\n")
-                writer.writeheader()
-            writer.writerow(row)
-            file.flush()
-            print(*row.values(), flush=True)
+    table, part = PARTS[asked.part]
+    rows: list[Row] = []  # the table is written whole after each of them, as long parts may be stopped
+    for row in part(asked.of):
+        rows.append({name: f"{value:.5g}" if isinstance(value, float) else value for name, value in row.items()})
+        print(*rows[-1].values(), flush=True)
+        with open(TABLES / f"{table}.csv", "w", newline="") as file:
+            writer = csv.DictWriter(file, list(row), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
 
 
 if __name__ == "__main__":
