@@ -1,4 +1,4 @@
-"""Counts of adhesive solves, and times beside tamaas 2.9: tables in jobs/benchmark.
+"""Counts of adhesive solves, and times beside tamaas 2.9 and Adhesion 0.93: tables in jobs/benchmark.
 
     python tools/bench/adhesion.py counts [n …]      adhesion.csv
     python tools/bench/adhesion.py peer [n …]        adhesion-peer.csv
@@ -11,17 +11,22 @@ counts: 14 loads, each from the last, whose mean gaps fall by .05 rms heights fr
 applied in double precision; inner: stiffness or compliance in single; pairs: what `Solution.transforms` counts, the
 estimate of the curvature apart.
 
-peer: one contact at .6 of the summit from the undeformed solid, to tamaas' error of 1e-9 and our energy error of 1e-9;
-processor times.  excess: energy of each above the lower of both, relative to that.
+peer: one contact at .6 of the summit from the undeformed solid, ours to an energy error of 1e-9, Adhesion's to the
+largest residual that ours has then, tamaas' to its own error of 1e-9; processor times.  Of Adhesion's two methods of
+conjugate gradients the one with restarts, which took half the time of the other at 256².  excess: energy of each above
+the lower of both, relative to that.  Energies, residuals and pressures of all are computed from their gaps.
 
 challenge: on both branches the area at each load, and that for spacing 0, as if the error were of first order in the
-spacing, from the two finest grids; area_error is the whole change that this makes.
+spacing, from the two finest grids; area_error is the whole change that this makes.  Grids that the table has, and no
+folder is of, stay in it.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
+import io
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,6 +40,7 @@ from pgfmd.physics.laws.adhesive_laws import AdhesiveWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.solvers.adhesive_branch import Branch
+from pgfmd.solvers.adhesive_model import AdhesiveState
 from pgfmd.solvers.options import Load
 
 TABLES = Path(__file__).resolve().parents[2] / "jobs" / "benchmark"
@@ -74,10 +80,7 @@ def counts(n: list[str]) -> Iterator[Row]:
 
 
 def peer(n: list[str]) -> Iterator[Row]:
-    """Processor times, energies and pressures of both programs."""
-    import tamaas
-
-    tamaas.set_log_level(tamaas.LogLevel.error)
+    """Processor times, energies and pressures of this program and of each peer."""
     for points in map(int, n or ["128", "256", "512", "1024"]):
         heights = pgfmd.surface({"grid": {"n": points}, "surface": SURFACE})
         gap = 0.6 * (heights.max() - heights.mean())
@@ -89,44 +92,96 @@ def peer(n: list[str]) -> Iterator[Row]:
             branch, began = Branch(load, problem, 1e-9), time.process_time()
             found = branch.solution(gap)
             seconds = time.process_time() - began
-            model = tamaas.Model(tamaas.model_type.basic_2d, [float(points)] * 2, list(heights.shape))
-            model.E, model.nu, kind = 1.0, 0.0, tamaas.PolonskyKeerRey.gap
-            solver = tamaas.PolonskyKeerRey(model, heights, 1e-9, kind, kind)
-            solver.max_iter = 100_000
-            term = tamaas.ExponentialAdhesionFunctional(heights)
-            term.parameters = {"rho": law.range, "surface_energy": law.work}
-            solver.addFunctionalTerm(term)
-            began = time.process_time()
-            left = solver.solve(gap)
-            theirs = time.process_time() - began
             branch.contact.allocate()
-            gaps = np.maximum(np.array(model.displacement).reshape(heights.shape) - heights, 0) / law.range
-            energies = np.array([found.details["energy"], branch.contact.state(gaps).energy * law.work])
-            excess = (energies - energies.min()) / abs(energies.min())
-            pressure = np.array(model.traction).reshape(heights.shape)
-            yield {
-                "n": points, "case": case, "seconds": seconds, "tamaas_seconds": theirs, "ratio": theirs / seconds,
-                "tamaas_error": float(left), "excess": excess[0], "tamaas_excess": excess[1],
-                "pressure_difference": np.linalg.norm(pressure - found.pressure) / np.linalg.norm(found.pressure),
-            }  # fmt: skip
+            state, pressure, residual = judged(branch, found.gap / law.range)
+            for program in (adhesion, tamaas):
+                gaps, theirs = program(heights, law, gap, residual)
+                other, pressures, left = judged(branch, gaps / law.range)
+                energies = np.array([state.energy, other.energy])
+                excess = (energies - energies.min()) / abs(energies.min())
+                yield {
+                    "n": points, "case": case, "peer": program.__name__, "seconds": seconds, "peer_seconds": theirs,
+                    "ratio": theirs / seconds, "residual": residual, "peer_residual": left, "excess": excess[0],
+                    "peer_excess": excess[1],
+                    "pressure_difference": np.linalg.norm(pressures - pressure) / np.linalg.norm(pressure),
+                }  # fmt: skip
+
+
+def judged(branch: Branch, gap: np.ndarray) -> tuple[AdhesiveState, np.ndarray, float]:
+    """The state of a gap (n, n), in units of the law; its pressure and its largest residual, over E'."""
+    contact = branch.contact
+    state, pulled = contact.state(gap), contact.law.traction(gap)
+    force, free = state.stress + pulled, gap > 0
+    force -= force[free].mean()
+    pressure = np.where(free, -pulled, force - pulled)
+    return state, pressure * contact.pressure, float(np.abs(force[free]).max()) * contact.pressure
+
+
+def tamaas(heights: np.ndarray, law: AdhesiveWall, gap: float, residual: float) -> tuple[np.ndarray, float]:
+    """(gap (n, n), seconds) by tamaas' Polonsky–Keer–Rey method, to its own error of 1e-9."""
+    import tamaas as peer
+
+    peer.set_log_level(peer.LogLevel.error)
+    model = peer.Model(peer.model_type.basic_2d, [float(len(heights))] * 2, list(heights.shape))
+    model.E, model.nu, kind = 1.0, 0.0, peer.PolonskyKeerRey.gap
+    solver = peer.PolonskyKeerRey(model, heights, 1e-9, kind, kind)
+    solver.max_iter = 100_000
+    term = peer.ExponentialAdhesionFunctional(heights)
+    term.parameters = {"rho": law.range, "surface_energy": law.work}
+    solver.addFunctionalTerm(term)
+    began = time.process_time()
+    solver.solve(gap)
+    seconds = time.process_time() - began
+    return np.maximum(np.array(model.displacement).reshape(heights.shape) - heights, 0), seconds
+
+
+def adhesion(heights: np.ndarray, law: AdhesiveWall, gap: float, residual: float) -> tuple[np.ndarray, float]:
+    """(gap (n, n), seconds) by Adhesion's faster conjugate gradients at a mean gap, to our largest residual."""
+    from Adhesion.Interactions import Exponential
+    from Adhesion.System import BoundedSmoothContactSystem, make_system
+    from ContactMechanics import PeriodicFFTElasticHalfSpace
+    from NuMPI.Optimization.CCGWithRestart import constrained_conjugate_gradients_with_restart
+    from SurfaceTopography import Topography
+
+    sides = (float(len(heights)),) * 2
+    system = make_system(
+        Topography(heights - heights.mean(), sides, periodic=True), Exponential(law.work, law.range),
+        PeriodicFFTElasticHalfSpace(heights.shape, 1.0, sides), system_class=BoundedSmoothContactSystem,
+    )  # fmt: skip
+    start = heights.max() - heights
+    for _ in range(60):  # the undeformed solid, overlaps cut off
+        start = np.maximum(start + (start > 0) * (gap - start.mean()) * start.size / np.count_nonzero(start > 0), 0)
+    began = time.process_time()
+    with contextlib.redirect_stdout(io.StringIO()):  # a line for each direction of negative curvature
+        found = constrained_conjugate_gradients_with_restart(
+            system.primal_objective(0, gradient=True), system.primal_hessian_product, start.ravel(), mean_val=gap,
+            gtol=residual, maxiter=100_000,
+        )  # fmt: skip
+    return np.maximum(found.x.reshape(heights.shape), 0), time.process_time() - began
 
 
 def challenge(folders: list[str]) -> Iterator[Row]:
     """Areas at the loads of both branches."""
-    runs = sorted((pgfmd.Results(folder) for folder in folders), key=lambda run: run.shape[0])
-    tables = [run.to_dataframe() for run in runs]
-    sizes = [run.shape[0] for run in runs]
-    if len(set(sizes)) < max(2, len(runs)) or any(list(each["target"]) != list(tables[0]["target"]) for each in tables):
-        raise SystemExit("challenge: folders of two or more grids with the same loads are needed")
-    turn = int(np.argmax(tables[0]["target"]))
-    for place in range(len(tables[0])):
-        areas = [float(table["contact_area"][place]) for table in tables]
-        change = (areas[-1] - areas[-2]) / (sizes[-1] / sizes[-2] - 1)
+    tables = {run.shape[0]: run.to_dataframe() for run in map(pgfmd.Results, folders)}
+    with open(TABLES / "challenge.csv") as file:
+        earlier = list(csv.DictReader(file))
+    targets = [float(row["pressure"]) for row in earlier]
+    if any(list(table["target"]) != targets for table in tables.values()):
+        raise SystemExit("challenge: a folder has other loads than jobs/benchmark/challenge.csv")
+    turn = int(np.argmax(targets))
+    for place, before in enumerate(earlier):
+        areas, pairs = (
+            {int(key[len(name) :]): float(value) for key, value in before.items() if key[len(name) :].isdigit()}
+            for name in ("area_", "pairs_")
+        )
+        areas |= {n: float(table["contact_area"][place]) for n, table in tables.items()}
+        pairs |= {n: float(table["transforms"][place]) for n, table in tables.items()}
+        coarse, fine = sorted(areas)[-2:]
+        change = (areas[fine] - areas[coarse]) / (fine / coarse - 1)
         yield {
-            "branch": "loading" if place <= turn else "unloading", "pressure": float(tables[0]["target"][place]),
-            **{f"area_{n}": area for n, area in zip(sizes, areas, strict=True)},
-            "area": areas[-1] + change, "area_error": abs(change),
-            **{f"pairs_{n}": float(table["transforms"][place]) for n, table in zip(sizes, tables, strict=True)},
+            "branch": "loading" if place <= turn else "unloading", "pressure": targets[place],
+            **{f"area_{n}": areas[n] for n in sorted(areas)}, "area": areas[fine] + change, "area_error": abs(change),
+            **{f"pairs_{n}": pairs[n] for n in sorted(pairs)},
         }  # fmt: skip
 
 
