@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import sys
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 import pgfmd
 from pgfmd.grid.domain import OPEN, PERIODIC
@@ -20,6 +22,9 @@ from pgfmd.solvers.adhesive_certificate import LARGEST, estimated, is_m_matrix, 
 from pgfmd.solvers.adhesive_model import Hold
 from pgfmd.solvers.options import Load
 from pgfmd.theory import adhesion
+
+sys.path.insert(0, str(ROOT / "tools" / "bench"))
+import adhesion as bench  # noqa: E402
 
 MORSE = "0.2 * (exp(-4 * (gap - 1)) - exp(-2 * (gap - 1)))"
 LAWS = {
@@ -570,27 +575,20 @@ def test_a_flat_surface_without_residual_may_lack_a_bound():
 
 
 @pytest.mark.parametrize("work", [0.15, 1.2])
-def test_tamaas_finds_the_same_adhesive_contact(work):
-    """Both start from the undeformed solid; pressures to 1e-4 (both solved to some 1e-5), energy to 1e-8."""
-    tamaas = pytest.importorskip("tamaas")
-    tamaas.set_log_level(tamaas.LogLevel.error)
-    n, law = 64, AdhesiveWall(work=work, range=2.0)
-    heights = rough(n)
+@pytest.mark.parametrize("program", ["tamaas", "Adhesion"])
+def test_other_programs_find_the_same_adhesive_contact(program, work):
+    """All start from the undeformed solid; pressures to 1e-4 (solved to some 1e-5), energy to 1e-8."""
+    pytest.importorskip(program)
+    law, heights = AdhesiveWall(work=work, range=2.0), rough(64)
     gap = 0.6 * (heights.max() - heights.mean())
     run = branch(heights, law, Load(mean_gap=(gap,)))
     found = run.solution(gap)
-    model = tamaas.Model(tamaas.model_type.basic_2d, [float(n)] * 2, [n, n])
-    model.E, model.nu, kind = 1.0, 0.0, tamaas.PolonskyKeerRey.gap
-    solver = tamaas.PolonskyKeerRey(model, heights, 1e-9, kind, kind)
-    term = tamaas.ExponentialAdhesionFunctional(heights)
-    term.parameters = {"rho": law.range, "surface_energy": work}
-    solver.addFunctionalTerm(term)
-    solver.solve(gap)
-    theirs = np.array(model.traction).reshape(n, n)
-    assert np.linalg.norm(theirs - found.pressure) <= 1e-4 * np.linalg.norm(found.pressure)
+    gaps, _ = getattr(bench, program.lower())(heights, law, gap, 1e-6)
     run.contact.allocate()
-    other = run.contact.state(np.maximum(np.array(model.displacement).reshape(n, n) - heights, 0) / law.range)
+    other, pressure, residual = bench.judged(run, gaps / law.range)
+    assert np.linalg.norm(pressure - found.pressure) <= 1e-4 * np.linalg.norm(found.pressure)
     assert other.energy * work == pytest.approx(found.details["energy"], rel=1e-8)
+    assert residual <= 1.1e-6 or program == "tamaas"  # by their own definition of it
 
 
 @pytest.mark.mpi
@@ -609,6 +607,16 @@ def test_roughness_of_known_surfaces(comm, domain):
     assert bend == pytest.approx(2 * wave**2, rel=wave**2 / 6 + 2 / n)
     bowl = -np.add.outer((x - 30.0) ** 2, (x - 30.0) ** 2)[rows] / 100
     assert roughness(branch(bowl, law, load, comm=comm, domain=domain).problem)[1] == pytest.approx(2 / 50, rel=1e-9)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-10])
+def test_forces_are_those_of_the_gap(tolerance):
+    """Steps are taken in single precision at first; the stress at the end is K(g + h) in double, to its rounding."""
+    contact = AdhesiveContact(branch(rough(64), AdhesiveWall(work=0.8, range=2.0), Load(mean_gap=(1.0,))).problem)
+    state = contact.minimise(contact.undeformed(1.0), Hold("mean_gap", 1.0), tolerance)
+    exact = contact.evaluate(state.gap, np.empty_like(state.gap))
+    assert state.iterations > 1
+    np.testing.assert_allclose(state.stress, exact, atol=1e-12 * np.abs(exact).max())
 
 
 @pytest.mark.parametrize(("length", "warned"), [(2.0, False), (0.5, True)])
