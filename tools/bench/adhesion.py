@@ -170,10 +170,7 @@ def challenge(folders: list[str]) -> Iterator[Row]:
         raise SystemExit("challenge: a folder has other loads than jobs/benchmark/challenge.csv")
     turn = int(np.argmax(targets))
     for place, before in enumerate(earlier):
-        areas, pairs = (
-            {int(key[len(name) :]): float(value) for key, value in before.items() if key[len(name) :].isdigit()}
-            for name in ("area_", "pairs_")
-        )
+        areas, pairs = of_grids(before, "area_"), of_grids(before, "pairs_")
         areas |= {n: float(table["contact_area"][place]) for n, table in tables.items()}
         pairs |= {n: float(table["transforms"][place]) for n, table in tables.items()}
         coarse, fine = sorted(areas)[-2:]
@@ -183,6 +180,11 @@ def challenge(folders: list[str]) -> Iterator[Row]:
             **{f"area_{n}": areas[n] for n in sorted(areas)}, "area": areas[fine] + change, "area_error": abs(change),
             **{f"pairs_{n}": pairs[n] for n in sorted(pairs)},
         }  # fmt: skip
+
+
+def of_grids(row: dict[str, str], name: str) -> dict[int, float]:
+    """The values of columns name + points of a side, by these points."""
+    return {int(key.removeprefix(name)): float(row[key]) for key in row if key.removeprefix(name).isdigit()}
 
 
 PARTS = {"counts": ("adhesion", counts), "peer": ("adhesion-peer", peer), "challenge": ("challenge", challenge)}
