@@ -66,6 +66,7 @@ def test_traction_and_curvature_are_derivatives_of_the_energy(law):
     bend = (law.traction(gap + step) - law.traction(gap - step)) / (2 * step)
     np.testing.assert_allclose(law.curvature(gap), bend, rtol=1e-5, atol=2e-5)
     assert law.energy(np.linspace(law.least, 3, 20001)).min() == pytest.approx(-1.0, rel=1e-6)
+    np.testing.assert_array_equal(law.values(gap), [law.energy(gap), law.traction(gap), law.curvature(gap)])
 
 
 @pytest.mark.parametrize("name", ["adhesive", "edge", "morse"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pgfmd.grid import kernels
+from pgfmd.physics.laws.adhesive_laws import decay
 from pgfmd.physics.laws.hard import finish_rows
 from pgfmd.solvers.active_set import (
     active_set,
@@ -304,3 +305,11 @@ def test_vectors_of_conjugate_gradients(rng):
     expected[1][part] -= 0.2 * (b[part] - 0.4)
     conjugate_gradients.advance(x, a, (direction, b), (real(0.2), real(0.4)), 10, 900)
     assert np.allclose([x, a], expected, rtol=0, atol=1e-6)
+
+
+def test_decay(rng):
+    """exp(−g) up to the last gap, also at 0 and at what is not a number."""
+    gap = np.concatenate([80 * rng.random(1000), [0.0, np.nan]])
+    found = np.empty_like(gap)
+    decay(gap, 60.0, found)
+    np.testing.assert_allclose(found, np.where(gap > 60, 0, np.exp(-gap)), rtol=1e-15)

@@ -187,11 +187,10 @@ class AdhesiveContact(AdhesiveModel):
 
         def sums(s: slice) -> tuple[float, ...]:
             move = gap[s] - state.gap[s]
-            old_bend, new_bend = law.curvature(state.gap[s]), law.curvature(gap[s])
+            (old, _, old_bend), (new, _, new_bend) = law.values(state.gap[s]), law.values(gap[s])
             return (
-                float(np.vdot(move, state.stress[s])), float(np.vdot(move, stiffened[s])),
-                float(np.sum(law.energy(gap[s]) - law.energy(state.gap[s]))),
-                float(np.vdot(move, np.maximum(-old_bend, -new_bend) * move)), float(move.sum()),
+                float(np.vdot(move, state.stress[s])), float(np.vdot(move, stiffened[s])), float(np.sum(new - old)),
+                float(np.vdot(move, -np.minimum(old_bend, new_bend) * move)), float(move.sum()),
             )  # fmt: skip
 
         first, second, potential, bend, total = self.bands(sums) / size

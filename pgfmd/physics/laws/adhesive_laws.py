@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from pgfmd.grid.kernels import jit, u
 from pgfmd.options import expressions as formula
 from pgfmd.options.rules import POSITIVE, flag, interval, number
 from pgfmd.options.section import key, wrong
@@ -65,6 +66,10 @@ class AttractiveWall(ContactLaw):
         """W''ρ/σ₀ at gaps over ρ."""
         raise NotImplementedError
 
+    def values(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Energy, traction and curvature at gaps over ρ."""
+        return self.energy(gap), self.traction(gap), self.curvature(gap)
+
     def steepest(self, gap: np.ndarray, distance: float) -> np.ndarray:
         """The largest −W''ρ/σ₀ within `distance` of each gap, provided that it falls on both sides of `steep`."""
         return -self.curvature(np.clip(self.steep, np.maximum(gap - distance, self.least), gap + distance))
@@ -93,13 +98,28 @@ class AdhesiveWall(RangedWall):
     kind: ClassVar[str] = "adhesive"
 
     def energy(self, gap: np.ndarray) -> np.ndarray:
-        return -np.exp(-gap)
+        return -self.traction(gap)
 
     def traction(self, gap: np.ndarray) -> np.ndarray:
-        return np.exp(-gap)
+        flat = np.ascontiguousarray(gap, float).reshape(-1)
+        out = np.empty_like(flat)
+        decay(flat, self.farthest, out)
+        return out.reshape(np.shape(gap))
 
     def curvature(self, gap: np.ndarray) -> np.ndarray:
-        return -np.exp(-gap)
+        return -self.traction(gap)
+
+    def values(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        traction = self.traction(gap)
+        return -traction, traction, -traction
+
+
+@jit
+def decay(gap: np.ndarray, last: float, out: np.ndarray) -> None:
+    """out = exp(−gap), 0 beyond a last gap; fast at most points, which touch or are far."""
+    for i in range(gap.size):
+        at = gap[u(i)]
+        out[u(i)] = 0.0 if at > last else 1.0 if at == 0 else math.exp(-at)
 
 
 @dataclass(frozen=True, kw_only=True)
