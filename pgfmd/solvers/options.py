@@ -67,11 +67,12 @@ USUAL = Arrays()
 def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0, arrays: Arrays = USUAL) -> Cost:
     """One contact of that relative area by that method; memory of the fullest of so many slabs.
 
-    effort: time under the law over that under a hard wall (dynamics) or an exponential one (Newton).
+    effort: time under the law over that under a hard wall (dynamics) or an exponential one (Newton); under a law that
+    attracts, the work itself.
     """
     heights = SCALED * arrays.scaled
     if method == "adhesive":
-        return Cost(70, ADHESIVE)
+        return Cost(effort, ADHESIVE)
     if method == "newton":
         return Cost(70 * effort, heights + NEWTON + LAW * (effort > 1))
     if method == "gfmd":
