@@ -484,6 +484,7 @@ WRONG = {
     "deep": ({"load": {"displacement": [1e40]}, "solid": {"contact_modulus": 1.0, "poisson": 0.3, "thickness": 9.0}},
              r"load.displacement = 1e\+40: over 1e\+10 of what"),
     "formula": ({"wall": {"kind": "potential", "pressure": "1/gap", "gaps": [1.0, 2.0]}}, "attracts nowhere"),
+    "none": ({"wall": {"kind": "adhesive", "work": 5e-324, "range": 9.0}}, "wall.work = 5e-324: the largest"),
 }
 
 

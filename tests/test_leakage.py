@@ -59,6 +59,17 @@ def direct(mask, down, right, axis):
     return np.sum(weight * (difference @ u + across) ** 2)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("unit", [1e-60, 1e60])
+def test_units_may_be_any(comm, unit):
+    """K is a length cubed; a wide width lets T be in single precision, which holds neither cube."""
+    profile = 1 + 0.6 * np.cos(2 * np.pi * np.arange(18) / 18)
+    found = flow(comm, np.repeat(unit * profile[:, None], 14, axis=1), 0, width=1e-3)
+    expected = 1 / np.mean(profile**-3.0)
+    assert found.lower / unit**3 <= expected * 1.000001 and found.upper / unit**3 >= expected * 0.999999
+    assert found.upper / found.lower == pytest.approx(1.0, abs=1.1e-3)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_plates_and_profiles(comm, axis):
     """Between plates K = g³; with g a function of the place along the flow K is the harmonic mean of g³, across it the

@@ -135,7 +135,8 @@ def flow_through(grid: SlabGrid, gap: np.ndarray, mask: np.ndarray, how: tuple[i
         raise InputError(f"leakage: the cube of the largest gap, {unit:g}, is beyond double precision: change the unit")
     mask = np.isin(labels.label_field(), winding)
     del labels
-    single = width >= SINGLE and least**3 * min(grid.spacing) / max(grid.spacing) > np.finfo(np.float32).tiny * unit**3
+    smallest = (least / unit) ** 3 * min(grid.spacing) / max(grid.spacing)
+    single = width >= SINGLE and smallest > np.finfo(np.float32).tiny
     network = Network(grid, conductances(grid, gap, mask, unit, np.float32 if single else np.float64))
     del mask
     rounding = float(np.finfo(np.float32).eps) if single else 0.0  # no T changes by a larger part, so K does not

@@ -86,6 +86,11 @@ class RangedWall(AttractiveWall):
         POSITIVE, about="ρ: the largest attraction is work/range", unit="length", needed=True, example=0.5
     )
 
+    def check(self) -> None:
+        """Raises InputError where the largest attraction is no number."""
+        if not 0 < self.work / self.range < math.inf:
+            raise wrong(self, "work", "the largest attraction, work/range, is beyond double precision")
+
     @property
     def units(self) -> tuple[float, float]:
         return self.range, self.work / self.range
