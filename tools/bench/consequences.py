@@ -259,7 +259,7 @@ def main() -> None:
     if unknown := [name for name in asked.parts if name not in PARTS]:
         parser.error(f"{unknown[0]}: no such part; there are {', '.join(PARTS)}")
     with asked.output.open("w", newline="") as file:
-        out = csv.writer(file)
+        out = csv.writer(file, lineterminator="\n")
         out.writerow(("part", "case", "name", "value"))
         for name in asked.parts:
             for case, what, value in PARTS[name]():
