@@ -124,13 +124,18 @@ class AdhesiveContact(AdhesiveModel):
                 careful = max(careful - 1, 0) if fell else 2
             del found
             if ended and state.rough:
-                self.evaluate(state.gap, state.stress)
-                self.measure(state).rough = False
+                self.exact(state)
             elif ended:
                 if careful:
                     self.direction(state, hold, goal(state), False)
                 return True
+        self.exact(state)
         return False
+
+    def exact(self, state: AdhesiveState) -> None:
+        """Computes the stress of a state anew, in double precision.  Collective."""
+        self.evaluate(state.gap, state.stress)
+        self.measure(state).rough = False
 
     def step(
         self, state: AdhesiveState, hold: Hold, ways: tuple[np.ndarray, bool], radius: float
@@ -177,12 +182,14 @@ class AdhesiveContact(AdhesiveModel):
         rough, size = state.error > ROUGH, self.grid.size
         real, stiffened = (np.float32, self.image) if rough else (np.float64, self.spare)  # K of the move
 
+        anew = state.rough and not rough  # K(g + h), less what it was
+
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
-            before = state.gap[first:stop] if rough or not state.rough else -self.rigid(slice(first, stop))
+            before = -self.rigid(slice(first, stop)) if anew else state.gap[first:stop]
             np.subtract(gap[first:stop], before, out=rows)
 
         self.grid.convolve(fill, self.stiffness[real], sink(stiffened), real)
-        if state.rough and not rough:
+        if anew:
             stiffened -= state.stress
 
         def sums(s: slice) -> tuple[float, ...]:
