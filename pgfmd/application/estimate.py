@@ -37,16 +37,16 @@ BESIDES = 2.0, 1.0  # time in transforms: to measure a contact's area and line; 
 SLAB_GAIN = 0.8  # speed of ranks that share a surface over that of as many with a surface each (README: two, 1.59/2)
 THIN_WORK = 10.0  # work on a thin solid over that on a half-space: 256², free slabs of .03 to .1 of the cell
 LEAST_SLAB = 2**16  # points of a slab below which further ranks gain nothing
-# Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², else by
-# several solutions (2.2 … 2.8; the mean gap of an open patch 3.3).  Closure to 1e-3 took 6 … 9 at 256² and 512²,
-# to 1e-4 9 … 14.
+# Work until a target is met, over that of a given pressure: under a hard wall as measured at 512² … 4096², 1 for walls
+# that attract, else by several solutions (2.2 … 2.8; the mean gap of an open patch 3.3).  Closure to 1e-3 took 6 … 9 at
+# 256² and 512², to 1e-4 9 … 14.
 SEARCH_WORK = {"pressure": 1.0, "contact_area": 1.6, "mean_gap": 1.4, "displacement": 1.4, "percolation": 8.0}
 SOLUTIONS_WORK, OPEN_GAP_WORK = 2.4, 3.3
 # Under walls that attract, a load takes `STICKS`[0] + [1] (side/128)^¾ / ℓ transform pairs (ℓ: process zone in pixels;
-# side in points), each of `STICKS`[2] transforms; with bisected jumps 1 + `JUMPS`/ℓ times as many.  Of 60 lists of
-# loads at 128² … 512², ℓ = 1.2 … 80, nine in ten were within a factor of 1.6 without bisection (worst 2.7), of 2.8 with
-# it (5.7); the reduced challenge at 2048² … 4096² within 1.25.
-STICKS, JUMPS = (30.0, 65.0, 3.0), 4.0
+# side in points), each in the time of `PAIR` pairs; with bisected jumps 1 + `JUMPS`/ℓ times as many.  Of 60 lists of
+# loads at 128² … 512², ℓ = 1.2 … 80, nine in ten were within a factor of 1.6 without bisection (worst 2.7), with it of
+# 2.8 (worst 5.7).  SHORTEST: ℓ that is counted at least.
+STICKS, PAIR, JUMPS, SHORTEST = (30.0, 65.0), 3.0, 4.0, 0.8
 OPEN_WORK = 2.0  # processor time with open boundaries over that of a periodic cell: median of 32 rough surfaces at 512²
 OPEN_AREA = 0.45  # assumed with open boundaries where it is not known: between areas that need least memory and most
 TABLE_BYTES = 8.0  # per mode in a quarter of the torus: the compliance
@@ -237,9 +237,10 @@ class Plan:
         effort = job.wall.newton_effort if method == "newton" else job.wall.effort
         if self.sticks:
             assert isinstance(job.wall, AttractiveWall)
-            inverse = max(cell.spacings) / max(job.wall.process_zone(job.solid.contact_modulus), 1e-300)
-            pairs = STICKS[0] + STICKS[1] * (math.prod(cell.n) ** 0.5 / 128) ** 0.75 * inverse
-            effort = STICKS[2] * pairs * (1 + JUMPS * inverse * (job.load.jump_accuracy > 0))
+            zone = max(job.wall.process_zone(job.solid.contact_modulus) / max(cell.spacings), SHORTEST)
+            bisected = job.load.jump_accuracy > 0 and job.load.branch == "follow"
+            jumps = JUMPS / zone * bisected * (1 - 1 / len(job.load.targets))  # none to the first target
+            effort = PAIR * (STICKS[0] + STICKS[1] * (math.prod(cell.n) ** 0.5 / 128) ** 0.75 / zone) * (1 + jumps)
         most = 1.0 if cell.domain.wraps else GAPS_FROM  # open: pressures are the unknowns at any area
         strips = WORKSPACE["blocked"] * (cell.domain.wraps and job.solver.transform == "blocked")
         arrays = Arrays(self.scaled, single, strips, job.solver.storage == "float64")

@@ -27,11 +27,11 @@ from pgfmd.solvers.adhesive_model import AdhesiveModel, AdhesiveState, Hold
 
 RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
 MOST_STEPS, HALVINGS = 1000, 12
-SAME = 1e-14  # change of the energy, over the sum of its parts, that may be rounding
+SAME = 1e-14  # change of the energy, over the sum of its parts, that is rounding in double precision
 GONE = 1e-9  # energy of the law per point, over w, below which the surfaces have separated
 FORCING = 0.0009, 0.16, 0.49  # share of ⟨r, Gr⟩ that a direction leaves: least, largest, of what is still to do
 WAYS = 0.25, 0.5, 0.75, 1.0
-ROUGH = 1e-5  # energy error down to which steps are taken in single precision: 17 % fewer pairs where contact jumps
+SINGLE_TO = 1e-5  # energy error above which steps are in single precision: 17 % fewer pairs where contact jumps
 Goal = Callable[[AdhesiveState], float]
 
 
@@ -95,11 +95,11 @@ class AdhesiveContact(AdhesiveModel):
 
         Ends when ⟨r, Gr⟩/2θ, θ estimated, is at most the tolerance, or a goal for the state, times 2 E_el.  Where no
         step lowers the energy any more, an error of up to 1000 times the tolerance is accepted, and written as
-        `certified_error`.  Raises SolverError after `MOST_STEPS`.
+        `certified_error`.  Raises SolverError if `MOST_STEPS` leave a larger error.
         """
         state = self.state(gap)
         ended = self.lowered(state, hold, goal or (lambda _: tolerance), see)
-        if state.error > (max(1e3 * tolerance, 1e-9) if ended else tolerance):  # rounding
+        if not state.error <= (max(1e3 * tolerance, 1e-9) if ended else tolerance):  # rounding
             raise SolverError(
                 f"adhesive contact: the energy error stays at {state.error:.1e}, above the tolerance {tolerance:.1e}; "
                 "allow a larger tolerance, or a finer grid where the process zone is short"
@@ -109,7 +109,7 @@ class AdhesiveContact(AdhesiveModel):
     def lowered(
         self, state: AdhesiveState, hold: Hold, goal: Goal, see: Callable[[AdhesiveState], None] | None
     ) -> bool:
-        """The same from a state, which changes; whether it ended, or no step lowers the energy.  Collective."""
+        """`minimise` on a state, in place; False if `MOST_STEPS` were taken.  Ends in double precision.  Collective."""
         radius, careful = RADIUS, 0
         while state.iterations < MOST_STEPS:
             found, down = self.direction(state, hold, goal(state), careful > 0)
@@ -123,19 +123,21 @@ class AdhesiveContact(AdhesiveModel):
                 ended = not fell and careful > 0
                 careful = max(careful - 1, 0) if fell else 2
             del found
-            if ended and state.rough:
-                self.exact(state)
+            if ended and state.single:
+                self.renew(state)
+                careful = 0
             elif ended:
                 if careful:
                     self.direction(state, hold, goal(state), False)
                 return True
-        self.exact(state)
+        self.renew(state)
+        self.direction(state, hold, goal(state), False)
         return False
 
-    def exact(self, state: AdhesiveState) -> None:
-        """Computes the stress of a state anew, in double precision.  Collective."""
+    def renew(self, state: AdhesiveState) -> None:
+        """Stress and energies of a state anew, in double precision.  Collective."""
         self.evaluate(state.gap, state.stress)
-        self.measure(state).rough = False
+        self.measure(state).single = False
 
     def step(
         self, state: AdhesiveState, hold: Hold, ways: tuple[np.ndarray, bool], radius: float
@@ -179,10 +181,9 @@ class AdhesiveContact(AdhesiveModel):
         self.rows(advance)
         if hold.fixed:
             self.to_mean(gap, hold.gap)
-        rough, size = state.error > ROUGH, self.grid.size
-        real, stiffened = (np.float32, self.image) if rough else (np.float64, self.spare)  # K of the move
-
-        anew = state.rough and not rough  # K(g + h), less what it was
+        single, size = state.error > SINGLE_TO, self.grid.size
+        real, stiffened = (np.float32, self.image) if single else (np.float64, self.spare)  # K times the move
+        anew = state.single and not single  # then K(g + h), less the old stress
 
         def fill(first: int, stop: int, rows: np.ndarray) -> None:
             before = -self.rigid(slice(first, stop)) if anew else state.gap[first:stop]
@@ -219,6 +220,6 @@ class AdhesiveContact(AdhesiveModel):
                     return False
         self.rows(lambda s: np.add(state.stress[s], stiffened[s], out=state.stress[s]))
         np.copyto(state.gap, gap)
-        state.iterations, state.rough = state.iterations + 1, rough
+        state.iterations, state.single = state.iterations + 1, single
         self.measure(state)
         return True

@@ -36,7 +36,7 @@ WARNED, REFUSED = 2.0, 0.8  # process zone in pixels: the edge of a straight con
 NEAR_PIXELS = 4.0  # for μ_T ≤ 1
 PROBE = 4.0, 2.0, 1.0  # ranges of a probe over that of the law
 JUMP = "jump_from", "jump_to", "pressure_before_jump", "pressure_after_jump"
-ROUGH = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
+START_ERROR = 1e-5  # certified error of the contact under a hard wall with which a search at a load begins
 FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
 LESS = 0.7  # a guess of θ, over that of the last contact
 WORSE = 2.0  # bound of the energy error over the estimate, at first
@@ -130,7 +130,7 @@ class Branch:
                     if not self._dropped(ends[0], nearer):
                         gradual, ends[1] = True, nearer
                     del nearer
-                self.last = ends[gradual - 1]
+                self.last = ends[0] if gradual else ends[1]
                 if not gradual:
                     jump = ends[0][0], ends[1][0], self._pressure(ends[0][1]), self._pressure(ends[1][1])
                     drop += max(self._lost(*ends)[1], 0.0)
@@ -165,7 +165,7 @@ class Branch:
         if self.name == "pressure" and hold.load > 0:  # else the approach would take many steps of some ranges
             wall = self.problem.with_law(HardWall()).at(hold.load * contact.pressure / contact.share)
             with contextlib.suppress(SolverError):  # roughness that is lost beside the load
-                start = contact.around(solve_hard_wall(wall, ROUGH).gap / contact.length + contact.law.least)
+                start = contact.around(solve_hard_wall(wall, START_ERROR).gap / contact.length + contact.law.least)
         law, factors = self.problem.law, PROBE if self.load.branch == "probe" else (1.0,)
         for factor in factors:
             if factor == 1.0:

@@ -86,7 +86,7 @@ class AdhesiveState:
     iterations: int = 0
     inner: int = 0
     refused: int = 0
-    rough: bool = False  # whether the stress has the errors of single precision
+    single: bool = False  # whether the stress has the errors of single precision
     residual: float = math.inf
     level: float = 0.0
     pressure_error: float = math.nan

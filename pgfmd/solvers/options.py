@@ -68,7 +68,7 @@ def cost(method: str, area: float, slabs: int = 1, effort: float = 1.0, arrays: 
     """One contact of that relative area by that method; memory of the fullest of so many slabs.
 
     effort: time under the law over that under a hard wall (dynamics) or an exponential one (Newton); under a law that
-    attracts, the work itself.
+    attracts, the transforms.
     """
     heights = SCALED * arrays.scaled
     if method == "adhesive":

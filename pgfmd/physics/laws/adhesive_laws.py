@@ -87,7 +87,7 @@ class RangedWall(AttractiveWall):
     )
 
     def check(self) -> None:
-        """Raises InputError where the largest attraction is no number."""
+        """Raises InputError where the largest attraction is 0 or infinite."""
         if not 0 < self.work / self.range < math.inf:
             raise wrong(self, "work", "the largest attraction, work/range, is beyond double precision")
 
@@ -121,7 +121,7 @@ class AdhesiveWall(RangedWall):
 
 @jit
 def decay(gap: np.ndarray, last: float, out: np.ndarray) -> None:
-    """out = exp(−gap), 0 beyond a last gap; fast at most points, which touch or are far."""
+    """out = exp(−gap), 0 beyond a last gap; fast where points touch or are far, as most do."""
     for i in range(gap.size):
         at = gap[u(i)]
         out[u(i)] = 0.0 if at > last else 1.0 if at == 0 else math.exp(-at)
