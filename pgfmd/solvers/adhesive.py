@@ -25,11 +25,11 @@ from pgfmd.grid.transforms import sink
 from pgfmd.solvers.adhesive_inner import Steps, conjugate_gradients, decrement, least_ritz
 from pgfmd.solvers.adhesive_model import AdhesiveModel, AdhesiveState, Hold
 
-RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; for points whose gap is less
+RADIUS, LARGEST_RADIUS, NEAR = 3.0, 20.0, 4.0  # trust radius: first, largest; it binds points of smaller gaps than NEAR
 MOST_STEPS, HALVINGS = 1000, 12
 SAME = 1e-14  # change of the energy, over the sum of its parts, that is rounding in double precision
 GONE = 1e-9  # energy of the law per point, over w, below which the surfaces have separated
-FORCING = 0.0009, 0.16, 0.49  # share of ⟨r, Gr⟩ that a direction leaves: least, largest, of what is still to do
+FORCING = 0.0009, 0.16, 0.49  # share of ⟨r, Gr⟩ that a direction leaves: least, largest, and over tolerance/error
 WAYS = 0.25, 0.5, 0.75, 1.0
 SINGLE_TO = 1e-5  # energy error above which steps are in single precision: 17 % fewer pairs where contact jumps
 Goal = Callable[[AdhesiveState], float]
@@ -59,8 +59,8 @@ class AdhesiveContact(AdhesiveModel):
     def direction(
         self, state: AdhesiveState, hold: Hold, tolerance: float, careful: bool
     ) -> tuple[np.ndarray, bool]:
-        """Newton's direction, and whether `search` is one of negative curvature.  careful: without W'', and points
-        about to close do so with the others' step, which else stops at the first of them.  Collective.
+        """Newton's direction, and whether `search` is one of negative curvature.  careful: without W'' < 0, and
+        points about to close are closed at once; else the first of them ends the step.  Collective.
         """
         start = self.residual(state, hold, self.local if careful else 0.0)
         weight = self.weight(state.gap, not careful)
@@ -81,7 +81,7 @@ class AdhesiveContact(AdhesiveModel):
         found *= np.float32(state.residual)
         if careful:
             np.subtract(self.law.least, state.gap, out=found, where=~self.free, casting="same_kind")
-        return found, bent_down and self.largest(lambda s: np.abs(self.search[s])) > 0  # else it underflows
+        return found, bent_down and self.largest(lambda s: np.abs(self.search[s])) > 0  # 0 if it underflows
 
     def minimise(
         self,
@@ -154,10 +154,10 @@ class AdhesiveContact(AdhesiveModel):
             down *= np.float32(math.copysign(radius / self.largest(lambda s: np.abs(down[s])), -work))
             trials.insert(0, (found + down, 3))
         for way, halvings in trials:
-            near = self.largest(
+            most = self.largest(
                 lambda s, w=way: np.abs(w[s]) * (state.gap[s] < self.law.least + NEAR)  # type: ignore[misc]
             )
-            part = min(1.0, 1.5 * radius / near) if near > 0 else 1.0
+            part = min(1.0, 1.5 * radius / most) if most > 0 else 1.0
             for halving in range(halvings):
                 if self.moved(state, hold, way, part):
                     return True, min(radius * (2.0 if halving == 0 else 1.0), LARGEST_RADIUS)

@@ -40,7 +40,7 @@ START_ERROR = 1e-5  # certified error of the contact under a hard wall with whic
 FAR = 0.2  # largest distance t from the minimum, in ranges and over θ: more makes θ smaller
 LESS = 0.7  # a guess of θ, over that of the last contact
 WORSE = 2.0  # bound of the energy error over the estimate, at first
-LESSER, TRIES = 4.0, 3  # where a guess of θ was too large: the next one, and how often
+LESSER, TRIES = 4.0, 3  # divides a guess of θ that was too large; how often
 MOST = 1e60, 1e10  # load over the largest attraction; displacement over `apart`: more leaves them no digits
 COLD, FOLLOWED, PROBED = range(3)
 NONE = np.empty(0)
@@ -178,7 +178,7 @@ class Branch:
             start = softer.minimise(start / factor, longer, 1e-4, self._see).gap * factor
         if hold.fixed:
             contact.to_mean(start, hold.gap)
-        return contact.minimise(start, hold, self.tolerance, self._see, lambda state: self._near(state, hold))
+        return contact.minimise(start, hold, self.tolerance, self._see, lambda state: self._goal(state, hold))
 
     def _from(self, last: Point, target: float, tolerance: float = 0.0, extrapolated: bool = False) -> AdhesiveState:
         """The contact at a target, from another.  extrapolated: by the last change, which is lost.  Collective."""
@@ -196,14 +196,14 @@ class Branch:
         del way
         if hold.fixed:
             self.contact.to_mean(gap, hold.gap)
-        near = None if tolerance else lambda state: self._near(state, hold)
+        near = None if tolerance else lambda state: self._goal(state, hold)
         return self.contact.minimise(gap, hold, max(self.tolerance, tolerance), self._see, near)
 
     def _guess(self, state: AdhesiveState) -> float:
         """θ of a state, guessed from its last directions and the last contact."""
         return min(max(min(state.curvatures, default=1.0), 1e-3), 0.8, LESS * self.floor or 1.0)
 
-    def _near(self, state: AdhesiveState, hold: Hold, floor: float = 0.0, worse: float = WORSE) -> float:
+    def _goal(self, state: AdhesiveState, hold: Hold, floor: float = 0.0, worse: float = WORSE) -> float:
         """The error, over 2 E_el, at most the tolerance, with which the distance t is at most `FAR` θ."""
         floor = floor or self._guess(state)
         share = distance(self.contact, hold, floor, worse * state.scale / 2) / (FAR * floor)
@@ -280,7 +280,7 @@ class Branch:
         contact, wanted, worse = self.contact, self.tolerance * state.scale / 2, WORSE
         guess, goal, known = self._guess(state), state.error, min((self.floor, *state.curvatures))
         for _ in range(TRIES):
-            goal = min(goal, self._near(state, hold, guess, worse))
+            goal = min(goal, self._goal(state, hold, guess, worse))
             if goal < state.error:
                 contact.lowered(state, hold, lambda _, goal=goal: goal, self._see)  # type: ignore[misc]
             expected = worse * state.error * state.scale / 2

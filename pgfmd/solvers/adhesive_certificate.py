@@ -4,7 +4,7 @@ With A = K + s, E(g) − E(g*) ≤ e = ⟨r, A⁻¹r⟩/2 and |g − g*| ≤ t a
 energy is at least that of the quadratic form within t of the gaps, and at the rim exceeds that of g.  With D̄, the
 largest −W'' at gaps within t, s = −D̄ at free points, and s = 2b/t − D̄ at points that touch, pressed by b more than
 the law's tension.  P is the compliance between the points where s < 1/G(0), and 1/s on the others: K + max(s, 0) ≥ P⁻¹.
-Conjugate gradients give e, with what they leave, ⟨r', Pr'⟩/2θ, added.
+Conjugate gradients give e, with what they leave, ⟨r', Pr'⟩/2θ, added.  Functions return e per point.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pgfmd.solvers.adhesive_model import Actions, AdhesiveState, Hold
 
 LEAST_STEPS, LANCZOS = 12, 24  # least and most steps that estimate θ
 ROUNDING = 1e-12  # share of ⟨r, Pr⟩ beyond which single precision makes Ritz values of its own
-SURE = 0.1  # residual norm of the least Ritz value, over it, with which they end
+SURE = 0.1  # residual norm of the least Ritz value, over it, at which iterations end
 SHAKE = 0.05  # noise in the start over the residual, in the norm of P: finds what the residual does not hold
 RITZ = 0.9  # part of the least Ritz value less its residual that counts as θ
 PART = 0.45  # of the estimated θ, for which a proof is tried: less proves few more, in a larger distance t
@@ -44,11 +44,12 @@ Stiffening = Callable[[slice], np.ndarray]  # of some rows, added to K
 def estimated(
     contact: AdhesiveContact, state: AdhesiveState, hold: Hold, far: float
 ) -> tuple[float, float, float]:
-    """(θ, bound e on E − E* of the local minimum per point, least t for which it holds) where t = far.  Collective.
+    """(θ, bound e of E − E* of the local minimum per point, least t that e allows), with D̄ for t = far.  Collective.
 
     θ is `RITZ` of the least eigenvalue of PA, 1 without D̄, by the conjugate gradients that give e: the least Ritz value
     less the norm of its residual, which is right if the start holds that eigenvector.  0 where it is not above that.
-    With noise n added to r, √⟨r, A⁻¹r⟩ is at most that of the sum plus √(⟨n, Pn⟩/θ).  They end early where t is short.
+    With noise n added to r, √⟨r, A⁻¹r⟩ is at most that of the sum plus √(⟨n, Pn⟩/θ).  Iterations end early if t is too
+    short.
     """
     start, weight, actions = firm(contact, state, hold, stiffening(contact, state, hold, far))
     more = shake(contact, start, hold, actions, state.square / state.residual**2 if state.residual else 0.0)
@@ -161,8 +162,8 @@ def proved(
     """(θ, e, t) with a θ that is proved, `PART` of the estimate `floor`; None if the proof fails.  expected: about e.
     Collective.
 
-    With K_M, whose symbol is ½E'√(4 sin²(q_x a/2) + 4 sin²(q_y b/2)) in units of the spacings, K ≥ K_M and K_M has no
-    positive entry off its diagonal, as the root of a discrete Laplacian.  So M = (1 − θ)K_M + s, with (1 − θ)s where
+    With K_M, of symbol ½E'√(4 sin²(q_x a/2)/a² + 4 sin²(q_y b/2)/b²), K ≥ K_M and K_M has no positive entry off its
+    diagonal, as the root of a discrete Laplacian.  So M = (1 − θ)K_M + s, with (1 − θ)s where
     that is above 1/G(0), is positive definite if Mv > 0 for some v > 0 (Berman and Plemmons 1994,
     doi:10.1137/1.9781611971262, chapter 6), and then A ≥ θP⁻¹.  M may stiffen the mean as far as its entries allow: at
     a mean gap by anything, at a load by the spring less θ times the stiffness of the mean in P⁻¹.

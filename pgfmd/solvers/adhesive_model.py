@@ -88,7 +88,7 @@ class AdhesiveState:
     refused: int = 0
     single: bool = False  # whether the stress has the errors of single precision
     residual: float = math.inf
-    level: float = 0.0
+    level: float = 0.0  # this and what follows is for monitors only
     pressure_error: float = math.nan
     shift: int = 0
     base: float = 0.0
@@ -101,7 +101,7 @@ class AdhesiveState:
 
     @property
     def scale(self) -> float:
-        """4 E_el of which errors are parts, or a little of the energy of the law where hardly anything is deformed."""
+        """4 E_el, by which errors are divided, plus a little of the law's energy if hardly anything is deformed."""
         return 4 * max(self.elastic, 0.0) + FLOOR * abs(self.law) + NOTHING
 
 
