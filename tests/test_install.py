@@ -196,7 +196,7 @@ def test_the_version_is_the_same_everywhere():
         assert json.loads((TOP / name).read_text())["version"] == version
     for name, pattern in (
         ("CITATION.cff", rf"^version: {version}$"),
-        ("tools/release/conda/meta.yaml", rf'version = "{version}"'),
+        ("tools/release/conda/recipe.yaml", rf'version: "{version}"'),
         ("tools/release/spack/package.py", rf'version\("{version}"\)'),
     ):
         assert re.search(pattern, (TOP / name).read_text(), re.MULTILINE), name
@@ -205,7 +205,7 @@ def test_the_version_is_the_same_everywhere():
 def test_recipes_require_what_the_package_requires():
     """Each dependency stands in the conda and the Spack recipe and in codemeta."""
     folder = TOP / "tools/release"
-    texts = [(folder / name).read_text() for name in ("conda/meta.yaml", "spack/package.py", "codemeta.json")]
+    texts = [(folder / name).read_text() for name in ("conda/recipe.yaml", "spack/package.py", "codemeta.json")]
     for requirement in PROJECT["dependencies"]:
         name = re.match(r"[\w-]+", requirement).group()
         assert all(name in text for text in texts), name
