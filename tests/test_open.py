@@ -494,7 +494,7 @@ def test_slabs(base):
     for thin_to in (1.0, 0.0):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(open_kernel, "THIN", thin_to)
-            tables.append(open_kernel.layer_table(grid, slab))
+            tables.append(open_kernel.layer_table(grid, slab, slab.thickness))
     assert np.abs(tables[0] - tables[1]).max() < 1e-8 * tables[0].max()
 
 

@@ -93,8 +93,9 @@ class Homogeneous(Solid):
         from pgfmd.physics.solids.open_kernel import half_space_table, kept_table, layer_table
 
         name = self.thickness, self.base, self.poisson if self.needs_poisson else None
-        layer = math.isfinite(self.thickness)
-        return kept_table(grid, name, lambda: layer_table(grid, self) if layer else half_space_table(grid))
+        if math.isinf(self.thickness):
+            return kept_table(grid, name, lambda: half_space_table(grid))
+        return kept_table(grid, name, lambda: layer_table(grid, self, self.thickness))
 
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:
         if math.isfinite(self.thickness) or not grid.domain.wraps:

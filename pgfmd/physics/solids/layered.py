@@ -39,7 +39,7 @@ class Layered(Solid):
 
         ratio = f"{self.base_modulus / self.contact_modulus:.12g}"  # a change of units changes its last digits
         name = self.thickness, ratio, self.poisson, self.base_poisson
-        return kept_table(grid, name, lambda: layer_table(grid, self))
+        return kept_table(grid, name, lambda: layer_table(grid, self, self.thickness))
 
     def factor(self, q: np.ndarray) -> np.ndarray:
         poisson = np.array([self.poisson, self.base_poisson])

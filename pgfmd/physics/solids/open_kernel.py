@@ -18,17 +18,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import SPLIT
-from pgfmd.grid.kernels import scale_even
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transforms import ColumnAction
 from pgfmd.parallel.collectives import slab_starts
 from pgfmd.parallel.mpi import MPI, datatype
+from pgfmd.physics.solids.solid import Solid, half_q_squared
 
 CLOSE = 6.0  # α r from which erf is 1 in double precision
 THIN = 0.04  # thickness over half a side of the torus up to which images of a slab on a rigid base are below 1e-12
@@ -36,18 +35,6 @@ RESOLVED = 1.5, 3.0  # least thickness, in spacings, whose change of the kernel 
 THICK = 25.0  # q d from which F is 1 to the last digit
 BAND = 64  # rows at a time, so that temporary arrays stay small
 NODES = 600  # of the spline: its error is below 1e-9 of the values
-
-
-class Layer(Protocol):
-    """The part of a solid that is used here; see `Solid`."""
-
-    @property
-    def thickness(self) -> float: ...
-    @property
-    def contact_modulus(self) -> float: ...
-    def factor(self, q: np.ndarray) -> np.ndarray: ...
-    def compliance(self, q: np.ndarray) -> np.ndarray: ...
-    def mean_stiffness(self, periodic: bool = True) -> float: ...
 
 
 def half_space_table(grid: SlabGrid) -> np.ndarray:
@@ -111,9 +98,9 @@ def _table(grid: SlabGrid, alpha: float, poisson: float, along: bool) -> np.ndar
     return table
 
 
-def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
-    """E' Â(q) of a slab on a rigid base or a layer on a half-space.  Collective."""
-    d, q, rigid = solid.thickness, np.sqrt(half_q_squared(grid)), solid.mean_stiffness(periodic=False)
+def layer_table(grid: SlabGrid, solid: Solid, d: float) -> np.ndarray:
+    """E' Â(q) of a slab on a rigid base or a layer on a half-space, of thickness d.  Collective."""
+    q, rigid = np.sqrt(half_q_squared(grid)), solid.mean_stiffness(periodic=False)
     if rigid > 0 and d <= THIN * min(grid.period) / 2:
         table = solid.contact_modulus * solid.compliance(q)
         table[q == 0] = solid.contact_modulus / rigid
@@ -122,10 +109,10 @@ def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
     if rigid > 0 and not resolved:  # the kernel of a torus on which d is thin, cut off
         nx, ny = (max(n, math.ceil(1.01 * d / (THIN * a))) for n, a in zip(grid.shape, grid.spacing, strict=True))
         wide = grid.like(grid.comm, (nx, ny), (nx * grid.spacing[0], ny * grid.spacing[1]))
-        return cropped_table(wide, grid, layer_table(wide, solid))
+        return cropped_table(wide, grid, layer_table(wide, solid, d))
     alpha = SPLIT / max(grid.spacing)
     cut = not rigid and not resolved
-    change = _change(solid, math.hypot(*grid.period) / 2, alpha if cut else math.inf)
+    change = _change(solid, d, math.hypot(*grid.period) / 2, alpha if cut else math.inf)
     table = half_space_table(grid)
     table += cosine_transform(grid, lambda x, y: change(np.hypot(x, y)))
     if cut:
@@ -136,14 +123,13 @@ def layer_table(grid: SlabGrid, solid: Layer) -> np.ndarray:
     return table
 
 
-def _change(solid: Layer, furthest: float, alpha: float) -> Callable[[np.ndarray], np.ndarray]:
+def _change(solid: Solid, d: float, furthest: float, alpha: float) -> Callable[[np.ndarray], np.ndarray]:
     """∫ (1/F(q) − 1) erfc(q/2α) J0(qr) dq as a function of r up to `furthest`: a spline through values by Gauss's rule,
     on pieces with about one zero of J0 each.
     """
     from scipy.interpolate import CubicSpline  # slow to import
     from scipy.special import erfc, j0
 
-    d = solid.thickness
     end = min(THICK / d, 12 * alpha)
     pieces = max(50, int(end * furthest / math.pi) + 1)
     points, weights = np.polynomial.legendre.leggauss(6)
@@ -165,11 +151,6 @@ def _long_ranged(x: np.ndarray, y: np.ndarray, alpha: float) -> np.ndarray:
     close = np.ix_(x[:, 0] * alpha < CLOSE, y[0] * alpha < CLOSE)
     out[close] *= np.where(r[close] > 0, erf(alpha * r[close]), 1.0)
     return out
-
-
-def half_q_squared(grid: SlabGrid, first: int = 0, stop: int | None = None) -> np.ndarray:
-    """|q|² of the modes with kx ≥ 0 of this rank: (columns, Nx // 2 + 1)."""
-    return grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2
 
 
 def cosine_transform(
@@ -242,17 +223,3 @@ def kept_table(grid: SlabGrid, name: tuple, make: Callable[[], np.ndarray]) -> n
     if name not in grid.tables:
         grid.tables[name] = positive(grid, make())
     return grid.tables[name]
-
-
-def multiply_even(grid: SlabGrid, dtype: np.dtype, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:
-    """Column action that multiplies each mode by factor · table, or by factor/table except for the mean mode, which
-    becomes 0.
-    """
-    real, has_mean = np.dtype(dtype), divide and grid.columns.start == 0
-
-    def act(block: np.ndarray, first: int, stop: int) -> None:
-        scale_even(block.view(real).reshape(*block.shape, 2), table[first:stop], factor, divide)
-        if has_mean and first == 0:
-            block[0, 0] = 0
-
-    return act

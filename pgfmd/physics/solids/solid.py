@@ -170,7 +170,7 @@ class Solid(Section):
         """
         if not grid.domain.wraps:
             return self.open_table(grid)[first:stop] / self.contact_modulus
-        return self.compliance(np.sqrt(grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2))
+        return self.compliance(np.sqrt(half_q_squared(grid, first, stop)))
 
     def mean_mode(self, grid: SlabGrid) -> float:
         """Compliance of the mean mode on the rank that holds it, 0 on others.  Collective as `modes`."""
@@ -190,10 +190,25 @@ class Solid(Section):
         return multiply(grid, dtype, lambda q: factor * self.stiffness(q))
 
 
-def _by_table(grid: SlabGrid, dtype: DTypeLike, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:
-    from pgfmd.physics.solids.open_kernel import multiply_even  # compiled code, which only a run needs
+def half_q_squared(grid: SlabGrid, first: int = 0, stop: int | None = None) -> np.ndarray:
+    """|q|² of the modes with kx ≥ 0 of this rank's columns first … stop−1: (columns, Nx // 2 + 1)."""
+    return grid.qx[:, : grid.torus[0] // 2 + 1] ** 2 + grid.qy[first:stop] ** 2
 
-    return multiply_even(grid, np.dtype(dtype), factor, table, divide)
+
+def _by_table(grid: SlabGrid, dtype: DTypeLike, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:
+    """Column action that multiplies each mode by factor · table, or by factor/table except for the mean mode, which
+    becomes 0.
+    """
+    from pgfmd.grid.kernels import scale_even  # compiled code, which only a run needs
+
+    real, has_mean = np.dtype(dtype), divide and grid.columns.start == 0
+
+    def act(block: np.ndarray, first: int, stop: int) -> None:
+        scale_even(block.view(real).reshape(*block.shape, 2), table[first:stop], factor, divide)
+        if has_mean and first == 0:
+            block[0, 0] = 0
+
+    return act
 
 
 def multiply(grid: SlabGrid, dtype: DTypeLike, function: Callable[[np.ndarray], np.ndarray]) -> ColumnAction:
