@@ -20,7 +20,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.physics.solids.graded import Graded
-from pgfmd.physics.solids.layered import Layered
+from pgfmd.physics.solids.homogeneous import Layered
 from pgfmd.solvers.dispatch import solve_contact
 from pgfmd.solvers.options import Solver
 

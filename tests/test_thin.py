@@ -9,7 +9,7 @@ import pgfmd
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.problem import ContactProblem
-from pgfmd.physics.solids.layered import Layered
+from pgfmd.physics.solids.homogeneous import Layered
 from pgfmd.solvers.active_set import contact_from_coarse, particle_mesh
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.sparse_stiffness import DENSE, SparseStiffness

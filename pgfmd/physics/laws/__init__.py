@@ -1,1 +1,1 @@
-"""Contact laws: the relation between pressure and gap at a point.  One file each, one line each in `table`."""
+"""Contact laws: the relation between pressure and gap at a point.  Their list is `table`."""

@@ -1,4 +1,4 @@
-"""The contact laws that a job can ask for: one line each."""
+"""The contact laws that a job can ask for: one import and one name each."""
 
 from __future__ import annotations
 
@@ -10,15 +10,5 @@ from pgfmd.physics.laws.hard import HardWall
 from pgfmd.physics.laws.hardness import Hardness
 
 LAWS = Kinds(
-    "wall",
-    (
-        HardWall,
-        ExponentialWall,
-        Hardness,
-        FormulaWall,
-        AdhesiveWall,
-        Dugdale,
-        Potential,
-    ),
-    default=HardWall,
+    "wall", (HardWall, ExponentialWall, Hardness, FormulaWall, AdhesiveWall, Dugdale, Potential), default=HardWall
 )

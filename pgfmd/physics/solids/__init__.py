@@ -1,1 +1,1 @@
-"""Elastic solids: the compliance of a surface to each mode of pressure.  One file each, one line each in `kinds`."""
+"""Elastic solids: the compliance of a surface to each mode of pressure.  Their list is `kinds`."""

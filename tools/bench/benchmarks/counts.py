@@ -81,8 +81,7 @@ def solve(case: dict, comm, pressure: float) -> dict:
     from pgfmd.grid.slab_grid import SlabGrid
     from pgfmd.physics.laws.hard import HardWall
     from pgfmd.physics.problem import ContactProblem
-    from pgfmd.physics.solids.homogeneous import Homogeneous
-    from pgfmd.physics.solids.layered import Layered
+    from pgfmd.physics.solids.homogeneous import Homogeneous, Layered
     from pgfmd.solvers.active_set.cropping import solve_hard_wall
     from pgfmd.solvers.load_control import LoadControl
     from pgfmd.solvers.options import Load
