@@ -17,8 +17,7 @@ from pgfmd.application.simulate import simulate
 from pgfmd.application.stop import Interruptions
 from pgfmd.errors import SolverError
 from pgfmd.grid.slab_grid import SlabGrid
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import balance
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall

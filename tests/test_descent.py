@@ -13,8 +13,7 @@ from pgfmd.errors import SolverError, Uncertifiable
 from pgfmd.grid import slab_grid, transpose
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers import dispatch
 from pgfmd.solvers.active_set.active_set import State

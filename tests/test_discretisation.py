@@ -32,8 +32,7 @@ from pgfmd.observables.discretisation import (
 )
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.surfaces.self_affine import self_affine

@@ -12,8 +12,7 @@ from solids import elastic
 from pgfmd.errors import InputError, SolverError
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.physics.laws.exponential_law import ExponentialWall
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.dispatch import solve_contact

@@ -18,8 +18,7 @@ from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.observables import contact as measuring
 from pgfmd.observables.contact_patches import ContactPatches
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.controls import MeanGap
 from pgfmd.solvers.dispatch import solve_contact

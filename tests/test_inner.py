@@ -9,8 +9,7 @@ from pgfmd.grid import grid_cost
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.parallel import alone, layout
 from pgfmd.parallel.layout import Exchange, Layout, RowPlan, RowWindow, hops
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.active_set import block_stiffness, continuation, preconditioner
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall

@@ -20,8 +20,7 @@ from pgfmd.grid.transforms import sink, source
 from pgfmd.observables.contact import Contact
 from pgfmd.observables.partial_slip import PartialSlip
 from pgfmd.observables.rough_surface import RoughSurface
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.solids.homogeneous import Homogeneous
 from pgfmd.physics.solids.open_kernel import tangential_action
 

@@ -112,7 +112,7 @@ def test_limited_hardness_by_contact_mechanics(comm, hurst, lambda_s, hardness):
     from solids import elastic
 
     from pgfmd.grid.slab_grid import SlabGrid
-    from pgfmd.physics.laws.hardness import Hardness
+    from pgfmd.physics.laws.hard import Hardness
     from pgfmd.physics.problem import ContactProblem
     from pgfmd.solvers.dispatch import solve_contact
     from pgfmd.solvers.options import Solver

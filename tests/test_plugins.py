@@ -30,7 +30,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.schema import Dataset
 from pgfmd.options.rules import POSITIVE
 from pgfmd.options.section import key
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness
 from pgfmd.physics.solids.solid import Solid
 from pgfmd.surfaces.rigid_surface import Surface, coordinates
 

@@ -23,8 +23,7 @@ from pgfmd.observables.stiffness import Stiffness
 from pgfmd.parallel.mpi import ALONE
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 from pgfmd.physics.problem import ContactProblem
 from pgfmd.solvers.fixed_contact import increment
 

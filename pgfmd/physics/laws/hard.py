@@ -1,4 +1,4 @@
-"""The hard wall: p ≥ 0, gap ≥ 0, and one of them is zero."""
+"""The hard wall: p ≥ 0, gap ≥ 0, and one of them is zero; and one of limited hardness, as if asperities yielded."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from pgfmd.options.rules import POSITIVE
+from pgfmd.options.section import key
 from pgfmd.parallel.compiled import compiled
 from pgfmd.physics.laws.law import ContactLaw, Units
 
@@ -50,6 +52,45 @@ class HardWall(ContactLaw):
         """
         return finish_rows(pressure, gap, level, self.highest, units.pressure, units.height)
 
+
+@dataclass(frozen=True, kw_only=True)
+class Hardness(HardWall):
+    """A hard wall that yields where the pressure reaches `hardness`.
+
+    The pressure minimises the same energy as under the hard wall, over 0 ≤ p ≤ σ_Y, where φ(p) = 0.  Where p = σ_Y the
+    wall yields: there u − h ≤ 0, and h − u is the plastic depth.  Solvers treat it as a negative gap; a solution has a
+    field of its own for it.  σ_Y → ∞ is the hard wall; at p̄ = σ_Y all points bear σ_Y.
+
+    This holds while the load increases.  A wall that has yielded keeps its shape, heights less plastic depth: under a
+    lower load it is this shape that touches, without further yielding up to the largest load so far.
+    """
+
+    kind: ClassVar[str] = "hardness"
+
+    hardness: float = key(
+        POSITIVE, about="σ_Y, the largest pressure that a point bears", unit="pressure", needed=True, example=0.1
+    )
+
+    @property
+    def highest(self) -> float:
+        return self.hardness
+
+    def up_to(self, pressure: float) -> HardWall:
+        """The hard wall, if that pressure is not above σ_Y."""
+        return HardWall() if pressure <= self.hardness else self
+
+    def in_units(self, units: Units) -> Hardness:
+        return Hardness(hardness=self.hardness / units.pressure)
+
+    def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
+        """As under the hard wall.  Yielded points get σ_Y to the last digit: their gap is not 0, so that an error there
+        is of first order in energy.
+        """
+        yields = pressure >= self.hardness
+        violation = super().finish(pressure, gap, level, units)
+        pressure[yields] = units.highest
+        np.minimum(pressure, units.highest, out=pressure)
+        return violation
 
 @_jit
 def project(

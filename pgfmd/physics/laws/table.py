@@ -6,8 +6,7 @@ from pgfmd.options.section import Kinds
 from pgfmd.physics.laws.adhesive_laws import AdhesiveWall, Dugdale, Potential
 from pgfmd.physics.laws.exponential_law import ExponentialWall
 from pgfmd.physics.laws.formula import FormulaWall
-from pgfmd.physics.laws.hard import HardWall
-from pgfmd.physics.laws.hardness import Hardness
+from pgfmd.physics.laws.hard import Hardness, HardWall
 
 LAWS = Kinds(
     "wall", (HardWall, ExponentialWall, Hardness, FormulaWall, AdhesiveWall, Dugdale, Potential), default=HardWall
