@@ -7,14 +7,12 @@ may bear pressure.  The torus may have more: there pressure is 0, and no field i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 Shape = tuple[int, int]
 Rectangle = tuple[tuple[int, int], tuple[int, int]]
 """The points (first, stop) along x and along y."""
-Number = TypeVar("Number", int, np.ndarray)
 
 
 @dataclass(frozen=True)

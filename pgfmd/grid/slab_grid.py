@@ -240,12 +240,6 @@ class SlabGrid:
         """
         return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, domain or self.domain)
 
-    def as_cell(self) -> SlabGrid:
-        """The grid of the same points as a periodic cell: this one, if it is that."""
-        if self.domain.wraps:
-            return self
-        return SlabGrid(self.comm, self.shape, self.lengths, self.asked_threads, self._transform_name)
-
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
         """Global rows first … stop−1 of a distributed field; each rank may ask for a different range.  Beyond a border
         these are the rows at the opposite one, or where fields do not wrap copies of the last row.  Collective.
@@ -279,14 +273,10 @@ class SlabGrid:
 
         beyond: what the fields are taken for where the domain has no such rows; 0 if not given.
         """
-        exchange = Exchange(self.comm)
-        values = beyond or [0.0] * len(fields)
-        found = [
-            np.full((2 * margin, *field.shape[1:]), value, field.dtype)
-            for field, value in zip(fields, values, strict=True)
-        ]
-        for field, rows in zip(fields, found, strict=True):
-            exchange.fetch(self.around(margin), field, rows)
+        exchange, found = Exchange(self.comm), []
+        for field, value in zip(fields, beyond or [0.0] * len(fields), strict=True):
+            found.append(np.full((2 * margin, *field.shape[1:]), value, field.dtype))
+            exchange.fetch(self.around(margin), field, found[-1])
         exchange.carry_out()
         return found
 
@@ -326,7 +316,8 @@ class SlabGrid:
                 del _spares[:-SPARES]
             self._strips, self._planned = None, {}
         for transform in self._planned.values():
-            transform.free()
+            if isinstance(transform, LibraryTransform):
+                transform.free()
         self._planned = {}
         if self._strips is not None:
             self._strips.free()

@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from pgfmd.grid import kernels
 from pgfmd.grid.aligned import new_field
@@ -19,7 +18,7 @@ from pgfmd.grid.kernels import TAPS
 from pgfmd.grid.slab_grid import SlabGrid, transform_work
 from pgfmd.grid.transforms import sink, source
 from pgfmd.parallel.collectives import await_all, mark_shared, shared, slab_starts, team_of
-from pgfmd.parallel.layout import Exchange, Layout, Range, RowPlan, RowWindow
+from pgfmd.parallel.layout import Exchange, Layout, Range, RowPlan
 
 T = TypeVar("T")
 
@@ -54,19 +53,6 @@ class SubGrid:
         if fine.domain.wraps:
             return cls(fine, (nx, ny), fine.lengths)
         return cls(fine, (nx, ny), (factor * nx * fine.spacing[0], factor * ny * fine.spacing[1]))
-
-    @property
-    def columns(self) -> slice:
-        """Columns ky of this rank."""
-        return slice(0, 0) if self.grid is None else self.grid.columns
-
-    def no_rows(self) -> np.ndarray:
-        """The field (0, ny) of a rank that holds none."""
-        return np.empty((0, self.shape[1]))
-
-    def window(self, span: Range, dtype: DTypeLike = np.float32) -> RowWindow:
-        """Rows around those of this rank.  Collective."""
-        return RowWindow(self.layout, span, self.shape[1], dtype)
 
     def on_all(self, work: Callable[[SlabGrid], T], without_rows: Callable[[T], T] = lambda value: value) -> T:
         """`work(grid)` on the ranks that hold the grid; the others receive `without_rows` of the value of rank 0.
@@ -117,7 +103,8 @@ def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
             np.multiply(block[:, -kx_max:], scale, out=part[:, -kx_max:])
 
     fine.read_spectrum(source(field), keep, count=len(mine))
-    low, high = (min(ky, ky_count) for ky in (coarse.columns.start, coarse.columns.stop))
+    columns = slice(0, 0) if coarse.grid is None else coarse.grid.columns
+    low, high = min(columns.start, ky_count), min(columns.stop, ky_count)
     spectrum = Layout(fine.comm, starts).fetch(mine, low, high, fine.threads)
     out = np.empty(coarse.local_shape)
 

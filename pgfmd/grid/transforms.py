@@ -146,7 +146,7 @@ def plan(source: np.ndarray, target: np.ndarray, forward: bool, axes: tuple[int,
             _load_wisdom(path)
             if not (found := known()):
                 found = made()
-                _save_wisdom(path)
+                keep(path, SEPARATOR.join(pyfftw.export_wisdom()))
         return found
 
 
@@ -170,10 +170,6 @@ def _load_wisdom(path: Path) -> None:
         wisdom, _loaded = tuple((kept(path) or b"").split(SEPARATOR)), stamp
         if len(wisdom) == PRECISIONS:
             pyfftw.import_wisdom(wisdom)
-
-
-def _save_wisdom(path: Path) -> None:
-    keep(path, SEPARATOR.join(pyfftw.export_wisdom()))
 
 
 ROW_BLOCK = 1 << 17  # bytes of a block of rows, so that it and its transform stay in the second-level cache
@@ -302,9 +298,6 @@ class Transform:
         self.strips.to_rows(self.complex)
         self.threads.share(one, self.strips.rows, self.row_block)
 
-    def free(self) -> None:
-        """Frees nothing: the large arrays are those of the strips, which `SlabGrid` frees."""
-
 
 class WholeTransform:
     """The same passes in one precision for a whole periodic grid (nx, ny) on one rank: one plan for both directions of
@@ -337,9 +330,6 @@ class WholeTransform:
     def rows_backward(self, drain: RowAction) -> None:
         """All rows to `drain(0, nx, rows)`."""
         drain(0, len(self.rows), self.rows)
-
-    def free(self) -> None:
-        """Nothing is shared."""
 
 
 def _per_block(target: int, count: int, threads: int, multiple: int = 1) -> int:

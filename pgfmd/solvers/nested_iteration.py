@@ -101,7 +101,8 @@ class NestedIteration(Generic[StateType]):
 
         def numbers(solved: tuple[StateType, float]) -> tuple[StateType, float]:
             own: Any = solved[0]
-            return dataclasses.replace(own, pressure=coarse.place.no_rows(), gap=coarse.place.no_rows()), solved[1]
+            no_rows = np.empty((0, coarse.place.shape[1]))
+            return dataclasses.replace(own, pressure=no_rows, gap=no_rows), solved[1]
 
         return coarse.place.on_all(solve, numbers)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from pgfmd.grid.domain import PERIODIC
 from pgfmd.parallel.compiled import compiled
 
 if TYPE_CHECKING:
@@ -69,10 +70,10 @@ class RandomModes:
 
         The argument is proportional to the rms slope of the modes and the same on all ranks, so `factor` may raise.
         """
-        moments: list[tuple[int, float]] = []
         if not self.grid.domain.wraps:
-            with self.grid.as_cell().freed() as cell:
+            with self.grid.like(self.grid.comm, self.grid.shape, self.grid.lengths, PERIODIC).freed() as cell:
                 return replace(self, grid=cell).heights(factor)
+        moments: list[tuple[int, float]] = []
         heights, scale = self.grid.new_field(), np.empty(())
 
         def spectrum(block: np.ndarray, first: int, stop: int) -> None:

@@ -19,7 +19,7 @@ from pgfmd.grid.kernels import jit, u
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid
 from pgfmd.grid.transforms import ColumnAction, scaling, sink
-from pgfmd.parallel.layout import Exchange, Piece
+from pgfmd.parallel.layout import Exchange, Piece, RowWindow
 from pgfmd.solvers.active_set.stencil import OFFSETS, RADIUS, Stencil, Symbol, power_of, symmetric_kernel
 from pgfmd.solvers.active_set.unknowns import Part, Points, SetVector, add_points, take_points
 
@@ -62,7 +62,7 @@ class MeshResponse:
         first, weights = _splines(np.arange(grid.shape[1]) * scale[1] + shift)
         nodes = np.add.outer(first, np.arange(4, dtype=np.int32)) % np.int32(shape[1])
         self.splines: Splines = *rows, nodes, weights
-        self.window = self.place.window((int(rows[0][0]), int(rows[0][-1]) + 4))
+        self.window = RowWindow(self.place.layout, (int(rows[0][0]), int(rows[0][-1]) + 4), shape[1])
 
     def apply(self, values: SetVector, out: np.ndarray) -> None:
         """out (count,) = the response on the set to `values`; both float32.  Collective.
