@@ -70,11 +70,23 @@ class Graph:
         """The gap at that pressure."""
         return float(self.points((1.0, 0.0), np.full(1, pressure))[1, 0])
 
-    def points(self, line: Line, target: np.ndarray) -> np.ndarray:
-        """The points with a p − b g = t for the targets t (m,); line: (a, b).  Returns pressure, gap and dp/dg (3, m),
-        which is −inf where the graph is vertical, and 0 beyond its end.
+    def at_pressures(self, pressure: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Rows of a field (nx, ny), and the gap and dp/dg at the pressures there."""
+        for rows in _blocks(pressure):
+            _, gap, slope = self.points((1.0, 0.0), pressure[rows])
+            yield rows, gap, slope
+
+    def softness(self, pressure: np.ndarray) -> float:
+        """Σ p × range over a field (nx, ny)."""
+        return sum(
+            float(np.vdot(p := pressure[rows], _ranges(p, slope))) for rows, _, slope in self.at_pressures(pressure)
+        )
+
+    def points(self, line: Line, targets: np.ndarray) -> np.ndarray:
+        """The points with a p − b g = t for the targets t; line: (a, b).  Returns pressure, gap and dp/dg (3, …), which
+        is −inf where the graph is vertical, and 0 beyond its end.
         """
-        function, table = compiled_pair(self._of), self._table(line)
+        function, table, target = compiled_pair(self._of), self._table(line), targets.ravel()
         found, bracket = np.empty((2, 3, len(target)))
         _guess(target, line, table, found[1], bracket)
         function(found[1], self._scales, found[0], found[2])
@@ -85,7 +97,7 @@ class Graph:
             more = _correct(t, line, own, new)
             bracket[:, left], found[:, left] = own, new
             left = left[more]
-        return found
+        return found.reshape(3, *targets.shape)
 
     def _table(self, line: Line) -> tuple[np.ndarray, ...]:
         """t, gap and dt/dg at the nodes; t is filled up with −inf to a power of 2."""
@@ -260,7 +272,7 @@ class FormulaWall(ContactLaw):
         return self.ends[1] - self.ends[0]
 
     def softness(self, pressure: np.ndarray) -> float:
-        return _softness(self.graph, pressure)
+        return self.graph.softness(pressure)
 
     def gap(self, pressure: float, solid: Solid) -> float:
         return self.graph.gap(pressure)
@@ -278,18 +290,18 @@ class _InUnits(ContactLaw):
     kind, releases = FormulaWall.kind, FormulaWall.releases
 
     def __init__(self, graph: Graph, units: Units) -> None:
-        self.whole, self.graph, self.units = graph, graph.scaled(units), units
+        self.graph, self.units = graph.scaled(units), units
         self.away = abs(units.offset) / units.height  # of ĝ = 0 from gap 0: rounding errors scale with it
 
     def softness(self, pressure: np.ndarray) -> float:
-        return _softness(self.graph, pressure)
+        return self.graph.softness(pressure)
 
     def softer(self, factor: float) -> ContactLaw:
-        return _InUnits(self.whole, self.units._replace(height=self.units.height / factor))
+        return _InUnits(self.graph, self.units._replace(height=self.units.height / factor))
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
         """As `ContactLaw.gap_and_slope`; where p = 0, the smallest gap without pressure."""
-        for rows, own, rate in _of_pressures(self.graph, pressure):
+        for rows, own, rate in self.graph.at_pressures(pressure):
             np.minimum(own, self.graph.ends[1], out=gap[rows])
             np.negative(rate, out=slope[rows])
 
@@ -298,7 +310,7 @@ class _InUnits(ContactLaw):
         total = slopes = 0.0
         line = compliance, 1.0
         for rows in _blocks(target):
-            p, gap, slope = _points(self.graph, line, target[rows] + level)
+            p, _, slope = self.graph.points(line, target[rows] + level)
             pressure[rows] = p
             part = response(line, p.ravel(), slope.ravel())
             total, slopes = total + part[0], slopes + part[1]
@@ -307,7 +319,7 @@ class _InUnits(ContactLaw):
     def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
         """(Σ p (g − gap(p)), Σ p, number of points with p > threshold, Σ p × range)."""
         potential = softness = 0.0
-        for rows, own, slope in _of_pressures(self.graph, pressure):
+        for rows, own, slope in self.graph.at_pressures(pressure):
             p = pressure[rows]
             potential += float(np.vdot(p, gap[rows] - own))
             softness += float(np.vdot(p, _ranges(p, slope)))
@@ -320,9 +332,9 @@ class _InUnits(ContactLaw):
         include their rounding errors.
         """
         total, digits = 0.0, 8 * LAST
-        for rows, own, slope in _of_pressures(self.graph, pressure):
+        for rows, own, slope in self.graph.at_pressures(pressure):
             p, away = pressure[rows], gap[rows] - level
-            answer, there, _ = _points(self.graph, (compliance, 1.0), compliance * p - away)
+            answer, there, _ = self.graph.points((compliance, 1.0), compliance * p - away)
             np.subtract(away, there, out=residual[rows])
             forces = np.abs(p - answer) + digits * np.maximum(p, answer)
             lengths = np.abs(there - own) + digits * (np.abs(own) + self.away + _ranges(p, slope))
@@ -333,7 +345,7 @@ class _InUnits(ContactLaw):
         """As `ContactLaw.finish`; the violation is taken over points with more than the mean pressure."""
         largest = 0.0
         gap -= level
-        for rows, own, _ in _of_pressures(self.graph, pressure):
+        for rows, own, _ in self.graph.at_pressures(pressure):
             largest = max(largest, float(np.max(np.abs(gap[rows] - own), where=pressure[rows] >= 1, initial=0.0)))
         gap *= units.height
         gap += units.offset
@@ -347,24 +359,6 @@ def _blocks(field: np.ndarray) -> Iterator[slice]:
     return (slice(row, row + many) for row in range(0, len(field), many))
 
 
-def _points(graph: Graph, line: Line, target: np.ndarray) -> np.ndarray:
-    """`Graph.points` of targets (m, ny): pressure, gap and dp/dg (3, m, ny)."""
-    return graph.points(line, target.ravel()).reshape(3, *target.shape)
-
-
-def _of_pressures(graph: Graph, pressure: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """Rows, and the gap and dp/dg of the graph at the pressures there."""
-    for rows in _blocks(pressure):
-        _, gap, slope = _points(graph, (1.0, 0.0), pressure[rows])
-        yield rows, gap, slope
-
-
 def _ranges(pressure: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """The length over which the pressure changes with the gap, −p/(dp/dg); 0 where the graph is vertical."""
     return np.divide(pressure, -slope, out=np.zeros_like(pressure), where=slope < 0)
-
-
-def _softness(graph: Graph, pressure: np.ndarray) -> float:
-    """Σ p × range."""
-    found = _of_pressures(graph, pressure)
-    return sum(float(np.vdot(p := pressure[rows], _ranges(p, slope))) for rows, _, slope in found)
