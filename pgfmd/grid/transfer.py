@@ -239,9 +239,7 @@ def _means(domain: Domain, fine: int, coarse: int) -> tuple[np.ndarray, np.ndarr
 
 
 @lru_cache(maxsize=16)
-def _weights(
-    domain: Domain, points: Range, counts: tuple[int, int], real: np.dtype
-) -> tuple[np.ndarray, np.ndarray]:
+def _weights(domain: Domain, points: Range, counts: tuple[int, int], real: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     """For these of so many fine points, the first of the four coarse points around each, and their Lagrange weights
     (len(points), 4); to read.  counts: of fine and coarse points.
     """

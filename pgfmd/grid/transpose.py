@@ -179,8 +179,7 @@ class SharedStrips(Strips):
             return
         height, rows = (self.nx + 1) * TILE, self.rows * TILE
         each = [
-            begin + np.arange(*known) * height
-            for begin, *known in zip(self.begins, self._touched, counts, strict=True)
+            begin + np.arange(*known) * height for begin, *known in zip(self.begins, self._touched, counts, strict=True)
         ]
         pages = np.append(np.arange(0, rows, mmap.PAGESIZE), rows - 1)
         self.flat[np.add.outer(np.concatenate(each) + self.first_row * TILE, pages)] = 0

@@ -79,9 +79,7 @@ class AttractiveWall(ContactLaw):
 class RangedWall(AttractiveWall):
     """A hard wall that attracts within a range: `work` is the integral of its traction."""
 
-    work: float = key(
-        POSITIVE, about="work of adhesion w, per area", unit="pressure*length", needed=True, example=0.05
-    )
+    work: float = key(POSITIVE, about="work of adhesion w, per area", unit="pressure*length", needed=True, example=0.05)
     range: float = key(
         POSITIVE, about="ρ: the largest attraction is work/range", unit="length", needed=True, example=0.5
     )

@@ -85,9 +85,7 @@ class ExponentialWall(ContactLaw):
     releases: ClassVar[bool] = False
     effort: ClassVar[float] = 2.5
 
-    zeta: float = key(
-        POSITIVE, about="ζ, over which the pressure decays", unit="length", needed=True, example=0.25
-    )
+    zeta: float = key(POSITIVE, about="ζ, over which the pressure decays", unit="length", needed=True, example=0.25)
     sigma_ref: float | None = key(
         POSITIVE, about="pressure at gap 0; the contact modulus if not given", unit="pressure"
     )

@@ -112,9 +112,7 @@ class Graph:
 
 
 @_jit
-def _guess(
-    target: np.ndarray, line: Line, table: tuple[np.ndarray, ...], gap: np.ndarray, bracket: np.ndarray
-) -> None:
+def _guess(target: np.ndarray, line: Line, table: tuple[np.ndarray, ...], gap: np.ndarray, bracket: np.ndarray) -> None:
     """Brackets the points by nodes, and interpolates between them by cubic polynomials.  bracket: gap of the lower
     node, of the upper one, and their distance (3, m); at an end of the graph both are the end.
     """
@@ -189,8 +187,7 @@ def response(line: Line, pressure: np.ndarray, slope: np.ndarray) -> tuple[float
 
 @cache
 def tabulate(written: str, ends: tuple[float, float]) -> Graph:
-    """The graph of a formula between two gaps; raises InputError if it is not finite, negative, or does not decrease.
-    """
+    """The graph of a formula between two gaps.  Raises InputError unless it is finite, not negative, and decreases."""
     function = expressions.function(written, "gap")
 
     def at(gaps: np.ndarray) -> np.ndarray:

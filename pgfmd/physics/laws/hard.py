@@ -48,8 +48,7 @@ class HardWall(ContactLaw):
         return excess(pressure, gap, residual, compliance, level, self.highest)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Makes the gap 0 where the pressure lies between its bounds, ≥ 0 where it is 0, and ≤ 0 where it is `highest`.
-        """
+        """Makes the gap 0 where the pressure is between its bounds, ≥ 0 where it is 0, ≤ 0 where it is `highest`."""
         return finish_rows(pressure, gap, level, self.highest, units.pressure, units.height)
 
 
@@ -91,6 +90,7 @@ class Hardness(HardWall):
         pressure[yields] = units.highest
         np.minimum(pressure, units.highest, out=pressure)
         return violation
+
 
 @_jit
 def project(
