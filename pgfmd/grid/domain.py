@@ -74,9 +74,7 @@ class Open(Domain):
 
 @dataclass(frozen=True)
 class Cropped(Open):
-    """An open patch of which only the points of a rectangle, `box`, bear pressure: the torus holds the distances from
-    these to all others.
-    """
+    """An open patch whose pressure lies within a rectangle, `box`; the torus holds its distances to all points."""
 
     box: Rectangle = ((0, 0), (0, 0))
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Cost:
-    """Work in transforms of the grid (forward and backward, double precision); memory in bytes per grid point,
-    without that of the heights, the pressure and the gap.
-    """
+    """Work in pairs of transforms in double precision; memory in bytes per point, beside heights, pressure and gap."""
 
     transforms: float = 0.0
     memory: float = 0.0
@@ -27,9 +25,7 @@ def holders(shape: tuple[int, int], ranks: int, least: int = LEAST_ROWS) -> int:
 
 
 def largest_shares(shape: tuple[int, int], ranks: int, of: int = 1) -> list[int]:
-    """Points that `of` ranks from rank 0 on, which have most, hold of a grid on all ranks and of the coarser ones of
-    nested iteration.
-    """
+    """Points that the first `of` ranks, which have most, hold of a grid and of the coarser ones of nested iteration."""
     shares: list[int] = []  # down to the first that is on rank 0 alone, as all coarser ones are
     holding = ranks
     while not shares or min(shape) > 1 and shape[0] * shape[1] > SMALL // 4:

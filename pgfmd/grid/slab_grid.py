@@ -150,9 +150,7 @@ class SlabGrid:
         return self._planned[dtype]
 
     def new_field(self, dtype: DTypeLike | None = None) -> np.ndarray:
-        """A new field (nx_local, ny), not yet set, by default as they are stored; where that is in double precision,
-        one of float32 may be `widened`.
-        """
+        """A new field (nx_local, ny), not set, by default of `storage`; float32 may be `widened` if that is double."""
         return new_field(self.local_shape, dtype or self.storage, self.storage is np.float64)
 
     def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
@@ -167,9 +165,7 @@ class SlabGrid:
         return out
 
     def backward(self, spectrum: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
-        """Field (nx_local, ny) of a spectrum (nky_local, Nx), with 1/(Nx Ny), so that backward(forward(u)) = u.
-        Collective.
-        """
+        """Field (nx_local, ny) of a spectrum (nky_local, Nx), with 1/(Nx Ny): backward(forward(u)) = u.  Collective."""
         real = np.zeros((), spectrum.dtype).real.dtype
         out = np.empty(self.local_shape, real) if out is None else out
         normalisation = real.type(1 / self.modes)
@@ -235,9 +231,7 @@ class SlabGrid:
     def like(
         self, comm: MPI.Comm, shape: tuple[int, int], lengths: tuple[float, float], domain: Domain | None = None
     ) -> SlabGrid:
-        """Another grid, on the ranks of `comm`, with as many threads and the same kind of transforms as this one, and
-        the same domain if none is given.
-        """
+        """Another grid on the ranks of `comm`, with threads, transforms and, unless given, the domain of this one."""
         return SlabGrid(comm, shape, lengths, self.asked_threads, self._transform_name, domain or self.domain)
 
     def fetch(self, field: np.ndarray, first: int, stop: int) -> np.ndarray:
@@ -307,9 +301,7 @@ class SlabGrid:
             self.free()
 
     def free(self) -> None:
-        """Free the memory of the transforms, or keep them for a grid alike; the next use takes or allocates them again.
-        Collective.
-        """
+        """Free the memory of the transforms, or keep them for a grid alike; the next use gets new ones.  Collective."""
         if self._kind is not None and self._planned:
             with _lock:
                 _spares.append((self._kind, self._strips, self._planned))

@@ -87,9 +87,7 @@ class SubGrid:
 
 
 def restrict(fine: SlabGrid, coarse: SubGrid, field: np.ndarray) -> np.ndarray:
-    """The field on the coarse grid (nx_coarse_local, ny_coarse): its modes below that grid's Nyquist frequencies are
-    kept, the others dropped.  Collective.
-    """
+    """A field on a coarse grid, (nx_coarse_local, ny_coarse): its modes below that grid's Nyquist ones.  Collective."""
     nx, ny = coarse.shape
     kx_max, ky_count = (nx - 1) // 2, (ny - 1) // 2 + 1  # Nyquist modes are left out
     starts = np.minimum(slab_starts(fine.shape[1] // 2 + 1, fine.comm.size), ky_count)

@@ -147,9 +147,7 @@ class Strips(ABC):
 
 
 class SharedStrips(Strips):
-    """Strips in memory that all ranks see: the ranks of one node, or one rank alone.  The transpose is done by stores
-    and loads; no message is sent.
-    """
+    """Strips in memory that all ranks see: those of one node, or one rank alone.  Stores and loads do the transpose."""
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int]) -> None:
         super().__init__(comm, shape)
@@ -203,9 +201,7 @@ class ExchangedStrips(Strips):
     """
 
     def __init__(self, comm: MPI.Comm, shape: tuple[int, int], node: MPI.Comm, starts: np.ndarray) -> None:
-        """node: the ranks that share memory, consecutive in `comm`; starts: the first rank of each node and, last, the
-        number of ranks.
-        """
+        """node: ranks that share memory, consecutive in `comm`; starts: first rank of each node, then `comm.size`."""
         super().__init__(comm, shape)
         sizes = np.diff(starts)
         self.node_number = int(np.searchsorted(starts, comm.rank, side="right")) - 1

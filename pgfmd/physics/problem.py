@@ -28,9 +28,7 @@ STEP = 0.5  # largest change of ln p̄ in one step: a level that falls by more m
 
 
 class Measured(NamedTuple):
-    """Numbers of a feasible pressure: its level λ, mean, elastic energy per point, number of points in contact, and
-    number of all points.
-    """
+    """Of a feasible pressure: its level λ, mean, elastic energy per point, points in contact, and all points."""
 
     level: float
     pressure: float
@@ -40,9 +38,7 @@ class Measured(NamedTuple):
 
     @property
     def range(self) -> float:
-        """About dλ/d ln p̄, the length γ in p̄ ∝ exp(λ/γ): E_el/p̄ (Akarapu, Sharp, Robbins 2011,
-        doi:10.1103/PhysRevLett.106.204301).
-        """
+        """About γ in p̄ ∝ exp(λ/γ), E_el/p̄ (Akarapu, Sharp, Robbins 2011, doi:10.1103/PhysRevLett.106.204301)."""
         return self.energy / self.pressure
 
 
@@ -154,9 +150,7 @@ class Aim:
         return math.log(quantile(at.contact / at.size, at.size)) + math.log(self.stresses[at.size] / at.pressure)
 
     def _change(self, at: Measured) -> float:
-        """Change of ln p̄, at most `STEP`, by which the finest grid gets the area, with `loaded` extrapolated from the
-        coarser grids.
-        """
+        """Change of ln p̄, at most `STEP`, that gives the finest grid the area; coarser grids are extrapolated."""
         values, size = [*self.solved, self.loaded(at)], max(self.stresses)
         changes = [b - a for a, b in itertools.pairwise(values)]
         ahead = changes[-1] * (1 - math.sqrt(at.size / size)) if changes else 0.0

@@ -325,9 +325,7 @@ class _InUnits(ContactLaw):
     def excess(
         self, pressure: np.ndarray, gap: np.ndarray, residual: np.ndarray, compliance: float, level: float
     ) -> float:
-        """ε = g − level − gap(p⁺): so the excess is one between two points of the graph.  Both factors of its bound
-        include their rounding errors.
-        """
+        """ε = g − level − gap(p⁺): an excess between two points of the graph.  Its bound includes rounding errors."""
         total, digits = 0.0, 8 * LAST
         for rows, own, slope in self.graph.at_pressures(pressure):
             p, away = pressure[rows], gap[rows] - level

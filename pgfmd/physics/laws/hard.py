@@ -82,9 +82,7 @@ class Hardness(HardWall):
         return Hardness(hardness=self.hardness / units.pressure)
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """As under the hard wall.  Yielded points get σ_Y to the last digit: their gap is not 0, so that an error there
-        is of first order in energy.
-        """
+        """As under the hard wall; yielded points get σ_Y exactly: as their gap is not 0, errors are of first order."""
         yields = pressure >= self.hardness
         violation = super().finish(pressure, gap, level, units)
         pressure[yields] = units.highest

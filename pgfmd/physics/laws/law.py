@@ -92,9 +92,7 @@ class ContactLaw(Section):
         return 0.0
 
     def range_at(self, pressure: float) -> float:
-        """The length over which the pressure changes with the gap, −p/(dp/dgap), at a pressure > 0; 0 where any
-        pressure has one gap.
-        """
+        """The length over which a pressure > 0 changes with the gap, −p/(dp/dgap); 0 where all have one gap."""
         return self.softness(np.full((1, 1), pressure)) / pressure
 
     def up_to(self, pressure: float) -> ContactLaw:
@@ -124,9 +122,7 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def gap_and_slope(self, pressure: np.ndarray, gap: np.ndarray, slope: np.ndarray) -> None:
-        """Fills rows with the gap at each pressure, and with −dp/dgap there, infinite where the wall is hard.
-        `slope` may be `pressure`.
-        """
+        """Fills rows with the gap at each pressure and −dp/dgap, inf if the wall is hard; slope may be `pressure`."""
         raise NotImplementedError
 
     def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
@@ -155,7 +151,5 @@ class ContactLaw(Section):
         return 0.0 if self.releases else SHARE * mean_square / mean
 
     def finish(self, pressure: np.ndarray, gap: np.ndarray, level: float, units: Units) -> float:
-        """Converts rows of a dimensionless solution to physical units, in place.  Returns the largest violation of the
-        law before that, in units of `units.height`.
-        """
+        """Converts rows of a dimensionless solution, in place; returns its largest violation over `units.height`."""
         raise NotImplementedError

@@ -80,9 +80,7 @@ class Homogeneous(Solid):
         return super().softest(lengths, spacing) if math.isfinite(self.thickness) else 1.0
 
     def mean_stiffness(self, periodic: bool = True) -> float:
-        """Of uniaxial strain, E'(1−ν)²/((1−2ν) d), over a rigid base; E'/d on a frictionless one if lateral strain is
-        free.
-        """
+        """Of uniaxial strain, E'(1−ν)²/((1−2ν) d), on a rigid base; E'/d on a sliding one with free lateral strain."""
         if not self.needs_poisson:
             return 0.0
         nu = self.poisson or 0.0

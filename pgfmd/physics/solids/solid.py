@@ -159,9 +159,7 @@ class Solid(Section):
         return 1 / self.half_space_stiffness(q)
 
     def open_table(self, grid: SlabGrid) -> np.ndarray:
-        """E' times the compliance of the modes with kx ≥ 0, (nky_local, Nx // 2 + 1), on a domain with a border; made
-        once for each grid.  Collective.
-        """
+        """E' times the compliance of the modes kx ≥ 0 on an open patch, (nky_local, Nx // 2 + 1).  Collective."""
         raise NotImplementedError
 
     def modes(self, grid: SlabGrid, first: int = 0, stop: int | None = None) -> np.ndarray:
@@ -196,9 +194,7 @@ def half_q_squared(grid: SlabGrid, first: int = 0, stop: int | None = None) -> n
 
 
 def _by_table(grid: SlabGrid, dtype: DTypeLike, factor: float, table: np.ndarray, divide: bool) -> ColumnAction:
-    """Column action that multiplies each mode by factor · table, or by factor/table except for the mean mode, which
-    becomes 0.
-    """
+    """Column action: each mode times factor · table, or factor/table, but the mean mode then becomes 0."""
     from pgfmd.grid.kernels import scale_even  # compiled code, which only a run needs
 
     real, has_mean = np.dtype(dtype), divide and grid.columns.start == 0
