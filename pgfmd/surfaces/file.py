@@ -258,7 +258,7 @@ class FromFile(Surface):
         log_range(grid, heights, length_unit)
         if self.detrend != "none":
             subtract_trend(grid, heights, ORDERS[self.detrend], self._copies)
-        if self.periodic == "as-is" and grid.domain.wraps:
+        if self.periodic == "as-is":
             warn_of_edges(grid, heights)
         if self.periodic == "taper":
             mean = grid.reduction.sum(heights) / grid.size

@@ -140,9 +140,7 @@ class Measurement:
             return self
         by = conversion(self.unit, unit)
         lengths = self.lengths and (float(by * self.lengths[0]), float(by * self.lengths[1]))
-        return dataclasses.replace(
-            self, lengths=lengths, unit=unit, factor=by * self.factor, offset=by * self.offset
-        )  # fmt: skip
+        return dataclasses.replace(self, lengths=lengths, unit=unit, factor=by * self.factor, offset=by * self.offset)
 
     def described(self) -> str:
         """Format, points, size and unit, in words."""

@@ -140,15 +140,13 @@ class Sum(Surface):
     Squares of slopes add: the bodies are taken as independent.
     """
 
+    parts: tuple[Surface, ...]
+
     def __init__(self, *parts: Surface) -> None:
         vars(self).update(
             parts=parts, second=None, kind=" + ".join(part.kind for part in parts),
             centred=all(part.centred for part in parts), cut_out=any(part.cut_out for part in parts),
         )  # fmt: skip
-
-    @property
-    def parts(self) -> tuple[Surface, ...]:
-        return vars(self)["parts"]
 
     def known_slope(self) -> float | None:
         slopes = [part.known_slope() for part in self.parts]
