@@ -55,10 +55,7 @@ class LibraryTransform:
     def columns(
         self, action: ColumnAction, forward: bool = True, backward: bool = True, count: int | None = None
     ) -> None:
-        """`action(block, first, stop)` on the spectrum, or its first `count` columns.
-
-        With `forward=False` the action makes the spectrum; with `backward=False` it only reads it.
-        """
+        """As of `Transform`, with `ROWS` columns in a block."""
         spectrum = self._spectrum
 
         def one(_: int, first: int, stop: int) -> None:

@@ -153,10 +153,9 @@ class SlabGrid:
         """A new field (nx_local, ny), not set, by default of `storage`; float32 may be `widened` if that is double."""
         return new_field(self.local_shape, dtype or self.storage, self.storage is np.float64)
 
-    def forward(self, field: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    def forward(self, field: np.ndarray) -> np.ndarray:
         """Spectrum (nky_local, Nx), unnormalised, of a field (nx_local, ny); in the field's precision.  Collective."""
-        transform = self.transform(field.dtype)
-        out = np.empty(self.spectral_shape, transform.complex) if out is None else out
+        out = np.empty(self.spectral_shape, np.result_type(field.dtype, np.complex64))
 
         def keep(block: np.ndarray, first: int, stop: int) -> None:
             out[first:stop] = block
@@ -164,11 +163,10 @@ class SlabGrid:
         self.read_spectrum(source(field), keep, field.dtype)
         return out
 
-    def backward(self, spectrum: np.ndarray, out: np.ndarray | None = None) -> np.ndarray:
+    def backward(self, spectrum: np.ndarray) -> np.ndarray:
         """Field (nx_local, ny) of a spectrum (nky_local, Nx), with 1/(Nx Ny): backward(forward(u)) = u.  Collective."""
         real = np.zeros((), spectrum.dtype).real.dtype
-        out = np.empty(self.local_shape, real) if out is None else out
-        normalisation = real.type(1 / self.modes)
+        out, normalisation = np.empty(self.local_shape, real), real.type(1 / self.modes)
 
         def copy(block: np.ndarray, first: int, stop: int) -> None:
             np.multiply(spectrum[first:stop], normalisation, out=block)

@@ -264,10 +264,6 @@ class FormulaWall(ContactLaw):
         """The first of `gaps`, and the second or where the formula becomes 0."""
         return self.graph.ends
 
-    @property
-    def reach(self) -> float:
-        return self.ends[1] - self.ends[0]
-
     def softness(self, pressure: np.ndarray) -> float:
         return self.graph.softness(pressure)
 

@@ -80,7 +80,7 @@ class ContactLaw(Section):
     @property
     def reach(self) -> float:
         """Largest difference between gaps of points that bear pressure; 0 for a hard wall."""
-        return 0.0
+        return self.ends[1] - self.ends[0]
 
     @property
     def length_scale(self) -> float:

@@ -88,11 +88,9 @@ class Homogeneous(Solid):
         return self.contact_modulus * uniaxial / self.thickness
 
     def open_table(self, grid: SlabGrid) -> np.ndarray:
-        from pgfmd.physics.solids.open_kernel import half_space_table, kept_table, layer_table
+        from pgfmd.physics.solids.open_kernel import kept_table, layer_table
 
         name = self.thickness, self.base, self.poisson if self.needs_poisson else None
-        if math.isinf(self.thickness):
-            return kept_table(grid, name, lambda: half_space_table(grid))
         return kept_table(grid, name, lambda: layer_table(grid, self, self.thickness))
 
     def apply_compliance(self, grid: SlabGrid, dtype: DTypeLike, factor: float) -> ColumnAction:

@@ -99,7 +99,9 @@ def _table(grid: SlabGrid, alpha: float, poisson: float, along: bool) -> np.ndar
 
 
 def layer_table(grid: SlabGrid, solid: Solid, d: float) -> np.ndarray:
-    """E' Â(q) of a slab on a rigid base or a layer on a half-space, of thickness d.  Collective."""
+    """E' Â(q) of a slab on a rigid base, a layer on a half-space or, with d = inf, a half-space.  Collective."""
+    if math.isinf(d):
+        return half_space_table(grid)
     q, rigid = np.sqrt(half_q_squared(grid)), solid.mean_stiffness(periodic=False)
     if rigid > 0 and d <= THIN * min(grid.period) / 2:
         table = solid.contact_modulus * solid.compliance(q)
