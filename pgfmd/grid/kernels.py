@@ -1,4 +1,5 @@
-"""Compiled loops.  The docstring of each gives the NumPy line that it replaces; a test compares the two.
+"""Compiled loops.  The docstring of each gives the NumPy line that it replaces; a test compares the two.  Blocks of
+modes have a last axis (real, imaginary).
 
 All kernels release the GIL, so that the threads of one rank can share the blocks of a slab between them.
 """
@@ -56,9 +57,7 @@ def tiles_and_columns(tiles: np.ndarray, nx: int, first: int, count: int, block:
 
 @jit
 def scale_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray, factor: float, divide: bool) -> None:
-    """block[j, i] *= factor · √(qx²[i] + qy²[j]), or if `divide` factor / √(qx²[i] + qy²[j]) and 0 at q = 0; the last
-    axis of `block` holds (real, imaginary).
-    """
+    """block[j, i] *= factor · √(qx²[i] + qy²[j]), or if `divide` factor / √(qx²[i] + qy²[j]) and 0 at q = 0."""
     scale = np.empty_like(qx_squared)
     for j in range(qy_squared.size):
         for i in range(scale.size):  # a loop of its own, so that it is vectorised
@@ -73,7 +72,7 @@ def scale_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray
 
 @jit
 def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
-    """block *= scale; the last axis of `block` holds (real, imaginary)."""
+    """block *= scale"""
     for j in range(scale.shape[0]):
         for i in range(scale.shape[1]):
             block[j, i, 0] *= scale[j, i]
@@ -82,9 +81,7 @@ def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
 
 @jit
 def scale_even(block: np.ndarray, table: np.ndarray, factor: float, divide: bool) -> None:
-    """block *= factor · table, or factor / table if `divide`, for a table of kx = 0 … n // 2 of modes that are even in
-    kx, in double precision; the last axis of `block` holds (real, imaginary).
-    """
+    """block *= factor · table, or factor / table if `divide`; table: of kx = 0 … n // 2, even in kx, in float64."""
     n = block.shape[1]
     scale = np.empty(n, block.dtype)
     for j in range(table.shape[0]):

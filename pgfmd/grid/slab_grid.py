@@ -60,8 +60,7 @@ def _waves(torus: tuple[int, int], period: tuple[float, float], first: int, stop
 
 
 class SlabGrid:
-    """A grid whose rows are distributed over the ranks of `comm`.  Making one does not communicate; memory
-    for transforms is allocated on first use.
+    """A grid whose rows are split over the ranks of `comm`.  Making one sends nothing; its first use makes transforms.
 
     Attributes
     ----------
@@ -72,8 +71,7 @@ class SlabGrid:
     qx (1, Nx), qy (nky_local, 1): wave numbers in radians per length;  hermitian_weight (nky_local, 1)
     even_weight (Nx // 2 + 1,): 2 for a kx > 0 that stands for itself and −kx, else 1
     transforms: number of transform pairs so far, in double-precision equivalents (single precision counts ½)
-    storage: precision of heights, pressure and gap once they are known; set by who makes the grid; a hard wall alone
-    takes single precision
+    storage: precision of heights, pressure and gap, set by who makes the grid; only a hard wall takes float32
     """
 
     storage: type[np.float32] | type[np.float64] = np.float64
@@ -87,9 +85,8 @@ class SlabGrid:
         transform: str = "blocked",
         domain: Domain = PERIODIC,
     ) -> None:
-        """lengths: None means the numbers of points (spacing 1).  threads: number of threads of this rank, None means
-        `threads_per_rank()`.  transform: one of `cell.TRANSFORMS`, or "exchanged": blocked, without memory that the
-        ranks of a node share.
+        """lengths: None means the numbers of points (spacing 1).  threads: of this rank, None: `threads_per_rank()`.
+        transform: one of `cell.TRANSFORMS`, or "exchanged": blocked, without memory that the ranks of a node share.
         """
         nx, ny = (int(n) for n in shape)
         if min(nx, ny) < 1:
@@ -177,8 +174,7 @@ class SlabGrid:
     def read_spectrum(
         self, fill: RowAction, action: ColumnAction, dtype: DTypeLike = np.float64, count: int | None = None
     ) -> None:
-        """Transform the rows that `fill` writes; call `action(block, first, stop)` on each block of their spectrum.
-        Collective.
+        """Transform the rows that `fill` writes; hand their spectrum to `action(block, first, stop)`.  Collective.
 
         count: the action is called for the first `count` ky of this rank only.
         """
@@ -194,11 +190,9 @@ class SlabGrid:
         dtype: DTypeLike = np.float64,
         between: Callable[[], None] | None = None,
     ) -> None:
-        """Transform the spectrum that `action(block, first, stop)` writes; hand the field to `drain`, block by block.
-        Collective.
+        """Transform the spectrum that `action(block, first, stop)` writes; hand the rows to `drain`.  Collective.
 
-        between: called once, when this rank has written its part of the spectrum and before `drain` gets the first
-        row; may be collective.  No 1/N is applied.
+        between: called once this rank has written its spectrum, before `drain`; may be collective.  No 1/N is applied.
         """
         transform = self.transform(dtype)
         self.transforms += self.work * transform.cost / 2
@@ -216,8 +210,7 @@ class SlabGrid:
         filled: tuple[int, int] | None = None,
     ) -> None:
         """Transform the rows that `fill` writes, let `action` change their spectrum in place, transform back, and hand
-        the rows to `drain`.  No 1/N is applied.  filled: first and stop of the global rows, if not all, that are not 0
-        (open boundaries).  Collective.
+        the rows to `drain`.  No 1/N is applied.  filled: (first, stop) of the global rows that are not 0.  Collective.
         """
         transform, (first, stop) = self.transform(dtype), filled or (0, self.shape[0])
         transform.rows_forward(fill, (first - self.rows.start, stop - self.rows.start))
@@ -244,8 +237,7 @@ class SlabGrid:
         return found if high - low == len(rows) else found[rows - low]
 
     def around(self, margin: int, between: int = 0) -> RowPlan:
-        """The plan to fetch `margin` rows before this rank's and as many after, as far as the domain has such rows.
-        Collective on first use.
+        """The plan to fetch `margin` rows before and after this rank's, where the domain has any.  Collective at first.
 
         between: number of rows that the target has between the two parts.
         """

@@ -55,11 +55,9 @@ class SubGrid:
         return cls(fine, (nx, ny), (factor * nx * fine.spacing[0], factor * ny * fine.spacing[1]))
 
     def on_all(self, work: Callable[[SlabGrid], T], without_rows: Callable[[T], T] = lambda value: value) -> T:
-        """`work(grid)` on the ranks that hold the grid; the others receive `without_rows` of the value of rank 0.
-        Collective.
+        """`work(grid)` on ranks that hold the grid; others get `without_rows` of the value of rank 0.  Collective.
 
-        Errors that all ranks of `work` raise are raised on all ranks; a rank that fails alone raises its error at once,
-        since the others may wait for it in `work`.
+        Errors that all ranks of `work` raise reach all ranks; a rank that fails alone raises at once: others may wait.
         """
         if self.grid is not None and self.grid.comm.size == self.comm.size:
             return work(self.grid)

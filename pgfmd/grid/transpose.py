@@ -38,9 +38,8 @@ Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Any]
 
 
 class Parts(NamedTuple):
-    """Where rows go, in words of eight bytes, so that one compiled loop serves both precisions.  For each (first, stop,
-    offset, width) of the `table`: words first … stop−1 of a row go to tiles of (height, width) words, one after the
-    other in `flat` from the offset on.
+    """Where rows go, in words of eight bytes, so that one loop serves both precisions.  For each (first, stop, offset,
+    width) of the `table`: words first … stop−1 of a row go to tiles of (height, width) words of `flat`, from offset on.
     """
 
     flat: np.ndarray
@@ -55,8 +54,7 @@ class NoSharedMemory(Exception):
 class Strips(ABC):
     """The strips of all ranks: the largest array of a transform, shared by the transforms of both precisions.
 
-    `put` moves blocks of transformed rows in, `to_columns` completes the transpose; `to_rows` and `get` are the way
-    back.
+    `put` moves blocks of transformed rows in, `to_columns` completes the transpose; `to_rows` and `get` undo it.
     """
 
     first_row = 0  # where the rows of this rank begin in the tiles of `parts`
@@ -170,8 +168,7 @@ class SharedStrips(Strips):
 
     def _touch(self, counts: np.ndarray) -> None:
         """Writes 0 to each page of this rank's rows in the first `counts` tiles of each strip, once, before their use.
-        If the first access is a read, Linux maps up to 16 pages around it, which count as this rank's memory: at 4096²
-        on 16 ranks half as many again.
+        Around a page that is read first, Linux maps up to 16, which count: half as many again at 4096² on 16 ranks.
         """
         if self.comm.size == 1:
             return

@@ -86,8 +86,7 @@ class Measurement:
     def fitted(
         self, shape: tuple[int, int], lengths: tuple[float, float], copies: int, unit: str | None
     ) -> Measurement:
-        """`converted` to the unit, if it fits a cell with `shape` points and sides `lengths`.  copies: 2 for a cell
-        made of mirror images.
+        """`converted` to the unit, if it fits a cell of `shape` points and sides `lengths`; copies: 2 if mirrored.
 
         Else raises InputError, which names all of points, unit and size that disagree, and what to write.
         """

@@ -1,7 +1,6 @@
 """Heights whose Fourier modes are independent Gaussian numbers of given variance.
 
-The random number of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is one surface on any number of
-ranks and on any grid.
+The random number of mode (kx, ky) depends on (seed, kx, ky) alone: one seed is one surface on any ranks and grid.
 """
 
 from __future__ import annotations

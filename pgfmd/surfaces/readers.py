@@ -49,8 +49,7 @@ MISSING = (
 
 
 def read_text(path: str) -> Measurement | None:
-    """The heights of a text file; None if it is no table of numbers, or if a comment gives sizes or units, which only
-    SurfaceTopography understands.
+    """The heights of a text file; None if it is no table of numbers, or says sizes or units: see `_instrument`.
 
     A table of more than three columns is a matrix: number j of line i is heights[i, j], at x = i aₓ, y = j a_y, as
     `numpy.savetxt` writes it.  Three columns are x, y and height, in any order of lines; lattice points without a line
@@ -71,8 +70,7 @@ def read_text(path: str) -> Measurement | None:
 
 
 def read_table(path: str, least: int = 3) -> np.ndarray | None:
-    """The numbers of a text file (lines, columns) in float64, NaN where a field says that there is none; None if its
-    first line does not consist of numbers.
+    """Numbers of a text file (lines, columns) in float64, NaN where there is none; None if line 1 is not of numbers.
 
     Columns are separated by blanks, tabs, commas or semicolons.  The decimal mark is a point, or a comma if commas do
     not separate columns.  # begins a comment.  A .csv may begin with lines of words, which are passed over up to the

@@ -113,9 +113,7 @@ class Surface(Section):
         return 2 * math.pi / shortest if shortest else None
 
     def extent(self, length_unit: str | None = None) -> Extent | None:
-        """What the file that `path` names says of the cell, in `length_unit` if that is given; None if nothing.  No
-        MPI.  Raises InputError if it cannot be read.
-        """
+        """What the file `path` says of the cell, in `length_unit` if given, or None.  No MPI.  Raises InputError."""
         return None
 
     def check_inputs(self, cell: Cell, length_unit: str | None) -> str:
@@ -128,8 +126,7 @@ class Surface(Section):
     def heights(self, grid: SlabGrid, length_unit: str | None) -> np.ndarray:
         """Heights (nx_local, ny) in units of length, float64.  Collective.
 
-        length_unit: name of the job's unit, for files that say their own unit; None: nothing is converted.
-        Raises InputError on all ranks.
+        length_unit: of the job, for files that say theirs; None: nothing is converted.  Raises InputError on all ranks.
         """
         raise NotImplementedError
 

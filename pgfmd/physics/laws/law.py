@@ -41,8 +41,7 @@ class Units(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLaw(Section):
-    """A contact law; its dataclass fields are the keys of the table [wall].  Arrays of points have shape (nx_local,
-    ny).
+    """A contact law; its dataclass fields are the keys of the table [wall].  Arrays of points are (nx_local, ny).
 
     methods: the solvers that can take it, by their names in `solvers.dispatch`; the first is the fastest.
     releases: whether the mean pressure may be 0; otherwise it must be positive.
@@ -126,9 +125,7 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
-        """(Σ p (g − gap(p)), Σ p, number of points with p > threshold, `softness`) of rows; the first two are sums over
-        the points whose pressure is below `highest`.
-        """
+        """(Σ p (g − gap(p)), Σ p, points with p > threshold, `softness`) of rows; the first two where p < `highest`."""
         raise NotImplementedError
 
     def excess(
@@ -141,8 +138,7 @@ class ContactLaw(Section):
         raise NotImplementedError
 
     def contact_above(self, mean: float, mean_square: float) -> float:
-        """The pressure above which a point counts as in contact.  mean, mean_square: averages of p and p² over all
-        points.
+        """The pressure above which a point counts as in contact.  mean, mean_square: ⟨p⟩ and ⟨p²⟩ of all points.
 
         0 where the wall releases points.  Else all points bear pressure, and the threshold is `SHARE` of ⟨p²⟩/⟨p⟩, the
         mean pressure weighted with the pressure.  As the range of the law → 0, the points above it become those in
