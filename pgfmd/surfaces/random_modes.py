@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
+from pgfmd.errors import InputError
 from pgfmd.grid.domain import PERIODIC
 from pgfmd.parallel.compiled import compiled
 
@@ -64,14 +65,14 @@ class RandomModes:
                 moment += float(np.dot(squares_x + square_y, column.real**2 + column.imag**2))
         return moment
 
-    def heights(self, factor: Callable[[float], float]) -> np.ndarray:
-        """The heights (nx_local, ny) of the modes, multiplied by factor(√Σ k²|h̃|²).  Collective.
+    def heights(self, missing: str, rms_slope: float | None = None) -> np.ndarray:
+        """The heights (nx_local, ny) of the modes, scaled to the rms slope √⟨|∇h|²⟩ if it is given.  Collective.
 
-        The argument is proportional to the rms slope of the modes and the same on all ranks, so `factor` may raise.
+        Raises InputError on all ranks, with the text `missing`, if no mode of the grid has a variance.
         """
         if not self.grid.domain.wraps:
             with self.grid.like(self.grid.comm, self.grid.shape, self.grid.lengths, PERIODIC).freed() as cell:
-                return replace(self, grid=cell).heights(factor)
+                return replace(self, grid=cell).heights(missing, rms_slope)
         moments: list[tuple[int, float]] = []
         heights, scale = self.grid.new_field(), np.empty(())
 
@@ -79,7 +80,10 @@ class RandomModes:
             moments.append((first, self.fill(block, first)))
 
         def set_scale() -> None:
-            scale[...] = factor(math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)])))
+            slope = math.sqrt(self.grid.reduction.sum([value for _, value in sorted(moments)]))
+            if not slope > 0:
+                raise InputError(missing)
+            scale[...] = 1.0 if rms_slope is None else rms_slope * max(self.grid.lengths) / (2 * math.pi * slope)
 
         def keep(first: int, stop: int, rows: np.ndarray) -> None:
             np.multiply(rows, scale, out=heights[first:stop])

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import POSITIVE, number, seeds
 from pgfmd.options.section import key, wrong
@@ -143,13 +142,9 @@ def _heights(
     if wavelengths[0] <= max(grid.spacing) * (1 + SLACK):
         k_s = math.inf
 
-    def factor(slope: float) -> float:
-        if not slope > 0:
-            raise InputError(
-                f"surface: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between lambda_l = "
-                f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; the longest wavelength is {side:g}"
-            )
-        return rms_slope * side / (2 * math.pi * slope)
-
+    missing = (
+        f"surface: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between lambda_l = "
+        f"{wavelengths[1]:g} and lambda_s = {wavelengths[0]:g}; the longest wavelength is {side:g}"
+    )
     variance = self_affine_variance(hurst, k_l, k_r, k_s)
-    return RandomModes(grid, seed, variance, k_s * (1 + SLACK)).heights(factor)
+    return RandomModes(grid, seed, variance, k_s * (1 + SLACK)).heights(missing, rms_slope)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.options.rules import seeds
 from pgfmd.options.section import key, path_key
@@ -62,12 +61,8 @@ class FromSpectrum(Surface):
             inside = (place >= places[0] - SLACK) & (place <= places[-1] + SLACK)
             return np.exp(np.interp(place, places, logarithms)) * inside
 
-        def factor(slope: float) -> float:
-            if not slope > 0:
-                raise InputError(
-                    f"{self.path}: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between q = {q[0]:g} and "
-                    f"{q[-1]:g}; its lowest is {unit:g}"
-                )
-            return 1.0
-
-        return RandomModes(grid, single(self.seed), variance, q[-1] / unit * (1 + SLACK)).heights(factor)
+        missing = (
+            f"{self.path}: no mode of the {grid.shape[0]} x {grid.shape[1]} grid lies between q = {q[0]:g} and "
+            f"{q[-1]:g}; its lowest is {unit:g}"
+        )
+        return RandomModes(grid, single(self.seed), variance, q[-1] / unit * (1 + SLACK)).heights(missing)
