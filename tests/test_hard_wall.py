@@ -15,7 +15,7 @@ from pgfmd.solvers.active_set import contact_from_coarse
 from pgfmd.solvers.active_set.active_set import State
 from pgfmd.solvers.active_set.contact_from_coarse import solve_hard_wall
 from pgfmd.solvers.active_set.primal import PressureSteps
-from pgfmd.surfaces.paraboloid import paraboloid
+from pgfmd.surfaces.paraboloid import Paraboloid
 from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import self_affine
 from pgfmd.surfaces.sinusoid import sinusoid
@@ -99,7 +99,7 @@ def test_periodic_hertz(comm):
     grid = SlabGrid(comm, (512, 512), (1.0, 1.0))
     radius, load = 1.0, 4 * MODULUS * 0.1**3 / 3
     found = solve_hard_wall(
-        ContactProblem(grid, paraboloid(grid, radius), elastic(MODULUS), HardWall(), load), 1e-11
+        ContactProblem(grid, Paraboloid(radius=radius).heights(grid), elastic(MODULUS), HardWall(), load), 1e-11
     )
     expected = hertz.periodic_contact(load, radius, 1.0, contact_modulus=MODULUS)
     x, y = coordinates(grid)

@@ -11,7 +11,7 @@ from pgfmd.errors import InputError
 from pgfmd.grid.cell import Cell
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import SubGrid, restrict
-from pgfmd.surfaces.paraboloid import paraboloid
+from pgfmd.surfaces.paraboloid import Paraboloid
 from pgfmd.surfaces.random_modes import RandomModes
 from pgfmd.surfaces.rigid_surface import coordinates
 from pgfmd.surfaces.self_affine import SelfAffine, self_affine, self_affine_variance
@@ -174,7 +174,7 @@ def test_simple_shapes(comm):
     waves = 2 * np.cos(np.pi * x / 4) * np.cos(np.pi * y / 3)
     assert np.allclose(sinusoid(grid, 2.0, (1, 1)), waves, rtol=0, atol=1e-14)
     expected = -((x - 4) ** 2 + (y - 3) ** 2) / 20
-    assert np.allclose(paraboloid(grid, 10.0), expected, rtol=1e-14, atol=0)
+    assert np.allclose(Paraboloid(radius=10.0).heights(grid), expected, rtol=1e-14, atol=0)
 
 
 def test_generator_and_theory_mean_the_same_wavelengths(comm):

@@ -23,7 +23,8 @@ class Paraboloid(Surface):
     radius: float = key(POSITIVE, about="R", unit="length", needed=True, example=1000.0)
 
     def heights(self, grid: SlabGrid, length_unit: str | None = None) -> np.ndarray:
-        return paraboloid(grid, self.radius)
+        x, y = _from_centre(grid)
+        return -(x**2 + y**2) / (2 * self.radius)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +59,6 @@ class Punch(Surface):
         beyond = np.maximum(r - self.radius, 0.0)
         fall = np.minimum(beyond**2 / (2 * self.edge), self.depth) if self.edge else self.depth * (beyond > 0)
         return self.tilt[0] * x + self.tilt[1] * y - fall
-
-
-def paraboloid(grid: SlabGrid, radius: float) -> np.ndarray:
-    """−r²/(2R), r the distance from the centre of the cell."""
-    x, y = _from_centre(grid)
-    return -(x**2 + y**2) / (2 * radius)
 
 
 def _from_centre(grid: SlabGrid) -> tuple[np.ndarray, np.ndarray]:
