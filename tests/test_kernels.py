@@ -107,14 +107,6 @@ def test_spread_and_interpolate(points, rng):
     assert np.allclose(out, 1 + np.einsum("kij,ij->k", matrix, nodes), rtol=1e-13, atol=0)
 
 
-def test_scale_modes(rng):
-    """block · scale"""
-    block, scale = rng.random((3, 8)) + 1j * rng.random((3, 8)), rng.random((3, 8))
-    expected = block * scale
-    kernels.scale_modes(block.view(float).reshape(3, 8, 2), scale)
-    assert np.allclose(block, expected, rtol=1e-15, atol=0)
-
-
 def test_blocks(points, rng):
     """Sums over blocks of pixels, and a value per block subtracted from the points in it; of rows that exist only."""
     mask, offsets, columns = points

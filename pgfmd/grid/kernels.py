@@ -71,15 +71,6 @@ def scale_by_q(block: np.ndarray, qx_squared: np.ndarray, qy_squared: np.ndarray
 
 
 @jit
-def scale_modes(block: np.ndarray, scale: np.ndarray) -> None:
-    """block *= scale"""
-    for j in range(scale.shape[0]):
-        for i in range(scale.shape[1]):
-            block[j, i, 0] *= scale[j, i]
-            block[j, i, 1] *= scale[j, i]
-
-
-@jit
 def scale_even(block: np.ndarray, table: np.ndarray, factor: float, divide: bool) -> None:
     """block *= factor · table, or factor / table if `divide`; table: of kx = 0 … n // 2, even in kx, in float64."""
     n = block.shape[1]
