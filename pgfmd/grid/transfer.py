@@ -1,6 +1,4 @@
-"""Coarser grids on fewer ranks, so that messages do not dominate; from one grid to another of the same domain: local
-restriction and interpolation, in a periodic cell spectral too.
-"""
+"""Coarser grids, on fewer ranks so that messages do not dominate; restriction and interpolation, local or by modes."""
 
 from __future__ import annotations
 

@@ -150,9 +150,7 @@ class Measurement:
 
 
 def holes_in_words(holes: int, size: int, rule: str) -> str:
-    """What happens to `holes` missing of `size` points; "" if there are none.  Raises InputError if the rule, a value
-    of `missing` under [surface], does not allow so many.
-    """
+    """What happens to `holes` missing of `size` points, or "".  Raises InputError if the rule `missing` forbids it."""
     part = f"{holes} of {size} points ({holes / size:.2g} of all) were not measured"
     if holes == size:
         raise InputError("no point was measured")
