@@ -254,6 +254,25 @@ def test_a_transform_is_planned_by_one_process(tmp_path):
     assert plans(start(*common, "80", "77", "66")) == ["ready"]
 
 
+RESPOND = """
+import numpy as np
+from pgfmd.physics.laws.exponential_law import ExponentialWall
+
+target = np.random.default_rng(0).normal(size=(64, 64)) * 3
+pressure = np.empty_like(target)
+sums = ExponentialWall(zeta=0.05).respond(target, pressure, 1.0, 0.3)
+print(*(float(each).hex() for each in sums), pressure.tobytes().hex())
+"""
+
+
+def test_loops_that_were_compiled_and_loaded_add_up_alike(tmp_path):
+    """An exponential wall's answer has the same bits in the process that compiles its loops and in one that loads."""
+    environment = os.environ | {"PGFMD_CACHE": str(tmp_path)}
+    command = [sys.executable, "-c", RESPOND]
+    first, second = (subprocess.check_output(command, env=environment, text=True, timeout=120) for _ in range(2))
+    assert first == second
+
+
 COMPILE = """
 import sys
 from numba.core import event

@@ -122,7 +122,10 @@ class ExponentialWall(ContactLaw):
 
     def respond(self, target: np.ndarray, pressure: np.ndarray, compliance: float, level: float) -> tuple[float, float]:
         """p with compliance · p + ζ ln p = target + level."""
-        return respond(target, pressure, compliance, self.zeta, level)
+        b = self.zeta / compliance
+        fill_omega(target, pressure, b, self.zeta, level)
+        total, slope = scale_omega(pressure, b)
+        return total, slope / compliance
 
     def moments(self, pressure: np.ndarray, gap: np.ndarray, threshold: float) -> tuple[float, float, int, float]:
         """(Σ p (g + ζ ln p), Σ p, number of points with p > threshold, ζ Σ p)."""
@@ -158,22 +161,19 @@ def wright_omega(z: float) -> float:
 
 
 @_jit
-def respond(
-    target: np.ndarray, pressure: np.ndarray, compliance: float, zeta: float, level: float
-) -> tuple[float, float]:
-    """p̂ with compliance p̂ + ζ ln p̂ = target + level; returns Σ p̂ and Σ dp̂/dlevel."""
-    b = zeta / compliance
+def fill_omega(target: np.ndarray, omega: np.ndarray, b: float, zeta: float, level: float) -> None:
+    """ω + ln ω = (target + level)/ζ − ln b."""
     shift = -math.log(b)
     for i in range(target.shape[0]):
         for j in range(target.shape[1]):
-            pressure[i, u(j)] = wright_omega((target[i, u(j)] + level) / zeta + shift)
-    total, slope = _scale(pressure, b)
-    return total, slope / compliance
+            omega[i, u(j)] = wright_omega((target[i, u(j)] + level) / zeta + shift)
 
 
 @jit
-def _scale(omega: np.ndarray, b: float) -> tuple[float, float]:
-    """Σ b ω and Σ ω/(1 + ω); ω becomes b ω."""
+def scale_omega(omega: np.ndarray, b: float) -> tuple[float, float]:
+    """Σ b ω and Σ ω/(1 + ω); ω becomes b ω.  No loop calls it: linked into another, it would be vectorised anew, and a
+    process that compiles would add up in another order than one that loads.
+    """
     total = slope = 0.0
     for i in range(omega.shape[0]):
         for j in range(omega.shape[1]):
