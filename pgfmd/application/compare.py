@@ -22,12 +22,8 @@ SAME_TARGET = 1e-9
 """Relative difference up to which two targets are the same: jobs write decimal numbers."""
 
 
-@dataclass(frozen=True)
-class Number:
-    """One number of one load: its value and its error, NaN if that is not known."""
-
-    value: float
-    error: float
+Numbers = dict[str, tuple[float, float]]
+"""The numbers of one load by name: value and error, NaN if that is not known."""
 
 
 @dataclass(frozen=True)
@@ -69,20 +65,19 @@ class Side:
 
     def __init__(self, folder: str | os.PathLike):
         self.name = str(folder)
-        self.loads: list[dict[str, Number]]
+        self.loads: list[Numbers]
         if is_ensemble(folder):
-            ensemble = Ensemble(folder)
-            if not ensemble.runs:
+            runs = Ensemble(folder).runs
+            if not runs:
                 raise InputError(f"{folder}: no seed has results")
-            run, columns = ensemble.runs[0], mean_loads(ensemble.runs)
+            run, columns = runs[0], mean_loads(runs)
             names = [name for name in columns if not is_error(name, columns)]
-            count = len(columns["mean_pressure"].mean)
-            self.loads = [{name: Number(float(columns[name].mean[i]), float(columns[name].error[i])) for name in names}
-                          for i in range(count)]  # fmt: skip
+            pairs = [zip(columns[name].mean.tolist(), columns[name].error.tolist(), strict=True) for name in names]
+            self.loads = [dict(zip(names, load, strict=True)) for load in zip(*pairs, strict=True)]
         else:
             run = Results(folder)
             rows = (load.numbers for load in run)
-            self.loads = [{name: Number(float(value), float(row.get(f"{name}_error", math.nan)))
+            self.loads = [{name: (value, row.get(f"{name}_error", math.nan))
                            for name, value in row.items() if not is_error(name, row)} for row in rows]  # fmt: skip
         self.job = parse(run.provenance["effective_toml"], str(run.directory))
         self.imposed = self.job.load.control
@@ -112,9 +107,9 @@ def compare(folders: Sequence[str | os.PathLike]) -> tuple[list[Row], list[str]]
         for index, mine, its in pairs:
             for name in mine:
                 if name in its and name not in OF_THE_SOLVER:
-                    values = (mine[name].value, mine[name].error, its[name].value, its[name].error)
-                    if math.isfinite(values[0]) or math.isfinite(values[2]):
-                        rows.append(Row(other.name, index, mine["target"].value, name, *values))
+                    row = Row(other.name, index, mine["target"][0], name, *mine[name], *its[name])
+                    if math.isfinite(row.first) or math.isfinite(row.other):
+                        rows.append(row)
     return rows, notes
 
 
@@ -129,13 +124,13 @@ def _check(first: Side, other: Side) -> None:
             )
 
 
-def _pairs(first: Side, other: Side) -> Iterable[tuple[int, dict[str, Number], dict[str, Number]]]:
+def _pairs(first: Side, other: Side) -> Iterable[tuple[int, Numbers, Numbers]]:
     """Pairs of loads with the same target, each in one pair at most: index in the first run, numbers of both."""
     free = list(other.loads)
     for index, mine in enumerate(first.loads):
-        target = mine["target"].value
+        target = mine["target"][0]
         for its in free:
-            if math.isclose(its["target"].value, target, rel_tol=SAME_TARGET):
+            if math.isclose(its["target"][0], target, rel_tol=SAME_TARGET):
                 free.remove(its)
                 yield index, mine, its
                 break
