@@ -126,10 +126,6 @@ class Kinds:
         keys = [set(_names(choice)) for choice in self.choices if choice.kind == kind]
         return set().union(*keys) if keys else None
 
-    def others(self, name: str, table: Mapping[str, Any]) -> list[str]:
-        """The kinds of sections, other than the chosen one, that have the key `name`."""
-        return [choice.kind for choice in self.choices if name in _names(choice) and choice is not self.choose(table)]
-
 
 def _names(section: type[Section]) -> list[str]:
     return [field.name for field in dataclasses.fields(section)]
@@ -150,17 +146,17 @@ def build(section: type[Section] | Kinds, table: Any) -> Section:
     """A section from a TOML table; raises InputError for unknown keys and wrong values."""
     if not isinstance(table, dict):
         raise InputError(f"{section.where} = {show(table)}: must be a table, [{section.where}]")
-    chosen = section.choose(table) if isinstance(section, Kinds) else section
+    chosen, choices = (section.choose(table), section.choices) if isinstance(section, Kinds) else (section, ())
     fields = {field.name: field for field in dataclasses.fields(chosen)}
     values = {}
     for name, value in table.items():
-        if name == "kind" and isinstance(section, Kinds):
+        if name == "kind" and choices:
             continue
         if name not in fields:
-            if isinstance(section, Kinds) and (kinds := section.others(name, table)):
+            if kinds := [choice.kind for choice in choices if name in _names(choice)]:
                 places = " or ".join(map(show, kinds))
                 raise InputError(f"{section.where}.{name} = {show(value)}: belongs to kind = {places} only")
-            known = ["kind", *fields] if isinstance(section, Kinds) else list(fields)
+            known = ["kind"] * bool(choices) + list(fields)
             raise InputError(f"{section.where}.{printable(name)} is not known{guess(name, known)}")
         rule = fields[name].metadata["rule"]
         values[name] = value if isinstance(rule, Rule) else build(rule, value)
