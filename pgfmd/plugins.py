@@ -10,6 +10,7 @@ import hashlib
 import inspect
 import os
 import sys
+import traceback
 import types
 from dataclasses import dataclass
 from typing import Any
@@ -115,8 +116,5 @@ def _line(error: Exception, path: str) -> str:
     """Where in the file an error was raised: ":12", or "" if that is not known."""
     if isinstance(error, SyntaxError):
         return f":{error.lineno}"
-    number, frame = 0, error.__traceback__
-    while frame is not None:
-        number = frame.tb_lineno if frame.tb_frame.f_code.co_filename == path else number
-        frame = frame.tb_next
-    return f":{number}" if number else ""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == path]
+    return f":{lines[-1]}" if lines else ""
