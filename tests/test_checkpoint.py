@@ -34,7 +34,7 @@ JOB = SOLID + '[grid]\nn = [13, 6]\n[surface]\nkind = "sinusoid"\namplitude = 1\
 
 def checkpoints(comm, folder, job: str = "job") -> Checkpoints:
     """Those of a 13 × 6 grid over all ranks of `comm`."""
-    return Checkpoints(comm, folder, SHAPE, slab(SHAPE[0], comm.size, comm.rank), job)
+    return Checkpoints(comm, folder, files.Form(SHAPE, SHAPE, slab(SHAPE[0], comm.size, comm.rank)), job)
 
 
 def flip(comm, path, at: int):
@@ -49,8 +49,8 @@ def flip(comm, path, at: int):
 def test_any_rank_count_goes_on(comm, shared_tmp_path):
     """What all ranks save, one rank loads, and the other way round, bit for bit; its bytes do not depend on ranks."""
     mine = checkpoints(comm, shared_tmp_path)
-    mine.save(2, FIELD[mine.rows])
-    assert np.array_equal(mine.load(2), FIELD[mine.rows])
+    mine.save(2, FIELD[mine.form.rows])
+    assert np.array_equal(mine.load(2), FIELD[mine.form.rows])
     if comm.rank == 0:
         alone = checkpoints(MPI.COMM_SELF, shared_tmp_path)
         assert np.array_equal(alone.load(2), FIELD)
@@ -59,14 +59,14 @@ def test_any_rank_count_goes_on(comm, shared_tmp_path):
         alone.save(2, FIELD)
         assert alone.path.read_bytes() == together
     comm.Barrier()
-    assert np.array_equal(mine.load(2), FIELD[mine.rows])
+    assert np.array_equal(mine.load(2), FIELD[mine.form.rows])
 
 
 def test_only_the_same_load_of_the_same_job(comm, shared_tmp_path):
     """A checkpoint of another load or job is left aside; removed ones are gone."""
     mine = checkpoints(comm, shared_tmp_path)
     assert mine.load(0) is None
-    mine.save(1, FIELD[mine.rows])
+    mine.save(1, FIELD[mine.form.rows])
     assert mine.load(0) is None and checkpoints(comm, shared_tmp_path, "another").load(1) is None
     mine.remove()
     assert mine.load(1) is None and not list(shared_tmp_path.iterdir())
@@ -75,7 +75,7 @@ def test_only_the_same_load_of_the_same_job(comm, shared_tmp_path):
 def test_damage_is_recognised(comm, shared_tmp_path, caplog):
     """A checkpoint whose numbers have changed, that lacks its end or is no HDF5, is not used; the log says so."""
     mine = checkpoints(comm, shared_tmp_path)
-    mine.save(0, FIELD[mine.rows])
+    mine.save(0, FIELD[mine.form.rows])
     whole = mine.path.read_bytes()
     comm.Barrier()  # all have read it before rank 0 changes it
     at = whole.index(FIELD[5].tobytes())
@@ -91,21 +91,21 @@ def test_damage_is_recognised(comm, shared_tmp_path, caplog):
     if comm.rank == 0:
         mine.path.write_bytes(whole)
     comm.Barrier()
-    assert np.array_equal(mine.load(0), FIELD[mine.rows])
+    assert np.array_equal(mine.load(0), FIELD[mine.form.rows])
 
 
 def test_full_disk_keeps_the_last_one(comm, shared_tmp_path, monkeypatch):
     """If there is no space for a checkpoint the last one stays, and nothing half-written."""
     mine = checkpoints(comm, shared_tmp_path)
-    mine.save(0, FIELD[mine.rows])
+    mine.save(0, FIELD[mine.form.rows])
 
     def full(*arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(files.os, "posix_fallocate", full)
     with pytest.raises(OSError, match="are free"):
-        mine.save(0, 2 * FIELD[mine.rows])
-    assert np.array_equal(mine.load(0), FIELD[mine.rows])
+        mine.save(0, 2 * FIELD[mine.form.rows])
+    assert np.array_equal(mine.load(0), FIELD[mine.form.rows])
     comm.Barrier()
     assert [path.name for path in shared_tmp_path.iterdir()] == ["checkpoint.h5"]
 

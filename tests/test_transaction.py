@@ -57,11 +57,11 @@ def run(folder, factor: float, mode: str, fields: bool = True, comm=MPI.COMM_SEL
     by the exception `stop`.
     """
     rows = slab(SHAPE[0], comm.size, comm.rank)
-    origin = Origin(f"# {factor}", f"factor = {factor}", 2)
+    origin, form = Origin(f"# {factor}", f"factor = {factor}", 2), Form(SHAPE, SHAPE, rows)
     writer = None
     try:
-        with ResultWriter(comm, folder, origin, Form(SHAPE, SHAPE, rows), mode) as writer:
-            checkpoints = Checkpoints(comm, writer.fields_folder, SHAPE, rows, origin.effective_toml)
+        with ResultWriter(comm, folder, origin, form, mode) as writer:
+            checkpoints = Checkpoints(comm, writer.fields_folder, form, origin.effective_toml)
             writer.begin()
             writer.write_heights(factor * FIELD[rows])
             for index in writer.pending:
@@ -184,7 +184,8 @@ def test_a_run_that_is_stopped_goes_on_from_its_checkpoint(tmp_path):
     assert {path: after[path] for path in before} == before
     assert {str(path.relative_to(folder)) for path in after.keys() - before.keys()} == {"fields-2/checkpoint.h5"}
     for job, fields in ((1.0, "fields"), (2.0, "fields-2")):
-        checkpoints = Checkpoints(MPI.COMM_SELF, folder / fields, SHAPE, slice(0, 7), f"factor = {job}")
+        form = Form(SHAPE, SHAPE, slice(0, 7))
+        checkpoints = Checkpoints(MPI.COMM_SELF, folder / fields, form, f"factor = {job}")
         np.testing.assert_array_equal(checkpoints.load(0), job * FIELD)
 
 

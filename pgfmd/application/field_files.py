@@ -80,8 +80,7 @@ class FieldFiles:
             return dataset
 
         path = self.directory / self.folder / f"{name}.h5"
-        ranks = hdf5_slabs.Ranks(self.comm, form.rows, form.hints)
-        hdf5_slabs.replace_by(ranks, path, slabs, create)
+        hdf5_slabs.replace_by(self.comm, form, path, slabs, create)
         for key in fields:
             link = key if key == name else f"{name}/{key}"
             self.links[link] = f"{name}.h5", key

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application import files
-from pgfmd.application.files import BLOCK_BYTES
+from pgfmd.application.files import BLOCK_BYTES, Form
 from pgfmd.parallel.collectives import from_root, node_of, raise_together, slab
 from pgfmd.parallel.mpi import MPI
 
@@ -28,24 +28,6 @@ if TYPE_CHECKING:
 COLLECTIVE_BYTES = 2**30  # most of one rank in one collective write: counts of MPI-IO overflow at 2 GiB
 METADATA_BYTES = 2**16  # more than HDF5 needs for metadata
 ALIGNMENT = 1 << 20  # bytes: datasets of at least this size start at a multiple of it, on a page and a Lustre stripe
-
-
-@dataclass(frozen=True)
-class Ranks:
-    """The ranks that write: this one of `comm` holds the global `rows`; hints, each "name=value", are for MPI-IO."""
-
-    comm: MPI.Comm
-    rows: slice
-    hints: tuple[str, ...] = ()
-
-    @contextmanager
-    def info(self) -> Iterator[MPI.Info]:
-        """The hints as an MPI.Info, freed at the end of the block."""
-        info = MPI.Info.Create(dict(hint.split("=", 1) for hint in self.hints))
-        try:
-            yield info
-        finally:
-            info.Free()
 
 
 @dataclass(frozen=True)
@@ -94,23 +76,22 @@ def create_dataset(file: h5py.File, name: str, shape: tuple[int, int], dtype: np
     return h5py.Dataset(h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, layout))
 
 
-def replace_by(ranks: Ranks, path: Path, fields: dict[str, Field], create: Create) -> None:
+def replace_by(comm: MPI.Comm, form: Form, path: Path, fields: dict[str, Field], create: Create) -> None:
     """Write a file of `fields` beside `path`, then rename it; after a failure it is removed.  Collective.
 
     create(file, name) makes the dataset of a field by `create_dataset`, on rank 0.  HDF5 crashes or hangs when a disk
     is full; so the whole file is reserved before HDF5 writes.  All ranks raise an error of one; OSError: a full disk.
     """
-    draft, comm = files.temporary(path), ranks.comm
-    count = comm.allreduce(ranks.rows.stop - ranks.rows.start)
-    sizes = [count * field.row_bytes for field in fields.values()]
-    sizes += [8 * count, 8 * max(field.local.shape[1] for field in fields.values())]  # coordinates of the points
+    draft, nx = files.temporary(path), form.shape[0]
+    sizes = [nx * field.row_bytes for field in fields.values()]
+    sizes += [8 * nx, 8 * max(field.local.shape[1] for field in fields.values())]  # coordinates of the points
     size = sum(sizes) + ALIGNMENT * sum(each >= ALIGNMENT for each in sizes)
     try:
         offsets = from_root(comm, _lay_out, draft, size, list(fields), create)
         if is_collective(comm):
-            _write_together(ranks, draft, fields)
+            _write_together(comm, form, draft, fields)
         else:
-            _write_in_place(ranks, draft, fields, offsets)
+            _write_in_place(comm, form.rows, draft, fields, offsets)
         from_root(comm, files.commit, path)
     except BaseException:
         if comm.rank == 0:
@@ -162,11 +143,15 @@ class _ReservedFile(io.RawIOBase):
         return self.size
 
 
-def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
+def _write_together(comm: MPI.Comm, form: Form, path: Path, fields: dict[str, Field]) -> None:
     """Write by collective HDF5 calls; all ranks raise an error of one.  Collective."""
-    comm, rows = ranks.comm, ranks.rows
-    with raise_together(comm), ranks.info() as info:  # HDF5 copies them
-        file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=files.LIBVER)
+    rows = form.rows
+    with raise_together(comm):
+        info = MPI.Info.Create(dict(hint.split("=", 1) for hint in form.hints))
+        try:
+            file = h5py.File(path, "r+", driver="mpio", comm=comm, info=info, libver=files.LIBVER)
+        finally:
+            info.Free()  # HDF5 has copied them
     try:
         for name, field in fields.items():
             with raise_together(comm):
@@ -189,17 +174,19 @@ def _write_together(ranks: Ranks, path: Path, fields: dict[str, Field]) -> None:
         file.close()
 
 
-def _write_in_place(ranks: Ranks, path: Path, fields: dict[str, Field], offsets: dict[str, int]) -> None:
+def _write_in_place(
+    comm: MPI.Comm, rows: slice, path: Path, fields: dict[str, Field], offsets: dict[str, int]
+) -> None:
     """Each rank writes its rows at their offset in the file, without HDF5.  Collective.
 
     The ranks of a node write at the same time, the nodes in turn: network file systems may lose simultaneous writes of
     several nodes.
     """
-    mine = _first_of_node(ranks.comm)
-    for turn in sorted(set(ranks.comm.allgather(mine))):
-        with raise_together(ranks.comm):
+    mine = _first_of_node(comm)
+    for turn in sorted(set(comm.allgather(mine))):
+        with raise_together(comm):
             if turn == mine:
-                _put_rows(path, ranks.rows, fields, offsets)
+                _put_rows(path, rows, fields, offsets)
 
 
 def _first_of_node(comm: MPI.Comm) -> int:

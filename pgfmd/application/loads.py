@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application import hdf5_slabs
-from pgfmd.application.files import CHECKPOINT_FILE, temporary
+from pgfmd.application.files import CHECKPOINT_FILE, Form, temporary
 from pgfmd.application.job import Job, Run, as_toml
 from pgfmd.application.progress import Progress
 from pgfmd.application.stop import Interruptions
@@ -42,21 +42,11 @@ ROUNDING = 1e-9  # relative; sums over 2⁵⁰ points on different rank counts d
 class Checkpoints:
     """The checkpoint in a folder of fields.  Every method is collective.
 
-    shape: (nx, ny) of the grid; rows: slice of its rows that this rank holds; job: a text that identifies the job, as
-    checkpoints of others are ignored; hints: for MPI-IO, each "name=value".
+    job: a text that identifies the job, as checkpoints of others are ignored.
     """
 
-    def __init__(
-        self,
-        comm: MPI.Comm,
-        folder: str | os.PathLike,
-        shape: tuple[int, int],
-        rows: slice,
-        job: str,
-        hints: tuple[str, ...] = (),
-    ):
-        self.comm, self.shape, self.rows, self.job = comm, shape, rows, job
-        self.ranks = hdf5_slabs.Ranks(comm, rows, hints)
+    def __init__(self, comm: MPI.Comm, folder: str | os.PathLike, form: Form, job: str) -> None:
+        self.comm, self.form, self.job = comm, form, job
         self.path = Path(folder) / CHECKPOINT_FILE
 
     def save(self, index: int, pressure: np.ndarray) -> None:
@@ -68,9 +58,10 @@ class Checkpoints:
 
         def create(file: h5py.File, name: str) -> h5py.Dataset:
             file.attrs.update(software="pgfmd", load=index, job=self.job, total=total)
-            return hdf5_slabs.create_dataset(file, name, self.shape, pressure.dtype)
+            return hdf5_slabs.create_dataset(file, name, self.form.shape, pressure.dtype)
 
-        hdf5_slabs.replace_by(self.ranks, self.path, {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}, create)
+        fields = {"pressure": hdf5_slabs.Field(pressure, pressure.dtype)}
+        hdf5_slabs.replace_by(self.comm, self.form, self.path, fields, create)
 
     def load(self, index: int) -> np.ndarray | None:
         """Pressure (nx_local, ny) of load `index`, in any unit; None if there is none or it is damaged.  Collective."""
@@ -79,8 +70,8 @@ class Checkpoints:
             return None
         try:
             with raise_together(self.comm), h5py.File(self.path, "r", locking=False) as file:
-                pressure = file["pressure"][self.rows]
-                if pressure.shape[1] != self.shape[1]:
+                pressure = file["pressure"][self.form.rows]
+                if pressure.shape[1] != self.form.shape[1]:
                     raise OSError("another shape")
         except Exception as error:  # raised on all ranks
             log.warning("%s: %s; it is not used", self.path, error)
@@ -126,8 +117,7 @@ class Loads:
         self.targets, self.pending = job.imposed.targets, writer.pending
         self.unreachable: dict[int, Exception] = {}
         self.progress = Progress(comm.rank, len(self.pending), grid.shape, job.solver.tolerance)
-        same, hints = of_first_load(job), job.run.io_hints
-        self.checkpoints = Checkpoints(comm, writer.fields_folder, grid.shape, grid.rows, same, hints)
+        self.checkpoints = Checkpoints(comm, writer.fields_folder, writer.form, of_first_load(job))
         self.control = load_control(job.imposed, problem, job.solver.tolerance)
         if isinstance(self.control, Branch):
             self.control.monitor = self._follow
