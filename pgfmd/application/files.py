@@ -119,19 +119,17 @@ Change = Callable[[h5py.File], None]
 
 def revise(path: Path, change: Change, sync: bool = True) -> None:
     """Let `change` modify a small HDF5 file.  Raises OSError, also if the file is gone; the old file stays then."""
-    _fill(path, path.read_bytes(), change, sync)
+    create(path, change, path.read_bytes(), sync)
 
 
-def create(path: Path, fill: Change, blank: bytes = b"", sync: bool = True) -> None:
-    """Let `fill` write a small HDF5 file, in the place of one that is there.  It begins as `blank`.  Raises OSError."""
-    _fill(path, blank, fill, sync)
+def create(path: Path, fill: Change, begun: bytes = b"", sync: bool = True) -> None:
+    """Let `fill` write a small HDF5 file, in the place of one that is there.  Raises OSError.
 
-
-def _fill(path: Path, begun: bytes, change: Change, sync: bool) -> None:
-    """Replace a file by one that `change` makes from the bytes `begun`, in memory: HDF5 crashes when a disk is full."""
+    begun: the bytes of a file, to which `fill` adds.  It works in memory: HDF5 crashes when a disk is full.
+    """
     content = io.BytesIO(begun)
     with h5py.File(content, "r+" if begun else "w", libver=LIBVER) as file:
-        change(file)
+        fill(file)
     replace(path, content.getbuffer(), sync)
 
 
