@@ -13,7 +13,6 @@ import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application import files, hdf5_slabs, restart
-from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Change, Form, load_name
+from pgfmd.application.files import CHECKPOINT_FILE, FIELDS_FILE, VTK_FILE, Form, load_name
 from pgfmd.application.tables import add_grid_axes, annotate, fill_group, name_axes
 from pgfmd.observables.schema import FIELDS, Dataset
 from pgfmd.parallel.collectives import Reduction, from_root, raise_together
@@ -35,6 +34,16 @@ UNDATED = ("software", "softwareVersion", "commit", "format_version")  # so the 
 
 Links = dict[str, tuple[str, str]]
 """Name of a field ("height", "load_0000/pressure") → its file, and its dataset there."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A dataset in a file of fields: the path of the file from the result folder, name, type and attributes."""
+
+    file: str
+    dataset: str
+    dtype: np.dtype
+    attributes: Mapping[str, Any] = field(default_factory=dict)
 
 
 class FieldFiles:
@@ -118,10 +127,12 @@ class FieldFiles:
 
     def write_table(self, file: str, title: str, table: Mapping[str, np.ndarray]) -> None:
         """Write a group of a load as a file (a path from the result folder) of its own."""
-        about = {name: self._provenance()[name] for name in UNDATED}
-        layout, units = self.form.groups[title], self.form.units
-        fill = partial(fill_group, table=table, layout=layout, units=units)
-        files.create(self.directory / file, partial(_describe_and_fill, about, fill))
+
+        def fill(content: h5py.File) -> None:
+            content.attrs.update({name: self._provenance()[name] for name in UNDATED})
+            fill_group(content, table, self.form.groups[title], self.form.units)
+
+        files.create(self.directory / file, fill)
 
     def write_views(self) -> None:
         """Write fields.h5 and fields.vtkhdf anew, if there are fields."""
@@ -130,10 +141,8 @@ class FieldFiles:
         for name, (file, dataset) in self.links.items():
             if name not in self._described:
                 self._described[name] = described(self.directory, f"{self.folder}/{file}", dataset)
-        view = View(self.form.shape, self.form.lengths, self.form.length_unit, self._described)
-        about = self._provenance()
-        for name, fill in ((FIELDS_FILE, view.write_netcdf), (VTK_FILE, view.write_vtk)):
-            files.create(self.directory / name, partial(_describe_and_fill, about, fill))
+        files.create(self.directory / FIELDS_FILE, self._fill_netcdf)
+        files.create(self.directory / VTK_FILE, self._fill_vtk)
 
     def remove_views(self) -> None:
         """Remove fields.h5 and fields.vtkhdf."""
@@ -150,10 +159,53 @@ class FieldFiles:
         for folder in set(restart.FIELDS_FOLDERS) - {self.folder}:
             _remove(self.directory / folder, and_checkpoint=True)
 
+    @property
+    def _numbers(self) -> list[int]:
+        """The loads that have fields."""
+        return sorted({int(name.split("/")[0].removeprefix("load_")) for name in self._described if "/" in name})
 
-def _describe_and_fill(about: dict[str, Any], fill: Change, file: h5py.File) -> None:
-    file.attrs.update(about)
-    fill(file)
+    @property
+    def _stacks(self) -> dict[str, list[Shown | None]]:
+        """Name of a field → that field of each load that has fields (None: not written)."""
+        names = dict.fromkeys(name.split("/")[1] for name in self._described if "/" in name)
+        loads = [load_name(number) for number in self._numbers]
+        return {name: [self._described.get(f"{load}/{name}") for load in loads] for name in names}
+
+    def _fill_netcdf(self, file: h5py.File) -> None:
+        """Fill fields.h5.  All axes have coordinates, so that it is netCDF-4, which xarray reads."""
+        file.attrs.update(self._provenance())
+        add_grid_axes(file, self.form.shape, self.form.lengths, self.form.length_unit)
+        if self._numbers:
+            file["load"] = np.array(self._numbers)
+            file["load"].attrs.update(description="number of the load, counted from 0", units="1")
+        for name, shown in self._described.items():
+            _add_virtual(file, name, [shown], self.form.shape)
+            name_axes(file, name, ("x", "y"))
+        for name, several in self._stacks.items():
+            _add_virtual(file, name, several, (len(several), *self.form.shape))
+            name_axes(file, name, ("load", "x", "y"))
+
+    def _fill_vtk(self, file: h5py.File) -> None:
+        """Fill fields.vtkhdf.  VTK's first axis is the contiguous one, our y: `Direction` exchanges x and y."""
+        file.attrs.update(self._provenance())
+        (nx, ny), (lx, ly) = self.form.shape, self.form.lengths
+        root, count = file.create_group("VTKHDF"), len(self._numbers)
+        root.attrs["Version"] = np.array(VTK_VERSION)
+        root.attrs["Type"] = np.bytes_("ImageData")
+        root.attrs["WholeExtent"] = np.array([0, ny - 1, 0, nx - 1, 0, 0])
+        root.attrs["Origin"] = np.zeros(3)
+        root.attrs["Spacing"] = np.array([ly / ny, lx / nx, 1.0])
+        root.attrs["Direction"] = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]).ravel()
+        points = root.create_group("PointData")
+        single = {name: [shown] * max(count, 1) for name, shown in self._described.items() if "/" not in name}
+        for name, several in (single | self._stacks).items():
+            _add_virtual(points, name, several, (count, nx, ny) if count else (nx, ny))
+        if count:
+            steps = root.create_group("Steps")
+            steps.attrs["NSteps"] = count
+            steps["Values"] = np.array(self._numbers, float)
+            for name in points:
+                steps[f"PointDataOffsets/{name}"] = np.arange(count)
 
 
 def _remove(folder: Path, and_checkpoint: bool) -> None:
@@ -164,16 +216,6 @@ def _remove(folder: Path, and_checkpoint: bool) -> None:
         folder.rmdir()
 
 
-@dataclass(frozen=True)
-class Shown:
-    """A dataset in a file of fields: the path of the file from the result folder, name, type and attributes."""
-
-    file: str
-    dataset: str
-    dtype: np.dtype
-    attributes: Mapping[str, Any] = field(default_factory=dict)
-
-
 def described(directory: Path, file: str, dataset: str) -> Shown:
     """A dataset (nx, ny) of a file below `directory`, with its units and description."""
     with h5py.File(directory / file, "r", locking=False) as content:
@@ -182,67 +224,13 @@ def described(directory: Path, file: str, dataset: str) -> Shown:
         return Shown(file, dataset, source.dtype, about)
 
 
-@dataclass(frozen=True)
-class View:
-    """What fields.h5 and fields.vtkhdf show: shape, lengths, their unit, fields ("height", "load_0000/pressure")."""
-
-    shape: tuple[int, int]
-    lengths: tuple[float, float]
-    length_unit: str
-    fields: Mapping[str, Shown]
-
-    @property
-    def numbers(self) -> list[int]:
-        """The loads that have fields."""
-        return sorted({int(name.split("/")[0].removeprefix("load_")) for name in self.fields if "/" in name})
-
-    @property
-    def stacks(self) -> dict[str, list[Shown | None]]:
-        """Name of a field → that field of each load that has fields (None: not written)."""
-        names = dict.fromkeys(name.split("/")[1] for name in self.fields if "/" in name)
-        return {name: [self.fields.get(f"{load_name(number)}/{name}") for number in self.numbers] for name in names}
-
-    def write_netcdf(self, file: h5py.File) -> None:
-        """Fill fields.h5.  All axes have coordinates, so that it is netCDF-4, which xarray reads."""
-        add_grid_axes(file, self.shape, self.lengths, self.length_unit)
-        if self.numbers:
-            file["load"] = np.array(self.numbers)
-            file["load"].attrs.update(description="number of the load, counted from 0", units="1")
-        for name, shown in self.fields.items():
-            self._virtual(file, name, [shown], ())
-            name_axes(file, name, ("x", "y"))
-        for name, several in self.stacks.items():
-            self._virtual(file, name, several, (len(several),))
-            name_axes(file, name, ("load", "x", "y"))
-
-    def write_vtk(self, file: h5py.File) -> None:
-        """Fill fields.vtkhdf.  VTK's first axis is the contiguous one, our y: `Direction` exchanges x and y."""
-        spacing = [length / count for length, count in zip(self.lengths, self.shape, strict=True)]
-        root, count = file.create_group("VTKHDF"), len(self.numbers)
-        root.attrs["Version"] = np.array(VTK_VERSION)
-        root.attrs["Type"] = np.bytes_("ImageData")
-        root.attrs["WholeExtent"] = np.array([0, self.shape[1] - 1, 0, self.shape[0] - 1, 0, 0])
-        root.attrs["Origin"] = np.zeros(3)
-        root.attrs["Spacing"] = np.array([spacing[1], spacing[0], 1.0])
-        root.attrs["Direction"] = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]).ravel()
-        points = root.create_group("PointData")
-        single = {name: [shown] * max(count, 1) for name, shown in self.fields.items() if "/" not in name}
-        for name, several in (single | self.stacks).items():
-            self._virtual(points, name, several, (count,) if count else ())
-        if count:
-            steps = root.create_group("Steps")
-            steps.attrs["NSteps"] = count
-            steps["Values"] = np.array(self.numbers, float)
-            for name in points:
-                steps[f"PointDataOffsets/{name}"] = np.arange(count)
-
-    def _virtual(self, group: h5py.Group, name: str, several: Sequence[Shown | None], first: tuple[int, ...]) -> None:
-        """A virtual dataset of shape (*first, nx, ny) of the fields; first: (their number,) or ()."""
-        known = next(shown for shown in several if shown is not None)
-        layout = h5py.VirtualLayout((*first, *self.shape), known.dtype)
-        for number, shown in enumerate(several):
-            if shown is not None:
-                place = (number,) if first else (slice(None), slice(None))
-                layout[place] = h5py.VirtualSource(shown.file, shown.dataset, self.shape, shown.dtype)
-        missing = np.nan if np.issubdtype(known.dtype, np.floating) else -1
-        group.create_virtual_dataset(name, layout, fillvalue=missing).attrs.update(known.attributes)
+def _add_virtual(group: h5py.Group, name: str, several: Sequence[Shown | None], shape: tuple[int, ...]) -> None:
+    """A virtual dataset of that shape: (nx, ny) of one field, or (number of fields, nx, ny)."""
+    known = next(shown for shown in several if shown is not None)
+    layout = h5py.VirtualLayout(shape, known.dtype)
+    for number, shown in enumerate(several):
+        if shown is not None:
+            place = (number,) if len(shape) == 3 else (slice(None), slice(None))
+            layout[place] = h5py.VirtualSource(shown.file, shown.dataset, shape[-2:], shown.dtype)
+    missing = np.nan if np.issubdtype(known.dtype, np.floating) else -1
+    group.create_virtual_dataset(name, layout, fillvalue=missing).attrs.update(known.attributes)
