@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, TypedDict, Unpack, overload
+from typing import Any, Generic, TypedDict, TypeVar, Unpack, overload
 
 import numpy as np
 
@@ -52,6 +52,7 @@ from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.file import fill_holes, warn_of_edges
 from pgfmd.surfaces.measurement import is_topography, measured_heights
 
+T = TypeVar("T")
 log = logging.getLogger("pgfmd")
 
 
@@ -80,32 +81,25 @@ class Options(TypedDict, total=False):
     progress: bool | None
 
 
-class OneLoad(Options, total=False):
-    """`Options`, and what can be imposed instead of a pressure, as one number."""
+class Imposed(Options, Generic[T], total=False):
+    """`Options`, and what can be imposed instead of a pressure: a number, or a list of numbers."""
 
-    contact_area: float
-    mean_gap: float
-    displacement: float
-    force: float
+    contact_area: T
+    mean_gap: T
+    displacement: T
+    force: T
     percolation: str
 
 
-class SeveralLoads(Options, total=False):
-    """The same, as a list of numbers."""
-
-    contact_area: Sequence[float]
-    mean_gap: Sequence[float]
-    displacement: Sequence[float]
-    force: Sequence[float]
-
-
 @overload
-def solve(heights: np.ndarray, pressure: float | None = None, **options: Unpack[OneLoad]) -> Contact: ...
+def solve(heights: np.ndarray, pressure: float | None = None, **options: Unpack[Imposed[float]]) -> Contact: ...
 
 
 @overload
 def solve(
-    heights: np.ndarray, pressure: Sequence[float] | np.ndarray | None = None, **options: Unpack[SeveralLoads]
+    heights: np.ndarray,
+    pressure: Sequence[float] | np.ndarray | None = None,
+    **options: Unpack[Imposed[Sequence[float]]],
 ) -> Iterator[Contact]: ...
 
 
