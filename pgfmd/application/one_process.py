@@ -1,6 +1,5 @@
 """Commands that make a surface in one process: `certify`, `new --heights`, and the doubts of `check`."""
 
-import dataclasses
 import math
 import os
 from collections.abc import Sequence
@@ -142,13 +141,13 @@ def doubts(job: Job) -> list[str]:
     if job.imposed.control == "pressure" or not job.wall.convex:
         return []  # any surface bears it
     seeds = job.surface.seeds
-    surfaces = [dataclasses.replace(job.surface, seed=seed) for seed in seeds] if seeds else [job.surface]  # type: ignore[call-arg]
-    if math.prod(job.cell.shape) * len(surfaces) > MOST_TESTED:
+    jobs = [job.of_seed(seed) for seed in seeds] or [job]
+    if math.prod(job.cell.shape) * len(jobs) > MOST_TESTED:
         return [f"whether each {job.load.control} can be reached is tested up to {MOST_TESTED} points only"]
     lines: dict[str, None] = {}
-    for seed, surface in zip(seeds or (0,), surfaces, strict=True):
+    for seed, each in zip(seeds or (0,), jobs, strict=True):
         grid = SlabGrid(ALONE, job.cell.shape, job.cell.lengths, domain=job.cell.domain)
-        heights = refined_heights(surface, job.grid, grid, job.output.length_unit)
+        heights = refined_heights(each.surface, job.grid, grid, job.output.length_unit)
         problem = ContactProblem(grid, heights, job.solid, job.wall)
         control = LoadControl(job.load, problem).control
         for target in job.load.targets:
