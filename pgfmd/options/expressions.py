@@ -4,7 +4,6 @@ import ast
 import math
 from collections.abc import Callable
 from functools import cache
-from types import CodeType
 from typing import Any
 
 from pgfmd.options.rules import Rule, text
@@ -24,7 +23,7 @@ def formula(variable: str) -> Rule:
 
     def convert(value: object) -> str:
         written = text().convert(value)
-        _code(written, variable)
+        function(written, variable)
         return written
 
     return Rule(f"a formula of {variable} with numbers, + - * / **, a if b < c else d, {', '.join(NAMES)}", convert)
@@ -32,9 +31,13 @@ def formula(variable: str) -> Rule:
 
 @cache
 def function(written: str, variable: str) -> Callable[[float], float]:
-    """A formula as a function of one real number, for Python and for numba; raises ValueError."""
-    made: Callable[[float], float] = eval(_code(written, variable), dict(NAMES))
-    return made
+    """A formula as a function of one real number, for Python and for numba; raises ValueError for what is none."""
+    made = ast.parse(f"lambda {variable}: 0", mode="eval")
+    made.body.body = tree(written, variable)  # type: ignore[attr-defined]
+    try:
+        return eval(compile(made, "<formula>", "eval"), dict(NAMES))
+    except RecursionError:
+        raise ValueError from None
 
 
 def value(of: Callable[[float], float], at: float) -> float:
@@ -46,17 +49,6 @@ def value(of: Callable[[float], float], at: float) -> float:
         return math.inf
     except (ValueError, TypeError):
         return math.nan
-
-
-@cache
-def _code(written: str, variable: str) -> CodeType:
-    """The code of the function; raises ValueError for what is no formula."""
-    function = ast.parse(f"lambda {variable}: 0", mode="eval")
-    function.body.body = tree(written, variable)  # type: ignore[attr-defined]
-    try:
-        return compile(function, "<formula>", "eval")
-    except RecursionError:
-        raise ValueError from None
 
 
 def tree(written: str, variable: str) -> ast.expr:
