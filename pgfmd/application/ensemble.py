@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 
 from pgfmd.application.files import ENSEMBLE_FILE, OBSERVABLES_FILE, create, holder, load_name, member_name, revise
-from pgfmd.application.results import Results, Runs, text_table
+from pgfmd.application.results import Results, Runs, text_table, with_bar
 from pgfmd.application.tables import name_axes
 from pgfmd.errors import InputError
 from pgfmd.observables.schema import TABLE, is_error
@@ -264,13 +264,12 @@ def table(ensemble: Ensemble) -> str:
     means = {name: column for name, column in means.items() if not is_error(name, means)}
     if not means:
         return "no load was completed"
-    none = {"seeds": np.zeros(len(seeds), int)}
-    return text_table(
-        {"seeds": seeds} | {name: column.mean for name, column in means.items()},
-        {"seeds": ""} | {name: column.about["units"] for name, column in means.items()},
-        none | {name: column.error for name, column in means.items()},
-        none | {name: fewer(column, seeds) for name, column in means.items()},
-    )
+    units = {"seeds": ""} | {name: column.about["units"] for name, column in means.items()}
+    columns = {"seeds": [str(count) for count in seeds]}
+    for name, column in means.items():
+        cells, counts = map(with_bar, column.mean, column.error), fewer(column, seeds)
+        columns[name] = [cell + f" ({count})" * bool(count) for cell, count in zip(cells, counts, strict=True)]
+    return text_table(columns, units)
 
 
 def fewer(column: Column, seeds: np.ndarray) -> np.ndarray:

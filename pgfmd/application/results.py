@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -295,10 +295,13 @@ class Runs:
 
 def table(results: Results) -> str:
     """The table of loads as aligned text, one row per load; with error bars, where they are known."""
-    values = {name: column for name, column in results.loads.items() if not is_error(name, results.loads)}
     numbers = [load.numbers for load in results]
-    errors = {name: np.array([row.get(f"{name}_error", np.nan) for row in numbers]) for name in values}
-    return text_table(values, results.units, errors)
+    columns = {}
+    for name, values in results.loads.items():
+        if not is_error(name, results.loads):
+            errors = [row.get(f"{name}_error", np.nan) for row in numbers]
+            columns[name] = list(map(with_bar, values, errors))
+    return text_table(columns, results.units)
 
 
 def size_in_words(shape: tuple[int, int], lengths: tuple[float, float], unit: str, grid: Mapping[str, Any]) -> str:
@@ -308,24 +311,17 @@ def size_in_words(shape: tuple[int, int], lengths: tuple[float, float], unit: st
     return size if unit == "length" else f"{size} {unit}"
 
 
-def text_table(
-    loads: Mapping[str, np.ndarray],
-    units: Mapping[str, str],
-    errors: Mapping[str, np.ndarray],
-    counts: Mapping[str, np.ndarray] | None = None,
-) -> str:
-    """Columns as text: their names, units, and rows of "value ± error"; "value" where the error is 0 or not finite.
+def with_bar(value: float | np.number, error: float) -> str:
+    """ "value ± error"; "value" where the error is 0 or not finite."""
+    text = f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}"
+    return f"{text} ± {error:.1g}" if np.isfinite(error) and error > 0 else text
 
-    counts: of the samples of means, shown as "(n)" where it is not 0.
-    """
-    columns = [["load", "", *map(str, range(len(next(iter(loads.values())))))]]
-    for name, values in loads.items():
-        texts = [f"{value:d}" if isinstance(value, np.integer) else f"{value:.5g}" for value in values]
-        bars = [f" ± {error:.1g}" if np.isfinite(error) and error > 0 else "" for error in errors[name]]
-        if counts is not None:
-            bars = [bar + f" ({count:d})" * bool(count) for bar, count in zip(bars, counts[name], strict=True)]
-        columns.append([name, units[name], *(text + bar for text, bar in zip(texts, bars, strict=True))])
-    return "\n".join(aligned(list(zip(*columns, strict=True))))
+
+def text_table(columns: Mapping[str, Sequence[str]], units: Mapping[str, str]) -> str:
+    """Columns of texts, an entry per load, as aligned text: their names, their units, and the numbered rows."""
+    loads = range(len(next(iter(columns.values()))))
+    named = [[name, units[name], *cells] for name, cells in columns.items()]
+    return "\n".join(aligned(list(zip(["load", "", *map(str, loads)], *named, strict=True))))
 
 
 def modern(
