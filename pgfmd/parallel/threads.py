@@ -99,8 +99,6 @@ class Threads:
 
     def collect(self, work: Callable[[int, int], object], total: int, block: int = 64) -> list:
         """What `work(first, stop)` returns for each block of 0 … total−1, in the order of the blocks."""
-        if 0 < total <= block:
-            return [work(0, total)]
         results: list = [None] * -(-total // block)
 
         def part(_: int, first: int, stop: int) -> None:
@@ -117,8 +115,6 @@ class Threads:
         """Call `work(first, stop)` for blocks of at least `least` rows, about four for each thread, each by the thread
         that is free first.  Faster than `split` where some rows take longer than others.
         """
-        if self.count == 1:
-            if total > 0:
-                work(0, total)
-        else:
-            self.share(lambda _, first, stop: work(first, stop), total, max(least, total // (4 * self.count)))
+        block = total if self.count == 1 else max(least, total // (4 * self.count))
+        if total > 0:
+            self.share(lambda _, first, stop: work(first, stop), total, block)
