@@ -169,7 +169,6 @@ def _quiet(group: MPI.Comm) -> Iterator[None]:
     handlers, before = list(log.handlers), log.level
     for handler in handlers:
         handler.addFilter(_is_shown)
-    progress.propagate = True
     progress.setLevel(logging.INFO if group.rank == 0 else logging.CRITICAL + 1)
     filtered = handlers and not log.propagate  # no filter reaches handlers of the root logger
     log.setLevel(STEP if filtered and group.rank == 0 else max(before, logging.WARNING))

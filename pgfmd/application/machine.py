@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib import metadata
@@ -70,10 +71,8 @@ def versions() -> str:
     """Versions of Python and of the libraries, one per line: "name version"."""
     lines = [f"python {platform.python_version()}"]
     for name in LIBRARIES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             lines.append(f"{name} {metadata.version(name)}")
-        except metadata.PackageNotFoundError:
-            continue
     return "\n".join(lines)
 
 
