@@ -13,25 +13,14 @@ from typing import Any, Generic, TypedDict, TypeVar, Unpack, overload
 import numpy as np
 
 import pgfmd.observables.observable_kinds  # noqa: F401  (fills the table of observables)
-from pgfmd.arguments import (
-    BOUNDARY,
-    SPACING,
-    agree,
-    alike,
-    checked,
-    own_copy,
-    rule_of_load,
-    section_of,
-    surface_of,
-    targets_of,
-)
+from pgfmd.arguments import BOUNDARY, SPACING, agree, alike, own_copy, rule_of_load, section_of, surface_of, targets_of
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import DOMAINS, Domain
 from pgfmd.grid.slab_grid import SlabGrid
 from pgfmd.grid.transfer import interpolate
 from pgfmd.observables.contact import Certified, Contact, certified
 from pgfmd.observables.percolation import gap_percolates
-from pgfmd.options.rules import POSITIVE, integer, number
+from pgfmd.options.rules import POSITIVE, checked, integer, number
 from pgfmd.options.text import show
 from pgfmd.parallel.collectives import raise_together
 from pgfmd.parallel.mpi import ALONE, MPI
@@ -50,7 +39,7 @@ from pgfmd.solvers.nondimensional import in_storage
 from pgfmd.solvers.options import Load, Solver
 from pgfmd.solvers.solution import ContactSolution, SolverState
 from pgfmd.surfaces.file import fill_holes, warn_of_edges
-from pgfmd.surfaces.measurement import is_topography, measured_heights
+from pgfmd.surfaces.measurement import is_topography
 
 T = TypeVar("T")
 log = logging.getLogger("pgfmd")
@@ -182,8 +171,7 @@ def solve(
     imposed = {"pressure": pressure, "contact_area": contact_area, "mean_gap": mean_gap}
     imposed |= {"displacement": displacement, "force": force, "percolation": percolation}
     with raise_together(comm):
-        topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
-        heights = surface_of(heights, topography)
+        topography, (heights, spacing) = heights, surface_of(heights, spacing, comm)
         name, targets, single = targets_of(imposed)
         refine, domain = checked("refine", refine, integer(1)), DOMAINS[checked("boundary", boundary, BOUNDARY)]
         if refine > 1 and not domain.wraps:
@@ -285,8 +273,7 @@ def certify(
     """
     comm = ALONE if comm is None else comm
     with raise_together(comm):
-        topography, (heights, spacing) = heights, measured_heights(heights, spacing, comm)
-        heights = surface_of(heights, topography)
+        topography, (heights, spacing) = heights, surface_of(heights, spacing, comm)
         given = alike("pressure", pressure, heights)
         if not np.isfinite(given).all():
             raise InputError("pressure: all values must be finite")

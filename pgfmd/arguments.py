@@ -11,27 +11,29 @@ import numpy as np
 
 from pgfmd.errors import InputError
 from pgfmd.grid.domain import DOMAINS
-from pgfmd.options.rules import Rule, choice, number, pair
+from pgfmd.options.rules import Rule, checked, choice, number, pair
 from pgfmd.options.section import Kinds, Section, build
 from pgfmd.options.text import printable, show
 from pgfmd.parallel.mpi import MPI
 from pgfmd.solvers.options import Load
-from pgfmd.surfaces.measurement import is_topography
+from pgfmd.surfaces.measurement import is_topography, measured_heights
 
 BOUNDARY = choice(*DOMAINS)
 SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither overflow nor underflow
 
 
-def surface_of(values: Any, given: Any) -> np.ndarray:
-    """The heights of the arguments of `solve`, which a later change of what was given leaves alone; raises InputError.
+def surface_of(given: Any, spacing: Any, comm: MPI.Comm) -> tuple[np.ndarray, Any]:
+    """Heights and spacing of the arguments of `solve`: those of a topography if one is given.  A later change of what
+    was given leaves the heights alone.  Raises InputError.
     """
+    values, spacing = measured_heights(given, spacing, comm)
     heights = real_numbers("heights", values)
     if heights.ndim != 2 or heights.size == 0:
         raise InputError(f"heights of shape {heights.shape}: must be two-dimensional and not empty")
     if not np.isfinite(heights).all() and not is_topography(given):
         at = ", ".join(map(str, np.argwhere(~np.isfinite(heights))[0]))
         raise InputError(f"heights: [{at}] is {heights[~np.isfinite(heights)][0]}; all must be finite")
-    return own_copy(heights, values)
+    return own_copy(heights, values), spacing
 
 
 def alike(name: str, values: Any, heights: np.ndarray) -> np.ndarray:
@@ -61,14 +63,6 @@ def real_numbers(name: str, values: Any) -> np.ndarray:
         return np.ascontiguousarray(array, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name}: must be an array of real numbers: {printable(str(error), 100)}") from None
-
-
-def checked(name: str, value: object, rule: Rule) -> Any:
-    """The value of an argument as its rule converts it; raises InputError."""
-    try:
-        return rule.convert(value)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {show(value)}: must be {rule.allowed}") from None
 
 
 def targets_of(imposed: Mapping[str, Any]) -> tuple[str, tuple[float, ...], bool]:

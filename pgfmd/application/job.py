@@ -24,7 +24,7 @@ from pgfmd.observables.observable import Observable
 from pgfmd.observables.observable_kinds import OBSERVABLES
 from pgfmd.observables.percolation import ClosingLoad
 from pgfmd.observables.schema import FIELDS
-from pgfmd.options.rules import assignment, choice, many, number, text
+from pgfmd.options.rules import assignment, checked, choice, many, number, text
 from pgfmd.options.section import Kinds, Section, build, key, wrong
 from pgfmd.options.section import as_toml as section_as_toml
 from pgfmd.options.text import as_toml_value, guess, printable, show
@@ -285,12 +285,7 @@ def parse(
 
 def _load_plugins(paths: Any) -> tuple[Plugin, ...]:
     """Load the files of the key `plugins`, and register their classes; raises InputError."""
-    try:
-        loaded = tuple(map(user_plugins.read, PLUGINS.convert(paths)))
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"plugins = {show(paths)}: must be {PLUGINS.allowed}") from None
+    loaded = tuple(map(user_plugins.read, checked("plugins", paths, PLUGINS)))
     for plugin in loaded:
         plugin.load()
     SECTIONS["output"] = output_section()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pgfmd.errors import InputError
 from pgfmd.options.text import show
 
 MOST_SEEDS = 10**6  # of an ensemble
@@ -27,6 +28,14 @@ class Rule:
     allowed: str
     convert: Callable[[Any], Any]
     schema: Mapping[str, Any] = field(default_factory=dict)
+
+
+def checked(name: str, value: object, rule: Rule) -> Any:
+    """The value of a key or an argument as its rule converts it; raises InputError."""
+    try:
+        return rule.convert(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} = {show(value)}: must be {rule.allowed}") from None
 
 
 def integer(low: int, high: int = 2**63 - 1) -> Rule:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from pgfmd.errors import InputError
-from pgfmd.options.rules import Rule, text
+from pgfmd.options.rules import Rule, checked, text
 from pgfmd.options.text import as_toml_value, assignments, guess, printable, show
 
 
@@ -62,10 +62,7 @@ class Section:
             if value is None and (field.metadata["needed"] or isinstance(rule, Rule) and field.default is not None):
                 raise InputError(f"{self.where}.{field.name} is missing: it must be {rule.allowed}")
             if value is not None and isinstance(rule, Rule):
-                try:
-                    value = rule.convert(value)
-                except ValueError:
-                    raise wrong(self, field.name, f"must be {rule.allowed}") from None
+                value = checked(f"{self.where}.{field.name}", value, rule)
             object.__setattr__(self, field.name, value)
         self.check()
 
