@@ -23,8 +23,8 @@ SPACING = pair(number(low=1e-150, high=1e150))  # so that their squares neither 
 
 
 def surface_of(given: Any, spacing: Any, comm: MPI.Comm) -> tuple[np.ndarray, Any]:
-    """Heights and spacing of the arguments of `solve`: those of a topography if one is given.  A later change of what
-    was given leaves the heights alone.  Raises InputError.
+    """Heights and spacing of an array or a topography.  The heights share no memory that others may write.  Raises
+    InputError.
     """
     values, spacing = measured_heights(given, spacing, comm)
     heights = real_numbers("heights", values)

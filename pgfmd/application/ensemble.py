@@ -69,8 +69,8 @@ class Ensemble(Runs):
         return f"{self.directory}: {self.status}\n{table(self)}"
 
     def mean(self) -> pandas.DataFrame:
-        """A row for each load: `seeds`, the number of seeds that solved it; NAME and NAME_error, mean and standard
-        error of each number; NAME_seeds, if fewer seeds gave a finite number.
+        """A row for each load.  seeds: how many solved it; NAME, NAME_error: mean and standard error of a number;
+        NAME_seeds: how many gave a finite one, if fewer.
         """
         import pandas
 

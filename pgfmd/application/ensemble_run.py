@@ -72,9 +72,7 @@ def run_ensemble(simulate: Simulate, job: Job, comm: MPI.Comm, path: Path, mode:
 
 
 def _refuse_others(job: Job, path: Path, mode: str) -> bytes | None:
-    """The content of the folder's ensemble.h5, None if there is none.  Raises InputError if the folder holds one
-    surface, or an ensemble that `mode` does not allow to change.  Rank 0.
-    """
+    """The bytes of ensemble.h5, None without one.  Raises InputError if `mode` does not allow to change the folder."""
     if (path / files.OBSERVABLES_FILE).exists():
         raise InputError(f"{path}: holds the results of one surface; choose another folder for an ensemble")
     if not (path / files.ENSEMBLE_FILE).exists():

@@ -123,9 +123,8 @@ class _ReservedFile(io.RawIOBase):
         self._raw, self.size = raw, 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        return (
-            self._raw.seek(offset + self.size, os.SEEK_SET) if whence == os.SEEK_END else self._raw.seek(offset, whence)
-        )
+        from_end = whence == os.SEEK_END
+        return self._raw.seek(self.size + offset) if from_end else self._raw.seek(offset, whence)
 
     def tell(self) -> int:
         return self._raw.tell()

@@ -347,9 +347,7 @@ def _anchor(document: dict, folder: str) -> None:
 
 
 def _complete(document: dict) -> None:
-    """Add points, size and unit of the file of heights to the document if it does not say them.  Raises InputError if a
-    file is missing, or that of heights cannot be read.
-    """
+    """Add what the document leaves out, and its file of heights says: points, size, unit.  Raises InputError."""
     for section, table in document.items():
         if section in SECTIONS and isinstance(table, dict) and isinstance(table.get("path"), str) and table["path"]:
             path, _ = build(SECTIONS[section], table).source or (table["path"], None)

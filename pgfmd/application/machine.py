@@ -167,8 +167,9 @@ def refuse_too_large(comm: MPI.Comm, per_rank: float) -> None:
 
 
 def report(comm: MPI.Comm, per_rank: float, available: float) -> None:
-    """Log ranks, nodes, threads, libraries and the memory needed, `per_rank` bytes; warn of too little memory or too
-    few cores.  available: bytes on this node before the run took any.  Collective.
+    """Log ranks, nodes, threads, libraries and memory; warn of too little memory or too few cores.  Collective.
+
+    per_rank: bytes that a rank needs; available: bytes on this node before the run took any.
     """
     here = platform.node(), os.sched_getaffinity(0), threads_per_rank(), available
     ranks = comm.gather(here)

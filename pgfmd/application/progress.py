@@ -27,10 +27,7 @@ def updates() -> bool:
 
 
 class Progress:
-    """Shows the certified error of each load as it falls to the tolerance, and the time that is left; on rank 0 only.
-
-    loads: how many are to be solved; shape: of the grid; clock: in seconds
-    """
+    """Shows, on rank 0, the certified error of each load as it falls to the tolerance, and the time that is left."""
 
     def __init__(
         self,

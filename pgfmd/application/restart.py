@@ -59,9 +59,7 @@ class EarlierResults:
         return shown
 
     def find_damage(self, directory: Path) -> None:
-        """Find files of fields and large groups that are missing, truncated, or have damaged metadata; numbers are not
-        read.
-        """
+        """Find files that are missing, truncated, or have damaged metadata.  Does not read the numbers in them."""
         fields = [(name, directory / self.folder / f"{name}.h5", keys) for name, keys in self.fields.items() if keys]
         groups: list[tuple[str, Path, list[str]]] = [
             (name, directory / path, []) for name, paths in self.table_files.items() for path in paths

@@ -108,9 +108,7 @@ class Results:
 
     @property
     def status(self) -> str:
-        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted": marked as running, but no process
-        holds the folder.
-        """
+        """ "complete", "running", "stopped" (asked to), "failed", or "interrupted" (no process holds the folder)."""
         status = self.provenance.get("status", "interrupted")
         return "interrupted" if status == "running" and holder(self.directory) is None else status
 

@@ -31,13 +31,12 @@ GO_ON, SAVE, STOP = range(3)
 class Interruptions:
     """Decides between the steps of a solver whether to save or stop; a context manager.
 
-    interval : seconds between checkpoints;  time_limit : seconds that the run may take from now
+    interval: seconds between checkpoints; time_limit: seconds that the run may take from now; resumption: the option
+    that continues this run, for the message.
 
     Rank 0 reads the clock and looks for files; a signal may reach any rank.  Within the context, if the main thread
     enters it, SIGTERM, SIGUSR1, SIGINT and SIGHUP ask the run to stop, unless they are ignored (as SIGHUP under nohup);
     a second SIGINT ends it at once.  A STOP file from before the context does not count until it is touched again.
-
-    resumption : the option that continues this run, for the message
     """
 
     def __init__(

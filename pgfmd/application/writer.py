@@ -121,9 +121,7 @@ class ResultWriter:
         return [index for index in range(self.origin.loads) if load_name(index) not in self._written]
 
     def begin(self) -> None:
-        """Remove what interrupted runs left behind; then, unless old results are still there, start or continue
-        observables.h5.  A second call does nothing.  Collective.
-        """
+        """Remove leftovers of interrupted runs, and begin observables.h5 unless it holds old results.  Collective."""
         if not self._begun:
             with self._changing(*[] if self.replacing else SMALL):
                 from_root(self.comm, self._remove_leftovers)
@@ -139,10 +137,7 @@ class ResultWriter:
         from_root(self.comm, self._sums.note, *names)
 
     def write_heights(self, heights: np.ndarray) -> None:
-        """Write the heights of the surface, of which this rank holds (nx_local, ny).  Collective.
-
-        Raises OSError on all ranks if they cannot be written.
-        """
+        """Write the heights, of which this rank holds (nx_local, ny).  Raises OSError on all ranks.  Collective."""
         self.begin()
         small = [] if self.replacing else [files.FIELDS_FILE, files.VTK_FILE]
         with self._changing(f"{self._fields.folder}/height.h5", *small):

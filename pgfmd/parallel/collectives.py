@@ -28,9 +28,7 @@ FAILED = 32000  # tag of messages between ranks that have failed, below the leas
 
 
 def slab(count: int, size: int, rank: int) -> slice:
-    """Rows of `rank` when `count` rows (or columns) are split over `size` ranks: the remainder goes to the first ranks,
-    as in mpi4py-fft.
-    """
+    """Rows of `rank` of `count` rows split over `size` ranks; the first ranks take the rest, as in mpi4py-fft."""
     base, extra = divmod(count, size)
     start = rank * base + min(rank, extra)
     return slice(start, start + base + (rank < extra))
@@ -44,9 +42,7 @@ def slab_starts(count: int, size: int) -> np.ndarray:
 
 
 class Reduction:
-    """Reductions of a field whose parts lie on the ranks of `comm`.  Each method is collective; all ranks get the same
-    result.
-    """
+    """Reductions over the ranks of `comm`, which all get the same result.  Each method is collective."""
 
     def __init__(self, comm: MPI.Comm) -> None:
         self.comm = comm
@@ -97,9 +93,7 @@ class Reduction:
 
 
 def await_all(comm: MPI.Comm) -> None:
-    """A barrier for ranks that may wait for seconds: after `BUSY_WAIT` seconds they sleep between polls.  MPI's own
-    barrier keeps a core busy.  Collective.
-    """
+    """A barrier that sleeps between polls after `BUSY_WAIT` seconds; MPI's own keeps a core busy.  Collective."""
     request, began = comm.Ibarrier(), time.monotonic()
     while not request.Test():
         waited = time.monotonic() - began

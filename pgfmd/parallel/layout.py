@@ -232,9 +232,7 @@ class RowWindow:
 
 
 def _owners(low: int, high: int, starts: np.ndarray) -> Iterator[tuple[int, int, int, int]]:
-    """The periodic range low … high−1 cut at the edges of slabs: (owner, first and last + 1 of its rows, offset from
-    low).
-    """
+    """The periodic range low … high−1 cut at edges of slabs: (owner, its rows first … stop−1, offset from low)."""
     total, at = int(starts[-1]), low
     while at < high:
         row = at % total

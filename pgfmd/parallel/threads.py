@@ -1,7 +1,4 @@
-"""The threads of one rank, which share blocks of rows between them.
-
-All grids of a process share its helper threads.  The caller waits only for helpers that have begun to work: if none has
-begun before the caller is done, the caller does all the work.
+"""The threads of one rank, which share blocks of rows between them.  All grids of a process share its helper threads.
 """
 
 from __future__ import annotations
@@ -61,24 +58,20 @@ os.register_at_fork(after_in_child=thread_pool.cache_clear)  # threads do not su
 
 
 def threads_per_rank() -> int:
-    """OMP_NUM_THREADS (of a list "4,1" the first) if it is a number from 1 to 9999, else the number of cores that this
-    process is bound to.
-    """
+    """OMP_NUM_THREADS (of a list the first) if it is from 1 to 9999, else the cores that this process is bound to."""
     asked = os.environ.get("OMP_NUM_THREADS", "").split(",")[0].strip()
     return int(asked) if re.fullmatch("[1-9][0-9]{0,3}", asked) else len(os.sched_getaffinity(0))
 
 
 class Threads:
-    """`count` threads.  What they run must release the GIL (compiled kernels, FFTW, NumPy on large arrays) to gain
-    anything.
-    """
+    """`count` threads.  They gain where their work releases the GIL: compiled loops, FFTW, NumPy on large arrays."""
 
     def __init__(self, count: int) -> None:
         self.count = count
 
     def share(self, work: Callable[[int, int, int], None], total: int, block: int) -> None:
-        """Call `work(thread, first, stop)` for each block of 0 … total−1, by the thread that is free first.  An
-        exception of any thread is raised in the caller.
+        """Call `work(thread, first, stop)` for each block of 0 … total−1, by the thread that is free first.  Raises
+        what a thread raises.
         """
         if self.count == 1 or total <= block:
             for first in range(0, total, block):
@@ -112,9 +105,7 @@ class Threads:
         self.deal(lambda first, stop: np.multiply(field[first:stop], factor, out=field[first:stop]), len(field))
 
     def deal(self, work: Callable[[int, int], None], total: int, least: int = 256) -> None:
-        """Call `work(first, stop)` for blocks of at least `least` rows, about four for each thread, each by the thread
-        that is free first.  Faster than `split` where some rows take longer than others.
-        """
+        """`split` for rows that take unequal times: about four blocks per thread, of at least `least` rows."""
         block = total if self.count == 1 else max(least, total // (4 * self.count))
         if total > 0:
             self.share(lambda _, first, stop: work(first, stop), total, block)
