@@ -394,22 +394,17 @@ def tables_as_toml(job: Mapping[str, Any]) -> str:
 
 def differences(before: Job, after: Job) -> list[str]:
     """The keys in which two jobs differ, as "section.key: old → new"; without [run], which does not change results."""
-    old, new = _flat(before), _flat(after)
+    old, new = (dict(sorted(_flat(tomllib.loads(as_toml(job))).items())) for job in (before, after))
     return [
         f"{name}: {show(old.get(name, 'not given'))} → {show(new.get(name, 'not given'))}"
         for name in old | new
-        if old.get(name) != new.get(name)
+        if old.get(name) != new.get(name) and not name.startswith("run.")
     ]
 
 
-def _flat(job: Job) -> dict:
-    """Every key of the effective job, dotted, without those of [run]."""
-    values = {}
-    rest = {name: table for name, table in tomllib.loads(as_toml(job)).items() if name != "run"}
-    while rest:
-        name, value = rest.popitem()
-        if isinstance(value, dict):
-            rest |= {f"{name}.{key}": entry for key, entry in value.items()}
-        else:
-            values[name] = value
-    return dict(sorted(values.items()))
+def _flat(tables: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Every key of nested tables, dotted."""
+    values: dict[str, Any] = {}
+    for name, value in tables.items():
+        values |= _flat(value, f"{above}{name}.") if isinstance(value, dict) else {above + name: value}
+    return values
