@@ -81,18 +81,14 @@ def add_row(group: h5py.Group, index: int, row: Mapping[str, float], form: Form)
             column.write(one, place, np.array([value]))
 
 
-def add_groups(
-    file: h5py.File, index: int, groups: Groups, form: Form, links: Mapping[str, str] | None = None
-) -> h5py.Group:
-    """Write, or replace, the group of a load with what was measured on it; returns it.  links: titles of groups that
-    have a file of their own, and its path from that of `file`.
-    """
+def add_groups(file: h5py.File, index: int, groups: Groups, form: Form, links: Mapping[str, str]) -> h5py.Group:
+    """Write, or replace, the group of a load; returns it.  links: title → file, for groups with one of their own."""
     name = load_name(index)
     if name in file:
         del file[name]
     load = file.create_group(name)
     for title, table in groups.items():
-        if links and title in links:
+        if title in links:
             load[title] = h5py.ExternalLink(links[title], "/")
         else:
             fill_group(load.create_group(title), table, form.groups[title], form.units)
