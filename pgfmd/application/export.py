@@ -59,10 +59,9 @@ def export(results: Results, folder: str | os.PathLike, form: str = "nc") -> lis
 def _contents(load: LoadResults, job: Job) -> tuple[dict[str, tuple[np.ndarray, str, str]], dict[str, Any]]:
     """Variables but the heights, name → (values, unit, meaning), and numbers, named as contact.engineering does."""
     heights, pressure, gap = (load.field(name).astype(np.float64) for name in ("height", "pressure", "gap"))
+    displacement: np.ndarray = gap + heights
     if "plastic_depth" in load.results.fields(load.index):
-        displacement = gap + heights - load.field("plastic_depth")
-    else:
-        displacement = gap + heights
+        displacement -= load.field("plastic_depth")
     if job.grid.domain.wraps:
         shift = -displacement.mean()  # the mean displacement of the surface is 0, whatever the solid
     else:
